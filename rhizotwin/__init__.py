@@ -9,7 +9,7 @@
     rt.plot(result)
     rt.score(result, dataset)
 
-Names are loaded on first use, and the device is chosen by the first call that computes.
+Each name is imported when it is first used. The first function that computes selects the CPU or the GPU.
 """
 
 from importlib import import_module as _import_module
@@ -83,11 +83,11 @@ _PLACES = {
     "simulate": "front_door",
     "view": "api",
 }
-"""Module of each name."""
+"""Module below ``rhizotwin`` that defines each public name."""
 
 
 def __getattr__(name: str) -> _Any:
-    """Load a name on first use."""
+    """Import a public name when it is first used."""
     if name == "__version__":
         from importlib.metadata import version
 
@@ -98,5 +98,5 @@ def __getattr__(name: str) -> _Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names of the interface."""
+    """Return the public names of the package."""
     return sorted([*__all__, "__version__"])

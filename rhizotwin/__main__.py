@@ -1,7 +1,7 @@
 """Entry point of the program: `rhizotwin` and `python -m rhizotwin`.
 
-Spawned worker processes import this module too, so it prepares the process when it is imported. Until
-`rhizotwin.cli.main` handles Ctrl-C, it ends the program silently instead of with a traceback.
+Spawned worker processes also import this module, so the process is configured at import. Until `rhizotwin.cli.main`
+installs its signal handler, Ctrl-C ends the program without a traceback.
 """
 
 import logging
@@ -10,10 +10,10 @@ import signal
 import sys
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
-# before NumPy is loaded: the matrices here are small, and waiting threads would use up processors
+# must be set before NumPy is loaded: the matrices are small, and idle BLAS threads would occupy the processors
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-if sys.platform == "win32":  # its pipes and files can encode few characters only
+if sys.platform == "win32":  # the encoding of pipes and files has few characters
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="replace")
 
@@ -22,7 +22,7 @@ from rhizotwin.scenes.formatting import DEBUG_VARIABLE  # noqa: E402 - as above
 
 # warnings of libraries are for programmers; users get messages
 if not os.environ.get(DEBUG_VARIABLE):
-    logging.captureWarnings(True)  # not a filter, which libraries change when they are loaded
+    logging.captureWarnings(True)  # instead of a warnings filter, which libraries change when they are loaded
     logging.getLogger("py.warnings").setLevel(logging.CRITICAL)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 

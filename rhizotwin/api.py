@@ -1,7 +1,7 @@
-"""Python interface of tasks beyond the single steps: display, import, batches, growth, biomass, export and scans.
+"""Python interface for display, picture import, batches, growth curves, biomass, export and scans.
 
 `import rhizotwin as rt` provides these functions as ``rt.plot``, ``rt.view``, ``rt.import_pictures``, ``rt.batch``,
-``rt.growth``, ``rt.biomass``, ``rt.export`` and ``rt.scan``. What the commands of the same names print is logged.
+``rt.growth``, ``rt.biomass``, ``rt.export`` and ``rt.scan``. Text that the command of the same name prints is logged.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
     Parameters
     ----------
     result : Result or path
-        A result or its folder.
+        Result, or folder of a saved result.
     by : {"order", "diameter", "depth", "uncertainty", "tip visibility"}
-        Property of the nearest root that colours the surface.
+        Root property that determines the colour of the surface around each root.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Notebooks show it; ``savefig`` writes it.
+        Figure with both drawings; notebooks display it, and its method ``savefig`` writes it to a file.
     """
     from rhizotwin import root_colours
     from rhizotwin.report import figures
@@ -60,28 +60,28 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
         raise UserError(f"the result of {found.scene} has no surface to plot")
     drawn: Any = figures.shape_close_up(found.solid.surface, found.roots, by=by)
     drawn.suptitle(found.scene, fontsize=11)
-    drawn._repr_png_ = lambda: png(drawn, dpi=90)  # notebooks show figures that pyplot does not know by this only
+    drawn._repr_png_ = lambda: png(drawn, dpi=90)  # notebooks need this method for figures that pyplot did not create
     return drawn
 
 
 class View:
-    """A running viewer: its address, and `close` to stop it."""
+    """Running viewer with its address and a method that stops it."""
 
     def __init__(self, viewer: Viewer, temporary: ExitStack) -> None:
         self._viewer, self._temporary = viewer, temporary
         self.address: str = viewer.served.address
 
     def close(self) -> None:
-        """Stop the viewer; corrections that were not saved are lost."""
+        """Stop the viewer. Unsaved corrections are lost."""
         self._viewer.served.stop()
         self._temporary.close()
 
     def __repr__(self) -> str:
-        """Return the address."""
+        """Return a text with the address of the viewer."""
         return f"View at {self.address}"
 
     def _repr_html_(self) -> str:
-        """Return a link for notebooks."""
+        """Return the address as an HTML link, for notebooks."""
         return f'<a href="{self.address}" target="_blank">{self.address}</a>'
 
 
@@ -92,23 +92,23 @@ def view(
     port: int = 8080,
     open_browser: bool = True,
 ) -> View:
-    """Show results in a browser, with their pictures and tools for corrections.
+    """Show results in a browser, with their pictures and tools for manual correction.
 
     Parameters
     ----------
     result : Result, path, or sequence of these
-        One result or several, which are shown one after the other.
+        One or more results or result folders; the page shows one result at a time.
     dataset : Dataset or path, optional
-        Dataset with the pictures; default: the one that the result names.
+        Dataset with the pictures; default: the dataset recorded in the result.
     port : int
-        Port of the page, or the next free one.
+        Port of the page; if the port is in use, the next free port is used.
     open_browser : bool
-        Open a browser window.
+        Open the page in a browser.
 
     Returns
     -------
     View
-        Keep it as long as the page is used.
+        Running viewer; keep a reference to it while the page is in use.
     """
     from rhizotwin.viewer import app
 
@@ -132,24 +132,29 @@ def import_pictures(
     no_strip: bool = False,
     monitor: Progress = None,
 ) -> Dataset:
-    """Import a folder of pictures as a dataset; choices of the import are logged.
+    """Convert a folder of pictures to a dataset, and log the automatic choices of the import.
 
     Parameters
     ----------
     folder : path
-        Pictures (PNG, JPG, TIFF or DNG), in the natural order of their names.
+        Folder of pictures (PNG, JPG, TIFF or DNG), which are read in the natural order of their names.
     output : path
-        Folder of the dataset: new or empty.
+        New or empty folder for the dataset.
     scene : Scene, str or path
-        Canister, water, marker strip and camera.
+        Scene, or its name or file: canister, water, marker strip and camera.
     cameras : path, optional
-        Camera poses and lens (transforms.json of nerfstudio), canister frame, mm.
+        File of camera poses (canister frame, mm) and lens parameters, in nerfstudio's format transforms.json.
     masks : bool
-        The pictures are silhouettes, white root on black; needs ``cameras``.
+        The pictures are silhouettes with white roots on black; requires ``cameras``.
     no_strip : bool
-        There is no marker strip; see `docs/without-markers.md`.
+        The pictures show no marker strip, see `docs/without-markers.md`.
     monitor : Monitor, tqdm class, callable or None
-        Progress.
+        Receiver of the progress.
+
+    Returns
+    -------
+    Dataset
+        Imported dataset.
     """
     from rhizotwin import importer
 
@@ -175,34 +180,34 @@ def batch(
     cluster: str | None = None,
     device: Device = "auto",
 ) -> Any:
-    """Reconstruct many datasets; finished ones are kept.
+    """Reconstruct many datasets, and keep the results of an earlier call.
 
     Parameters
     ----------
     datasets : path or sequence of path
-        Datasets, folders that contain datasets, or patterns such as ``scans/day_*``.
+        Datasets, folders of datasets, or patterns such as ``scans/day_*``.
     output : path
-        Folder of the results, with ``traits.csv`` and ``overview.html``.
+        Folder for the results, ``traits.csv`` and ``overview.html``.
     voxel_mm : float, optional
-        Edge of the smallest voxels.
+        Edge length of the smallest voxels, mm.
     settings : path, optional
-        Settings file (TOML).
+        File with settings of the reconstruction (TOML).
     workers : int, optional
-        Number of processes; default: one per processor, limited by memory.
+        Number of worker processes; default: number of processors, limited by the available memory.
     cluster : str, optional
-        Address of a Dask scheduler, or ``slurm``.
+        Address of a Dask scheduler, or ``slurm`` to start the workers as Slurm jobs.
     device : {"auto", "cpu", "cuda"}
         Device for the computation.
 
     Returns
     -------
     pandas.DataFrame
-        The content of ``traits.csv``: one row for each result.
+        Content of ``traits.csv``, one row per result.
 
     Raises
     ------
     UserError
-        If a dataset failed, after all others were reconstructed.
+        If the reconstruction of a dataset failed; raised after all other datasets were reconstructed.
     """
     from rhizotwin.commands.batch import Workforce
     from rhizotwin.commands.batch import batch as run
@@ -217,19 +222,19 @@ def batch(
 
 
 def growth(results: Paths, output: str | Path) -> dict[str, Any]:
-    """Track plants and roots over days, and compare treatments.
+    """Compute growth curves of plants and roots from scans of several days, and compare treatments.
 
     Parameters
     ----------
     results : path or sequence of path
-        Results, folders of results, tables of traits (.csv), or tables of masses (.csv).
+        Results, folders of results, trait tables (.csv), or tables of weighed masses (.csv).
     output : path
-        Folder of the tables, figures and the page ``growth.html``: new or empty.
+        New or empty folder for the tables, the figures and the page ``growth.html``.
 
     Returns
     -------
     dict of str to pandas.DataFrame
-        The tables by name: ``traits``, ``roots``, ``treatments``, and others where they apply.
+        Tables by name: ``traits``, ``roots``, ``treatments``, and further tables that depend on the data.
     """
     from rhizotwin.commands.growth import growth as run
 
@@ -240,29 +245,31 @@ def growth(results: Paths, output: str | Path) -> dict[str, Any]:
 
 
 def biomass(results: Paths, *, masses: str | Path | None = None, model: str | Path | None = None, output: str | Path) -> Model | Any:
-    """Fit a model of plant masses (give ``masses``), or predict masses with it (give ``model``).
+    """Fit a model of plant mass to weighed plants, or predict the mass of plants with a fitted model.
+
+    Exactly one of ``masses`` and ``model`` must be given.
 
     Parameters
     ----------
     results : path or sequence of path
-        Results, folders of results, or tables of traits (.csv).
+        Results, folders of results, or trait tables (.csv).
     masses : path, optional
-        Table of weighed masses (.csv): fits a model.
+        Table of weighed masses (.csv), to which a model is fitted.
     model : path, optional
-        A fitted model (.json): predicts masses.
+        Fitted model (.json), with which masses are predicted.
     output : path
-        File to write: the model (.json), or the table of predictions (.csv).
+        Output file: the fitted model (.json) or the table of predicted masses (.csv).
 
     Returns
     -------
     Model or pandas.DataFrame
-        The model, or the predictions with 90 % intervals.
+        Fitted model, or predicted masses with 90 % intervals.
     """
     from rhizotwin.commands import biomass as commands
 
     require("output", output, "path")
     if (masses is None) == (model is None):
-        raise UserError("give either masses, to fit a model, or model, to predict masses")
+        raise UserError("exactly one of masses and model is needed; give masses to fit a model, or model to predict masses")
     found = _paths("results", results)
     with _logged():
         if masses is not None:
@@ -285,28 +292,28 @@ def export(
     undistorted: bool = False,
     monitor: Progress = None,
 ) -> list[Path]:
-    """Write a result in the format of another program, chosen by the suffix of ``output``.
+    """Write a result in the format of another program; the suffix of ``output`` selects the format.
 
     Parameters
     ----------
     result : Result or path
-        A result or its folder.
+        Result, or folder of a saved result.
     output : path
-        .ply, .stl or .glb (closed surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (cameras for
-        nerfstudio), or a folder (cameras for COLMAP).
+        Output file with the suffix .ply, .stl or .glb (closed surface), .nrrd (voxels), .rsml (centre lines),
+        .csv (traits) or .json (cameras for nerfstudio), or output folder (cameras for COLMAP).
     dataset : Dataset or path, optional
-        Dataset of the result; needed for cameras.
+        Dataset of the result; required for the export of cameras.
     roots : {"order", "diameter"}, optional
-        Mesh formats only: write roots as tubes with these colours.
+        Mesh formats only: write the roots as tubes, coloured by this property.
     undistorted : bool
-        Write pictures without refraction to the folder ``output``, with their cameras.
+        Write the pictures with refraction removed, and their cameras, to the folder ``output``.
     monitor : Monitor, tqdm class, callable or None
-        Progress.
+        Receiver of the progress.
 
     Returns
     -------
     list of Path
-        Files that were written.
+        Written files.
     """
     from rhizotwin import exports
 
@@ -328,25 +335,32 @@ def scan(
     table_angle_deg: float | None = None,
     **twin: Any,
 ) -> Dataset:
-    """Take the pictures of a plan on a rig, or on the emulated rig.
+    """Scan the canister: take all planned pictures on a rig or on its emulation.
 
     Parameters
     ----------
     rig : path or "twin"
         Rig file, or ``"twin"`` for the emulated rig.
     output : path
-        Folder of the dataset: new or empty; with ``resume`` that of an interrupted scan.
+        New or empty folder for the dataset; with ``resume`` the folder of the interrupted scan.
     scene : str or path, optional
-        Scene of the rig; needed for a rig file, default of the emulated rig: ``printed_8ml``.
+        Name or file of the scene on the rig. Required with a rig file; the emulated rig uses ``printed_8ml`` by
+        default.
     plan : str, optional
-        File or scene whose rings replace those of the scene.
+        Scan plan file, or scene, whose rings (turns at one camera height and tilt) replace the rings of the scene.
     resume : bool
         Continue an interrupted scan.
     table_angle_deg : float, optional
-        Angle of the turntable, if the markers cannot be read at the start.
+        Initial angle of the turntable, deg; required only if no marker can be detected at the start.
     **twin : any
-        Emulated rig: ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file; default ``bench``),
-        ``seed``, ``fidelity`` (``render``, or ``sketch`` for the marker strip only) and ``device``.
+        Options of the emulated rig: ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file;
+        default ``bench``), ``seed``, ``fidelity`` (``render``, or ``sketch`` to draw only the marker strip) and
+        ``device``.
+
+    Returns
+    -------
+    Dataset
+        Dataset with the pictures of the scan.
     """
     from rhizotwin import rigs
     from rhizotwin.arguments import Progress as Bars
@@ -371,12 +385,12 @@ def scan(
 
 
 def _several(name: str, given: Any, *kinds: str) -> list[Any]:
-    """Return one value or a sequence of values as a list, each of one of the kinds that `calls.require` knows."""
+    """Convert an argument to a list, and check the type of each item with `calls.require`."""
     several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     for one in several:
         require(name, one, *kinds)
     if not several:
-        raise UserError(f"{name} is empty; give at least one")
+        raise UserError(f"{name} is an empty list; it must have at least one item")
     return several
 
 
@@ -392,7 +406,7 @@ def _folder_of(dataset: Dataset | str | Path | None) -> Path | None:
 
 @contextmanager
 def _saved(result: Result | str | Path) -> Iterator[Path]:
-    """Provide the folder of a result; one in memory is saved to a temporary folder."""
+    """Provide the folder of a result; a result in memory is saved to a temporary folder first."""
     if isinstance(result, str | Path):
         yield Path(result)
         return
@@ -403,7 +417,7 @@ def _saved(result: Result | str | Path) -> Iterator[Path]:
 
 @contextmanager
 def _logged() -> Iterator[None]:
-    """Log the lines that a command prints, also when it fails."""
+    """Capture the standard output of a command, and log its lines even if the command fails."""
     printed = io.StringIO()
     try:
         with redirect_stdout(printed):

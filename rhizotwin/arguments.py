@@ -1,7 +1,7 @@
-"""Argument types that several commands use, with their limits and error messages.
+"""Types of command-line arguments shared by several commands, with limits and error messages.
 
-A type is ``Annotated[type, option(reader, "METAVAR")]``. The reader converts the typed text and raises ValueError with
-the allowed limits.
+A type is ``Annotated[type, option(reader, "METAVAR")]``. The reader is a function that converts the typed text, and
+raises ValueError with the allowed limits.
 """
 
 import errno
@@ -22,7 +22,7 @@ from rhizotwin.scenes.terminal import OneBar
 T = TypeVar("T")
 
 MOST_PARTS = 250
-"""Maximum depth of nested folders in a path. Python creates and removes them by recursion, limited to 1000 calls."""
+"""Maximum number of nested folders in a path. Python creates and removes folders recursively, to a depth of 1000."""
 VOXEL_LIMITS_MM = (0.01, 10.0)
 DIAMETER_LIMITS_MM = (0.01, 50.0)
 SHIFT_LIMITS_MM = (-1e6, 1e6)
@@ -36,17 +36,20 @@ MAX_SAMPLES = 1 << 16
 MAX_SEEDS = 1000
 
 
-def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Create the parameter of a single value; ``read`` converts its text and raises ValueError with a message."""
+def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None, **more: Any) -> Parameter:
+    """Define a command-line parameter with a single value; ``read`` converts the text or raises ValueError.
+
+    Other arguments are passed to `cyclopts.Parameter`.
+    """
 
     def convert(_: Any, tokens: Any) -> object:
         return read(tokens[0].value)
 
-    return Parameter(name=name, converter=convert, n_tokens=1, accepts_keys=False, metavar=metavar)
+    return Parameter(name=name, converter=convert, n_tokens=1, accepts_keys=False, metavar=metavar, **more)
 
 
 def options(read: Callable[[str], object], metavar: str) -> Parameter:
-    """Create the parameter of an option that may be repeated; its values form a tuple."""
+    """Define a repeatable option; the values of all repetitions are collected in a tuple."""
 
     def convert(_: Any, tokens: Any) -> object:
         return tuple(read(token.value) for token in tokens)
@@ -55,22 +58,22 @@ def options(read: Callable[[str], object], metavar: str) -> Parameter:
 
 
 def with_metavar(metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Create the parameter of a text or path with its own metavar; paths are checked by `check_paths`."""
+    """Define a parameter for a text or path with the given metavar; paths are validated by `check_paths`."""
     return Parameter(name=name, metavar=metavar, validator=check_paths)
 
 
 def output(metavar: str) -> Parameter:
-    """Create the parameter of the option ``--output`` (``-o``)."""
+    """Define the option ``--output`` (``-o``) with the given metavar."""
     return Parameter(name=("--output", "-o"), metavar=metavar, validator=check_paths)
 
 
 def check_paths(_: Any, given: Any) -> None:
-    """Reject paths that are invalid for the operating system, or nested too deeply.
+    """Validate a path or list of paths.
 
     Raises
     ------
     ValueError
-        If a path is rejected.
+        If a path is invalid for the operating system or has more than `MOST_PARTS` nested folders.
     """
     for path in given if isinstance(given, list | tuple) else [given]:
         if isinstance(path, Path):
@@ -89,16 +92,16 @@ def read_integer(text: str, low: int, high: int, what: str) -> int:
     Parameters
     ----------
     text : str
-        Text as typed.
+        Text to convert.
     low, high : int
-        Minimum and maximum, inclusive.
+        Minimum and maximum value, inclusive.
     what : str
-        Description of the limits for the error message.
+        Description of the limits for the error message, such as "give 1 to 9".
 
     Returns
     -------
     int
-        Value.
+        Converted value.
     """
     try:
         value = int(text)
@@ -115,16 +118,16 @@ def read_number(text: str, limits: tuple[float, float], unit: str, units: str | 
     Parameters
     ----------
     text : str
-        Text as typed.
+        Text to convert.
     limits : tuple of float
-        Minimum and maximum, inclusive.
+        Minimum and maximum value, inclusive.
     unit, units : str, (str or None)
-        Unit and its plural, for error messages.
+        Symbol of the unit and its name in the plural, for error messages.
 
     Returns
     -------
     float
-        Value.
+        Converted value.
     """
     try:
         value = float(text)
@@ -142,7 +145,7 @@ def read_length_mm(text: str, limits: tuple[float, float]) -> float:
 
 
 def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tuple[T, ...]]:
-    """Return a reader of comma-separated values; ``once`` removes duplicates."""
+    """Return a function that converts comma-separated text to a tuple; ``once`` removes duplicate values."""
 
     def read(text: str) -> tuple[T, ...]:
         values = [one(part) for part in text.split(",")]
@@ -152,17 +155,17 @@ def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tu
 
 
 def read_views(text: str) -> int:
-    """Read a number of views."""
+    """Convert text to a number of views, 1 to `MAX_VIEWS`."""
     return read_integer(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
 
 
 def read_mass_g(text: str) -> float:
-    """Read a mass."""
+    """Convert text to a mass in grams."""
     return read_number(text, MASS_LIMITS_G, "g", "grams")
 
 
 def read_image_wh(text: str) -> tuple[int, int]:
-    """Read a picture size such as 800x600."""
+    """Convert a picture size such as 800x600 to width and height in pixels."""
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise ValueError(f"{text!r} is not a picture size; write it as 800x600")
@@ -175,7 +178,7 @@ def read_image_wh(text: str) -> tuple[int, int]:
 Device: TypeAlias = Literal["auto", "cpu", "cuda"]
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 SceneName: TypeAlias = Annotated[str, with_metavar("SCENE")]
-Profile: TypeAlias = Annotated[str, with_metavar("clean|bench|camera|harsh|real")]
+Profile: TypeAlias = Annotated[str, with_metavar("PROFILE")]
 ResultFolder: TypeAlias = Annotated[Path, with_metavar("RESULT")]
 DatasetFolder: TypeAlias = Annotated[Path, with_metavar("DATASET")]
 OutputDataset: TypeAlias = Annotated[Path, output("DATASET")]
@@ -194,12 +197,12 @@ MassG: TypeAlias = Annotated[float, option(read_mass_g, "G")]
 
 
 def read_day(text: str) -> float:
-    """Read a plant's age."""
+    """Convert text to the age of a plant in days."""
     return read_number(text, DAY_LIMITS, "days")
 
 
 def read_date(text: str) -> str:
-    """Read a date."""
+    """Validate an ISO date such as 2022-10-06, and return it as text."""
     try:
         return date.fromisoformat(text).isoformat()
     except ValueError:
@@ -207,47 +210,47 @@ def read_date(text: str) -> str:
 
 
 def read_shift_mm(text: str) -> tuple[float, float, float]:
-    """Read a shift such as 0,0,-20."""
+    """Convert a translation such as 0,0,-20 to x, y and z in mm."""
     parts = text.split(",")
     if len(parts) != 3:
-        raise ValueError(f"{text!r} is not a shift; write it as X,Y,Z in mm, such as 0,0,-20")
+        raise ValueError(f"{text!r} is not a translation; write it as X,Y,Z in mm, such as 0,0,-20")
     x, y, z = (read_length_mm(part, SHIFT_LIMITS_MM) for part in parts)
     return x, y, z
 
 
-SolutionName = Annotated[Solution, option(read_solution, "NAME|FILE[,K=0.5,...]")]
+SolutionName = Annotated[Solution, option(read_solution, "SOLUTION")]
 
 
 @Parameter(name="*", group="Plant")
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions:
-    """Plant in the canister; each option overrides the scene's [subject]."""
+    """Options that describe the plant in the canister; they override the scene's table [subject]."""
 
     plant: Annotated[str | None, with_metavar("NAME")] = None
-    """Name of the plant; must be the same for every scan of the plant."""
+    """Name of the plant; use the same name for all scans of a plant."""
     species: Annotated[str | None, with_metavar("NAME")] = None
     """Species of the plant, such as 'Raphanus sativus'."""
     treatment: Annotated[str | None, with_metavar("NAME")] = None
-    """Treatment, for example 'low N'."""
+    """Treatment of the plant, such as 'low N'."""
     day: Annotated[float | None, option(read_day, "DAYS")] = None
-    """Age of the plant: days since sowing."""
+    """Age of the plant, in days since sowing."""
     date: Annotated[str | None, option(read_date, "DATE")] = None
     """Date of the scan, such as 2022-10-06."""
     replicate: Annotated[int | None, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
     """Number of the replicate within its treatment."""
     notes: Annotated[str | None, with_metavar("TEXT")] = None
-    """Free text, copied to every table."""
+    """Free text, copied to all tables of traits."""
     solution: SolutionName | None = None
-    """Nutrient solution: kliman_2022, or a TOML file with the keys of [solution]; optionally with a factor per \
-element, such as kliman_2022,K=0.5."""
+    """Nutrient solution: kliman_2022, or a TOML file with the keys of a scene's table [solution]. The concentration \
+of an element can be scaled, for example kliman_2022,K=0.5 for half the potassium."""
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return a copy of the scene with the given subject and solution.
+        """Return a copy of the scene with the options that were given.
 
         Raises
         ------
         UserError
-            If a text contains characters that are not allowed in tables.
+            If a text contains a character that is not allowed in tables.
         """
         given = {name: value for name, value in vars(self).items() if value is not None}
         dissolved = given.pop("solution", scene.solution)
@@ -259,67 +262,68 @@ element, such as kliman_2022,K=0.5."""
 @Parameter(name="*", group="Scene")
 @dataclass(frozen=True, kw_only=True)
 class Placing:
-    """Position of a specimen file in the canister; None keeps the scene's value."""
+    """Options that position a specimen from a file in the canister; None leaves the scene's value unchanged."""
 
     place: Literal["given", "auto"] | None = None
-    """Position of the specimen: given (use the coordinates of the file) or auto (upright and centred below the net \
-pot)."""
+    """Position of the specimen: given (coordinates of the file) or auto (upright and centred below the net pot, which \
+holds the plant)."""
     flip: Flag | None = None
-    """Turn the specimen upside down first, for files in which z points down."""
+    """Turn the specimen upside down before it is scaled, for files in which z points down."""
     scale: Annotated[float, option(lambda text: read_number(text, SCALE_LIMITS, ""), "S")] | None = None
-    """Scale factor, applied to coordinates and diameters after --flip."""
+    """Scale factor of coordinates and diameters, applied after --flip."""
     shift_mm: Annotated[tuple[float, float, float], option(read_shift_mm, "X,Y,Z")] | None = None
-    """Translation in mm, applied last. If the first number is negative, write --shift-mm=-5,0,-20."""
+    """Translation in mm, applied last. If the first number is negative, write an equals sign: --shift-mm=-5,0,-20."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress output: one bar on a terminal, one line per stage elsewhere."""
+    """Options for progress output: one bar on a terminal, one line per stage in other outputs."""
 
     quiet: Flag = False
-    """Show no progress."""
+    """Do not show the progress."""
     verbose: Flag = False
-    """Print one line per stage with its duration."""
+    """Print the name and duration of each stage instead of a progress bar."""
 
     def bar(self, **shares: float) -> OneBar:
-        """Return a progress bar; ``shares`` are the relative durations of the stages."""
+        """Return a progress bar for stages with the relative durations ``shares``."""
         return OneBar(shares, quiet=self.quiet, verbose=self.verbose)
 
 
 @Parameter(name="*", group="Web page")
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """Address of a served page."""
+    """Options for the address of a local web page."""
 
     host: Annotated[str, with_metavar("ADDRESS")] = "127.0.0.1"
-    """Network address to serve the page on; 127.0.0.1 allows connections from this computer only."""
+    """Network address of the page; 127.0.0.1 allows connections from this computer only."""
     port: Port = 8080
-    """Port to serve the page on; if it is in use, the next free port."""
+    """Port of the page; if the port is in use, the next free port is used."""
     no_browser: Flag = False
-    """Print the address of the page without opening a browser."""
+    """Print the address of the page, and do not open a browser."""
 
 
 @Parameter(name="*", group="Scene")
 @dataclass(frozen=True, kw_only=True)
 class SceneChanges:
-    """Changes to a scene."""
+    """Options that change a scene."""
 
     profile: Profile | None = None
-    """Simulated errors of the rig: clean (none), bench (a well-built rig), camera (bench with an ordinary camera), \
-harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file; default: as in the scene."""
+    """Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an \
+ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file; default: as in \
+the scene."""
     specimen: Annotated[Path | None, with_metavar("FILE")] = None
-    """Replace the scene's root by a file: a closed mesh (PLY, STL, OBJ) in mm, or traced roots (RSML). Coordinates \
-are in the canister frame: origin on the axis in the plane of the rim, z up, roots at negative z. For other \
-coordinates see --place."""
+    """File with a specimen that replaces the scene's roots: a closed mesh (PLY, STL, OBJ) in mm, or traced roots \
+(RSML). The origin of the coordinates is on the canister's axis in the plane of its rim, with z up, so that roots have \
+negative z; for files with other coordinates see --place."""
     specimen_unit: Annotated[str | None, with_metavar("UNIT")] = None
-    """Unit of the coordinates in an RSML file, if the file gives none or a wrong one: mm, cm, m, um, inch, or a \
-multiple such as '0.1 mm'."""
+    """Unit of the coordinates in an RSML file whose own unit is missing or wrong: mm, cm, m, um, inch, or a multiple \
+such as '0.1 mm'."""
     specimen_diameter_mm: DiameterMm | None = None
-    """Diameter of roots without a diameter in the RSML file."""
+    """Diameter in mm of roots for which the RSML file has no diameter."""
     placing: Placing = Placing()
     """Position of the specimen."""
     views: Views | None = None
-    """Number of pictures per ring of camera positions; default: as in the scene."""
+    """Number of pictures per ring (one turn of the table at one camera height and tilt); default: as in the scene."""
     image_wh: ImageWh | None = None
     """Picture size in pixels, such as 800x600; default: as in the scene."""

@@ -1,7 +1,7 @@
-"""Baselines: the method of the thesis, the regularised visual hull of 2011, and the plain visual hull.
+"""Baseline methods: Kliman's thesis (2022), the regularised visual hull (Zheng et al. 2011) and the visual hull.
 
-They are put together from the reconstruction's stages, on the same pictures and settings. None has an error budget, so
-that none calls a volume trusted.
+The baselines are composed of stages of the reconstruction and use the same pictures and settings. They compute no
+error budget, so their volumes are never marked as trusted.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 
 Baseline = Literal["thesis", "regularised", "hull"]
 SEARCH_PX = 2.0
-"""By how much silhouettes are grown to find the cells that may be added: with 1 px, a radish stays
-in 20 parts, with 2 in 2; with 4 px there are four times as many cells (docs/log/regularised-hull.md)."""
+"""Dilation of the silhouettes within which cells may be added to the hull, px.
+
+A radish remains in 20 parts with 1 px, and in 2 parts with 2 px. With 4 px there are four times as many cells
+(docs/log/regularised-hull.md).
+"""
 
 
 def reconstruct_baseline(
@@ -41,23 +44,23 @@ def reconstruct_baseline(
     settings: Settings | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Result:
-    """Reconstruct a dataset by a baseline.
+    """Reconstruct a dataset with a baseline method.
 
     Parameters
     ----------
     dataset : Dataset or path
         Pictures and scene.
     method : {"thesis", "regularised", "hull"}
-        Which baseline.
+        Baseline method.
     settings : Settings, optional
-        Voxels, and which pictures are used; the hull also has the cameras and silhouettes of the reconstruction.
+        Voxel size and selection of pictures; the visual hull also uses the settings of calibration and coverage.
     monitor : Monitor, type of tqdm, callable or None
-        Hears how far the work is.
+        Receiver of the progress.
 
     Returns
     -------
     Result
-        The result, not saved; its volume is not trusted.
+        Result in memory, whose volume is marked as not trusted.
     """
     settings, watch = settings or Settings(), Monitor.of(monitor)
     loaded = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
@@ -65,7 +68,7 @@ def reconstruct_baseline(
 
 
 class _Shape(NamedTuple):
-    """What a baseline found."""
+    """Hull and intermediate results of a baseline method."""
 
     pictures: Pictures
     carved: shaping.CarvedHull
@@ -74,12 +77,13 @@ class _Shape(NamedTuple):
 
 
 def _thesis(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
-    """Carve as Kliman's thesis (2022) does.
+    """Carve the hull with the method of Kliman's thesis (2022).
 
-    Corners as OpenCV returns them and a pose a picture (T3.4.1); silhouettes by Otsu's threshold, hysteresis on the
-    Sobel gradient and opening (T3.4.2); rays refracted through the canister (T3.4.3); a strict AND over all views, so
-    that a view that does not see a voxel carves it (T3.4.4, fig. 4.4); the volume by counting leaves (T3.5). The
-    pictures' unseen parts are left out here too: the thesis masks them.
+    The camera of each picture is estimated separately from OpenCV's marker corners (T3.4.1). Silhouettes come from
+    Otsu's threshold, hysteresis on the Sobel gradient and opening (T3.4.2), and rays are refracted through the canister
+    (T3.4.3). A voxel is retained only if it lies in the silhouettes of all views, so a view in which the voxel is
+    outside the picture removes it (T3.4.4, fig. 4.4). The volume is that of the retained leaves (T3.5). Unusable parts
+    of the pictures are excluded, as the masks of the thesis do.
     """
     pictures, carved, coverage = _carve_strictly(
         dataset, settings, watch, slack_px=0.0, outline=lambda image, _, seen: silhouettes.thesis(image, seen)
@@ -88,11 +92,12 @@ def _thesis(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
 
 
 def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
-    """Carve as the regularised visual hull of Zheng et al. (2011), the remedy of T5.3.
+    """Compute the regularised visual hull of Zheng et al. (2011), which thesis section T5.3 suggests.
 
-    Poses as in the thesis, silhouettes against a modelled background as in the paper (ours: the outline of coverage),
-    and a strict AND over the voxels' centres. Then every pixel of one picture gets a voxel, and separate parts are
-    joined, where the views object least; the volume counts voxels.
+    Cameras are those of the thesis. Silhouettes are extracted against a modelled background, as in the paper, here as
+    the outline of coverage. A voxel is retained if its centre lies in the silhouettes of all views. Voxels are then
+    added where they contradict the fewest views, until all silhouette pixels of one picture are explained and separate
+    parts are connected. The volume is that of all voxels.
     """
     pictures, carved, coverage = _carve_strictly(dataset, settings, watch, slack_px=SEARCH_PX, outline=None)
     with watch.stage("mend"):
@@ -104,7 +109,20 @@ def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape
 def _carve_strictly(
     dataset: Dataset, settings: Settings, monitor: Monitor, *, slack_px: float, outline: Outline | None
 ) -> tuple[Pictures, shaping.CarvedHull, Coverage]:
-    """Find a pose a picture, silhouettes, and the hull that no view may miss, as the thesis does."""
+    """Estimate one camera per picture and the silhouettes, and carve the cells outside the silhouette of any view.
+
+    Parameters
+    ----------
+    slack_px : float
+        Dilation of the silhouettes before carving, px.
+    outline : Outline, optional
+        Function that extracts the silhouette of a picture; default: outline of coverage.
+
+    Returns
+    -------
+    tuple of (Pictures, CarvedHull, Coverage)
+        Pictures of the dataset, hull with its cameras and silhouettes, and coverage.
+    """
     pictures = read_pictures(dataset, settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=outline)
@@ -116,15 +134,15 @@ def _carve_strictly(
 
 
 def _counted_mm3(leaves: Leaves) -> float:
-    """Return the volume of all leaves, however much of them is occupied."""
+    """Return the total volume of all leaves in mm3, without regard to their occupancy."""
     return float((leaves.size.astype(np.float64) ** 3).sum() * leaves.grid.size_mm**3)
 
 
 def _hull(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
-    """Carve the visual hull of the silhouettes (Laurentini 1994), untrimmed.
+    """Carve the visual hull of the silhouettes (Laurentini 1994) without trimming.
 
-    Cameras, silhouettes and refraction are those of the reconstruction; where thin roots cross, the hull holds what no
-    silhouette can exclude.
+    Cameras, silhouettes and refraction are those of the reconstruction. Where thin roots cross, the hull contains
+    spurious volume that no silhouette excludes.
     """
     pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=watch), monitor=watch)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=watch)
@@ -147,7 +165,7 @@ TITLES: dict[Baseline, str] = {
 
 
 def _result(method: Baseline, shape: _Shape, *, settings: Settings, monitor: Monitor) -> Result:
-    """Return a hull as a result whose volume is not trusted."""
+    """Convert the shape of a baseline method to a result whose volume is marked as not trusted."""
     pictures, carved, coverage, volume_mm3 = shape
     cameras = carved.cameras
     solid = shaping.measure(

@@ -1,4 +1,4 @@
-"""Arguments of the Python interface: type checks, and progress as one bar."""
+"""Type checks and progress reporting for the functions of the Python interface."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.terminal import OneBar
 
 Progress = Monitor | type[Any] | Listener | None
-"""A monitor, a tqdm class (one bar for the whole work), a callable ``(stage, done, total)``, or None for no output."""
+"""Receiver of progress: a monitor, a tqdm class (one bar in total), a callable ``(stage, done, total)``, or None."""
 
 SHARES = {
     "read": 0.1,
@@ -41,17 +41,17 @@ SHARES = {
     "surface": 0.3,
     "pictures": 6.0,
 }
-"""Seconds of each stage of a reconstruction, for progress bars (radish_day05b, 20 views of 400x300, 2 cores)."""
+"""Typical duration of each reconstruction stage, s, for progress bars (radish_day05b, 20 views of 400x300, 2 cores)."""
 
 
 @contextmanager
 def watch(given: Progress, shares: Mapping[str, float]) -> Iterator[Monitor]:
-    """Provide a monitor; a tqdm class becomes one bar for all stages.
+    """Provide a monitor for a receiver of progress.
 
     Parameters
     ----------
     given : Monitor, tqdm class, callable or None
-        Progress, as callers give it.
+        Receiver of progress; with a tqdm class, one bar covers all stages.
     shares : mapping of str to float
         Relative duration of each stage.
     """
@@ -64,21 +64,21 @@ def watch(given: Progress, shares: Mapping[str, float]) -> Iterator[Monitor]:
 
 
 def require(name: str, value: Any, *kinds: str) -> None:
-    """Check the type of an argument.
+    """Check the type of a function's argument.
 
     Parameters
     ----------
     name : str
-        The parameter.
+        Name of the parameter, for the error message.
     value : any
-        Its value.
+        Value to check.
     kinds : str
-        Allowed kinds: keys of `_KINDS`, or names of classes of this package.
+        Allowed types: keys of `_KINDS`, or names of classes of this package.
 
     Raises
     ------
     UserError
-        If the value is of no allowed kind.
+        If the value has none of the allowed types.
     """
     if not any(_KINDS[kind](value) if kind in _KINDS else type(value).__name__ == kind for kind in kinds):
         shown = "None" if value is None else f"{str(value)[:40]!r} ({type(value).__name__})"

@@ -1,4 +1,4 @@
-"""Entry point of the program; every failure ends with a one-line message and an exit code."""
+"""Entry point of the command-line program, which turns every failure into a one-line message and an exit code."""
 
 import os
 import signal
@@ -28,17 +28,21 @@ AFTER_STOP = {
     "camera": "",
     "view": "",
 }
-"""Message after Ctrl-C, by command; the other commands leave no output."""
+"""Advice printed after Ctrl-C, by command; commands that are not listed write no output when they are interrupted."""
 ONE_STOP_S = 1.0
-"""A second Ctrl-C within this time is ignored, so that the clean-up is not interrupted."""
+"""Interval after Ctrl-C in which further Ctrl-C are ignored, so that they do not interrupt the clean-up, s."""
 ASK_AGAIN_S = 0.05
-"""Interval after which a Ctrl-C that arrived during an import is handled again."""
+"""Delay before a Ctrl-C that arrived during an import is handled, s."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
+    """Run the command line.
 
-    0: success; 1: failure, or the return value of the command; 2: invalid input; 130: interrupted by Ctrl-C.
+    Returns
+    -------
+    int
+        Exit code: 0 for success, 1 for failure, 2 for invalid input, 130 after Ctrl-C, or the integer that the command
+        returned.
     """
     stops: list[float] = []
     command = ""
@@ -77,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Printed:
-    """Standard output that replaces control characters, which file names and texts from untrusted files may contain."""
+    """Standard output in which control characters from untrusted file names and texts are replaced."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -86,7 +90,7 @@ class _Printed:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text; each control character but tab and newline becomes a question mark."""
+        """Write text with a question mark for each control character except tab and newline."""
         self._stream.write("".join(letter if letter in "\n\t" else printable(letter) for letter in text))
         return len(text)
 
@@ -94,7 +98,7 @@ class _Printed:
 def _loading(frame: FrameType | None) -> bool:
     """Return whether Python is importing a module.
 
-    Libraries interrupted during an import ignore the interrupt or raise another error.
+    Some libraries ignore an interrupt during their import, or raise an error of a different type.
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
@@ -116,7 +120,7 @@ def _fail(sentence: str, code: int) -> int:
 
 
 def _explain(error: BaseException, command: str) -> tuple[str, int]:
-    """Return the message and the exit code for an error in a command."""
+    """Return the user message and the exit code for an error raised in a command."""
     if isinstance(error, KeyboardInterrupt):
         after = AFTER_STOP.get(command, "nothing was written")
         return f"interrupted; {after}" if after else "interrupted", EXIT_STOPPED

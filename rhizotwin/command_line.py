@@ -1,11 +1,11 @@
-"""Command line: the commands as a cyclopts application, their help, and messages for invalid arguments."""
+"""Command-line parser: a cyclopts application of all commands with help texts and messages for invalid arguments."""
 
 import inspect
 import re
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import version
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.exceptions import (
@@ -23,11 +23,21 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.name_suggestion import most_similar
 
 ABOUT = (
-    "Measure the roots of plants in round water canisters: reconstruct shape, volume and traits in 3D from pictures "
-    "taken all around the canister, with the refraction of water and wall. A digital twin of the imaging rig simulates "
-    "such pictures with known ground truth."
+    "Measure the roots of plants that grow in round, transparent water canisters. The program reconstructs the 3D shape, "
+    "the volume and the traits of the roots from pictures taken all around the canister, and takes into account the "
+    "refraction by water and wall. It also controls the imaging rig, and simulates it together with its pictures."
 )
 MORE = (
+    "Terms:\n"
+    "  rig      turntable with the canister, light panel behind it, and camera\n"
+    "  twin     emulated rig in this program, whose true roots are known (ground truth)\n"
+    "  net pot  holder of the plant on the canister, with a strip of printed markers\n"
+    "  scene    description of canister, plant and rig: a library name, or a file\n"
+    "  ring     one turn of the turntable with the camera at one height and tilt\n"
+    "  dataset  folder with the pictures of a scan\n"
+    "  result   folder with the roots reconstructed from a dataset\n"
+    "  traits   measured properties of roots, such as length, diameter and depth\n"
+    "\n"
     "First steps: rhizotwin demo\n"
     "The same in single steps:\n"
     "  rhizotwin simulate printed_8ml -o my_dataset\n"
@@ -39,7 +49,12 @@ _SECTION = re.compile(r"\n\n(?=\w+\n-+\n)")
 
 
 def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
-    """Parse a command line to the function of its command and the function's arguments.
+    """Parse a command line.
+
+    Returns
+    -------
+    tuple of (callable, inspect.BoundArguments)
+        Function that implements the command, and its arguments.
 
     Raises
     ------
@@ -55,23 +70,24 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
         command = " ".join(["rhizotwin", *(error.command_chain or ())])
         raise UserError(f"{_sentence(error, words)}; see {command} --help") from None
     except RecursionError:  # lists of lists are read as JSON
-        raise UserError("the value of an option is nested too deeply; see rhizotwin --help") from None
+        raise UserError("the value of an option has too many nested brackets; see rhizotwin --help") from None
     return function, bound
 
 
 def build(words: Sequence[str] = ()) -> App:
-    """Build the application.
+    """Build the cyclopts application.
 
-    Only the module of the command in ``words`` is imported; its docstring becomes the help text.
+    Only the module of the command in ``words`` is imported; the docstring of the command is its help text.
     """
     typed_names = [" ".join(words[:count]) for count in (1, 2)]
+    is_help = not {"--help", "-h"}.isdisjoint(words)
     app = App(
         name="rhizotwin",
         help=ABOUT,
         help_epilogue=MORE,
         help_format="plaintext",
         version=lambda: version("rhizotwin"),
-        default_parameter=Parameter(negative=()),
+        default_parameter=Parameter(negative=(), show_default=_format_default),
     )
     groups: dict[str, App] = {}
     for order, (name, short) in enumerate(COMMANDS.items()):
@@ -85,22 +101,53 @@ def build(words: Sequence[str] = ()) -> App:
             if own is not None:
                 groups[name].default(own)
             app.command(groups[name])
+            if own is not None and is_help:
+                groups[name].usage = _usage(app, name)
         elif name in typed_names:
             module, _, function = place(name).partition(":")
             command = getattr(import_module(module), function)
             help_, examples = _help(command)
             above.command(command, name=step, help=help_, help_epilogue=examples, sort_key=order)
+            if is_help:
+                above[step].usage = _usage(app, name)
         else:
             above.command(place(name), name=step, help=short, sort_key=order)
     app.register_install_completion_command(help="Install shell completion of commands and options (bash, zsh, fish).")
     return app
 
 
-def _help(source: Any) -> tuple[str, str]:
-    """Return the description and the examples in the docstring of a module or function.
+def _usage(app: App, name: str) -> str:
+    """Return the usage line of a command; three dots follow an argument that may be given several times."""
+    from cyclopts.help import format_usage  # slow import
 
-    The lines of each paragraph are joined, so that they are wrapped at the width of the terminal; indented lines are
-    kept. The descriptions of parameters, which cyclopts reads from the docstring, are joined likewise.
+    chain = name.split()
+    command = app
+    for word in chain:
+        command = command[word]
+    words = ["[COMMAND]" if word == "COMMAND" else word for word in format_usage(app, chain).plain.split() if word != "[ARGS]"]
+    positional = [argument for argument in command.assemble_argument_collection() if argument.index is not None and argument.show]
+    required = sum(argument.required for argument in positional)
+    words = words[: len(words) - required]
+    for argument in positional:
+        label = argument.names[0].lstrip("-").upper()
+        repeats = get_origin(argument.hint) is list or Ellipsis in get_args(argument.hint)
+        words.append(f"{label}{'...' if repeats else ''}" if argument.required else f"[{label}]")
+    return " ".join(words)
+
+
+def _format_default(value: object) -> str | None:
+    """Format the default of an option for its help; None if the default is not shown."""
+    if value is None or value == "" or value == ():
+        return None
+    values = value if isinstance(value, tuple) else (value,)
+    return ",".join(f"{one:g}" if isinstance(one, float) else str(one) for one in values)
+
+
+def _help(source: Any) -> tuple[str, str]:
+    """Return the description and the examples from the docstring of a module or function.
+
+    The lines of a paragraph are joined, so that the paragraph is wrapped at the width of the terminal. Indented lines
+    are not joined. The descriptions of parameters, which cyclopts reads from the docstring, are joined in place.
     """
     about, *sections = _SECTION.split(inspect.getdoc(source) or "")
     typed = [section.splitlines()[2:] for section in sections if section.startswith("Examples\n")]
@@ -111,7 +158,7 @@ def _help(source: Any) -> tuple[str, str]:
 
 
 def _joined(section: str) -> str:
-    """Join the indented lines of each parameter in a section of a docstring."""
+    """Join the lines of each parameter description in a section of a docstring."""
     lines: list[str] = []
     for line in section.splitlines():
         if line.startswith("    ") and lines[-1].startswith("    "):
@@ -122,7 +169,7 @@ def _joined(section: str) -> str:
 
 
 def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
-    """Return the error message for invalid arguments, with the argument and its value."""
+    """Return the error message for an invalid argument, which includes its name and value."""
     argument = error.argument
     name = "" if argument is None else _name(argument)
     if isinstance(error, MissingArgumentError) and argument is not None:
@@ -153,7 +200,7 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
 
 
 def _name(argument: Any) -> str:
-    """Return the name of an argument in messages: its option, such as ``--output (-o)``, or its metavar."""
+    """Return the name of an argument for messages: its option, such as ``--output (-o)``, or its metavar."""
     options = [name for name in argument.names if name.startswith("-")]
     if not options:
         return str(argument.parameter.metavar or argument.names[0].upper())

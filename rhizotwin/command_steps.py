@@ -1,4 +1,4 @@
-"""Steps used by several commands: start the engine, reconstruct a dataset, write its report."""
+"""Steps shared by several commands: start the compute engine, open a page, reconstruct a dataset with its report."""
 
 import gc
 import webbrowser
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def start_engine(device: str, *, quiet: bool = False) -> None:
     """Start the compute engine on a device and print its name."""
     chosen = engine.start(device)
-    gc.freeze()  # exclude loaded modules from the forty garbage collections of a reconstruction
+    gc.freeze()  # exclude the loaded modules from garbage collection, which runs about forty times in a reconstruction
     if not quiet:
         print(chosen)
 
@@ -31,32 +31,32 @@ def start_engine(device: str, *, quiet: bool = False) -> None:
 def open_page(address: str, port: int, page: Page) -> None:
     """Print the address of a page, and open it in a browser unless ``--no-browser`` is given."""
     print(address, flush=True)
-    print(f"from another computer: run ssh -L {port}:localhost:{port} THIS_COMPUTER, then open the same address", flush=True)
+    print(f"to open it on another computer, run ssh -L {port}:localhost:{port} THIS_COMPUTER there, then use the same address", flush=True)
     if not page.no_browser:
         webbrowser.open(address)
 
 
 def refuse_place(output: Path, source: Path) -> None:
-    """Check the output folder of a result, after recovery from an interrupted run.
+    """Restore the output folder after an interrupted run, and check that no files except a result are overwritten.
 
     Parameters
     ----------
     output : Path
-        Output folder.
+        Output folder for the result.
     source : Path
-        Dataset or result that is the input.
+        Input folder: dataset or result.
 
     Raises
     ------
     UserError
-        If other files would be overwritten.
+        If other files or the input would be overwritten.
     """
     from rhizotwin.stored.result_files import RESULT_NAMES
 
     recover(output)
     there = contents(output)
     if there and not (output / "result.json").is_file():
-        raise UserError(f"{output} is not empty and is not a result; choose a new folder for the result")
+        raise UserError(f"the folder {output} is not empty and is not a result; choose a new folder for the result")
     strange = [name for name in there if name not in RESULT_NAMES]
     if strange:
         raise UserError(f"{output} contains {strange[0]}, which would be deleted with the earlier result; move it or choose a new folder")
@@ -66,9 +66,9 @@ def refuse_place(output: Path, source: Path) -> None:
 
 @contextmanager
 def _exclude_from_collection() -> Iterator[None]:
-    """Exclude existing objects, such as all modules, from garbage collection.
+    """Exclude existing objects, which include all modules, from garbage collection.
 
-    A reconstruction runs the collector about fifty times to free memory.
+    A reconstruction runs the garbage collector about fifty times to free memory.
     """
     gc.collect()
     gc.freeze()
@@ -84,11 +84,11 @@ def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "
     Parameters
     ----------
     file : Path, optional
-        TOML file, see `recon.settings`.
+        TOML file with the fields of `recon.settings.Settings`.
     voxel_mm : float, optional
-        Edge length of the smallest voxels; overrides the file.
+        Edge length of the smallest voxels, mm; overrides the file.
     pictures : PictureSettings, optional
-        Pictures to exclude in addition to those of the file.
+        Selection of pictures, combined with the selection in the file.
 
     Raises
     ------
@@ -112,25 +112,30 @@ def reconstruct_whole(
     method: Method = "ours",
     progress: Progress = Progress(),
 ) -> list[Path]:
-    """Reconstruct a dataset and write the complete result folder atomically, with figures and report.
-
-    Return the paths of the figures and the report.
+    """Reconstruct a dataset, and write the result folder with figures and report atomically.
 
     Parameters
     ----------
     settings : Settings, optional
-        As returned by `settings_of`.
+        Settings of the reconstruction, see `settings_of`.
+    mass_g : float, optional
+        Weighed mass of the specimen, g.
     keep_stages : bool
-        Save the intermediate results in the folder ``stages`` of the result.
+        Save the intermediate results in the subfolder ``stages`` of the result.
     method : str
-        As in `front_door.reconstruct`.
+        Reconstruction method, see `front_door.reconstruct`.
     progress : Progress
         Progress output.
+
+    Returns
+    -------
+    list of Path
+        Paths of the figures and of the report.
 
     Raises
     ------
     UserError
-        If the dataset cannot be used, or ``output`` contains anything but a result.
+        If the dataset cannot be used, or ``output`` contains files that are not part of a result.
     """
     refuse_place(output, dataset)
     from rhizotwin.report import page
@@ -139,7 +144,7 @@ def reconstruct_whole(
     from rhizotwin.scoring.score import truth_mesh_path
     from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh
 
-    # load once, so that later changes of the folder have no effect
+    # loaded only once, so that later changes of the folder have no effect
     loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
@@ -156,7 +161,7 @@ def reconstruct_whole(
 
 
 def print_marker_warnings(scene: "Scene") -> None:
-    """Print a warning for each ring from which too few markers are visible for the camera poses."""
+    """Print a warning for each ring in whose pictures too few markers are visible to estimate the camera poses."""
     from rhizotwin.scenes import plan
 
     for warning in plan.marker_warnings(scene):

@@ -1,4 +1,4 @@
-"""Demonstration: a small printed root is simulated, reconstructed from its pictures and scored."""
+"""Demonstration that simulates pictures of a small printed root, reconstructs the root and scores the result."""
 
 import shutil
 from collections.abc import Callable
@@ -14,29 +14,29 @@ from rhizotwin.scenes.folders import contents, lock_folder
 
 SCENE = "printed_8ml"
 VIEWS = 41
-"""Odd, because opposite views of an even ring show nearly the same outline."""
+"""Number of views; odd, because opposite views of a ring with an even number have nearly identical silhouettes."""
 IMAGE_WH = (800, 600)
 VOXEL_MM = 0.27
 
 
 def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
-    """Run the demonstration in a folder; a finished one is replaced, an interrupted one continued.
+    """Run the demonstration: continue an interrupted run in the folder, or replace a finished run.
 
     Parameters
     ----------
     folder : Path
         Output folder for ``dataset``, ``result`` and ``score.json``.
     profile : str
-        Error profile, see `scenes.files.load_profile`.
+        Profile of simulated imperfections, see `scenes.files.load_profile`.
     say : callable
-        Receives each line of output.
+        Function that is called with each line of output.
     progress : Progress
         Progress output.
 
     Raises
     ------
     UserError
-        If the folder contains anything but an earlier demonstration.
+        If the folder contains files of anything other than an earlier demonstration.
     """
     with lock_folder(folder):
         _demo(folder, profile=profile, say=say, progress=progress)
@@ -72,18 +72,21 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
     say(f"all scores: {folder / 'score.json'}")
     say(f"simulated pictures: {dataset / 'images'}")
     say(f"report: {result / 'report.html'}")
-    say(f"next: rhizotwin view {result}")
-    say("or:   rhizotwin scenes")
+    say(f"to see the result in 3D: rhizotwin view {result}")
+    say("to list other scenes: rhizotwin scenes")
 
 
 def _clear(folder: Path) -> None:
-    """Remove a finished demonstration, or an interrupted one except for its dataset.
+    """Remove the files of an earlier demonstration; the dataset of an interrupted demonstration is retained.
 
-    A folder with other contents is rejected.
+    Raises
+    ------
+    UserError
+        If the folder contains other files.
     """
     known = {"dataset", "result", "score.json"}
     if any(name not in known for name in contents(folder)):
-        raise UserError(f"{folder} contains files that do not belong to an earlier demo; choose another folder with -o")
+        raise UserError(f"{folder} contains files that were not written by an earlier demo; choose another folder with -o")
     dataset = folder / "dataset"
     if any(path.is_file() for path in dataset.rglob("*")) and not (dataset / "truth" / "simulate.json").is_file():
         raise UserError(f"{dataset} was not written by the demo; choose another folder with -o")
@@ -96,7 +99,7 @@ def _clear(folder: Path) -> None:
 def _remove(folder: Path) -> None:
     """Remove a folder, and the remains of an interrupted removal.
 
-    An interruption leaves no incomplete folder under the name.
+    The folder is renamed first, so that an interruption leaves no incomplete folder under its name.
     """
     if folder.exists():
         folder.rename(temporary_path(folder))

@@ -1,7 +1,7 @@
-"""Choose what computes: LLVM on the CPU or CUDA on an NVIDIA GPU, before Mitsuba is first used.
+"""Selection of the compute engine before Mitsuba is first used: LLVM on the CPU, or CUDA on an NVIDIA GPU.
 
-Dr.Jit loads LLVM at run time, and versions 14, 15 and 16 abort the whole process at the first kernel on AVX-512
-processors, so the library is chosen here, by version, and never left to Dr.Jit's own search.
+Dr.Jit loads LLVM at run time. LLVM 14, 15 and 16 abort the process at the first kernel on AVX-512 processors, so this
+module selects the library by its version instead of leaving the search to Dr.Jit.
 """
 
 import ctypes
@@ -21,11 +21,11 @@ from rhizotwin.scenes.errors import UserError
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17
 APT_LLVM = (19, 22, 21, 20, 18, 17)
-"""Versions to install by apt, best first: 19 and 22 were tried longest."""
+"""LLVM versions to install with apt, in order of preference; versions 19 and 22 are the best tested."""
 LLVM_WHEEL = "karellen-llvm-core==19.1.7"
-"""The wheel that is a dependency on Linux on x86-64; those of 21 and 23 do not start Dr.Jit 1.5."""
+"""Python package of LLVM, a dependency on Linux on x86-64. Dr.Jit 1.5 cannot load its versions 21 and 23."""
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
-"""Where Dr.Jit is pointed when there is no usable LLVM, so that it does not find an old one by itself."""
+"""Nonexistent path passed to Dr.Jit if no usable LLVM is installed, so that Dr.Jit does not load an old version."""
 
 _VARIANTS = {"cpu": "llvm_ad_mono", "cuda": "cuda_ad_mono"}
 _FILE_VERSION = re.compile(r"^libLLVM(?:-C)?(?:-(?P<dashed>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<dotted>\d+)[\d.]*)?$")
@@ -33,10 +33,16 @@ _FOLDER_VERSION = re.compile(r"^(?:llvm-)?(\d+)(?:\.\d+)*(?:_\d+)?$")
 
 
 def llvm_version(library: Path) -> int | None:
-    """Return the major LLVM version that a library's name, or its link target's, tells; None when neither does.
+    """Parse the major LLVM version from the path of a library or of its link target.
 
-    Names in use: ``libLLVM.so.19.1`` (Debian and Ubuntu since 18), ``libLLVM-17.so.1`` and ``libLLVM-14.0.6.so.1``
-    (before), ``llvm-19/lib/libLLVM.so`` (links), ``Cellar/llvm/19.1.7/lib/libLLVM.dylib`` (Homebrew).
+    Supported names are ``libLLVM.so.19.1`` (Debian and Ubuntu since LLVM 18), ``libLLVM-17.so.1`` and
+    ``libLLVM-14.0.6.so.1`` (older releases), ``llvm-19/lib/libLLVM.so`` (links) and
+    ``Cellar/llvm/19.1.7/lib/libLLVM.dylib`` (Homebrew).
+
+    Returns
+    -------
+    int or None
+        Major version, or None if the path does not include a version.
     """
     for path in (library, library.resolve()):
         match = _FILE_VERSION.match(path.name)
@@ -50,9 +56,9 @@ def llvm_version(library: Path) -> int | None:
 
 
 def usual_folders() -> list[Path]:
-    """Return the folders in which package managers put LLVM's shared library.
+    """Return the folders in which package managers install the shared library of LLVM.
 
-    The first two are where `LLVM_WHEEL` and conda do.
+    The first two folders are those of `LLVM_WHEEL` and conda.
     """
     machine = {"arm64": "aarch64", "amd64": "x86_64"}.get(platform.machine().lower(), platform.machine().lower())
     folders = [
@@ -71,9 +77,12 @@ def usual_folders() -> list[Path]:
 
 
 def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
-    """Return the newest LLVM shared library of at least version 17 in the folders, and its version.
+    """Find the newest LLVM shared library of version 17 or newer in the folders.
 
-    None if there is none.
+    Returns
+    -------
+    tuple of (Path, int) or None
+        Path and major version of the library, or None if no such library was found.
     """
     found: list[tuple[int, Path]] = []
     for folder in folders:
@@ -89,7 +98,7 @@ def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
 
 
 def install_hint() -> str:
-    """Return the command that installs a usable LLVM, and what Dr.Jit needs beside it, on this platform."""
+    """Return the command that installs a usable LLVM and the other libraries required by Dr.Jit on this platform."""
     if platform.system() == "Darwin":
         return "brew install llvm"
     if platform.system() == "Windows":
@@ -106,14 +115,15 @@ def install_hint() -> str:
 
 
 def has_llvm_wheel() -> bool:
-    """Tell whether LLVM comes as a wheel (`LLVM_WHEEL`) to this platform."""
+    """Return whether the Python package `LLVM_WHEEL` supports this platform."""
     return platform.system() == "Linux" and platform.machine().lower() in ("x86_64", "amd64")
 
 
 def apt_packages() -> list[str]:
-    """Return what to install by apt.
+    """Return the names of the apt packages to install.
 
-    The first LLVM of `APT_LLVM` that apt offers (the first of all if it knows none), and libatomic1.
+    The list contains the first version of `APT_LLVM` that apt offers, or the first entry if apt offers none, and
+    libatomic1.
     """
     names = [f"libllvm{version}{suffix}" for version in APT_LLVM for suffix in ("", "t64")]
     offered: list[str] = []
@@ -126,23 +136,31 @@ def apt_packages() -> list[str]:
 
 
 def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
-    """Return the LLVM library to use and its version: the given one if any, otherwise the newest in the folders.
+    """Select the LLVM library: the given library, or otherwise the newest library in the folders.
+
+    Returns
+    -------
+    tuple of (Path, int)
+        Path and major version of the library.
 
     Raises
     ------
     UserError
-        If the given library is missing, too old or not LLVM, or if there is none of at least version 17.
+        If the given library is missing, too old or not LLVM, or if the folders contain no LLVM of version 17 or newer.
     """
     if given:
         library = Path(given)
         if not library.is_file():
-            raise UserError(f"DRJIT_LIBLLVM_PATH={given} is no file; unset it, or point it to libLLVM of version {MIN_LLVM} or newer")
+            raise UserError(
+                f"the file in the environment variable DRJIT_LIBLLVM_PATH={given} does not exist; "
+                f"unset the variable, or set it to libLLVM of version {MIN_LLVM} or newer"
+            )
         version = llvm_version(library) or _ask_version(library)
         if version is None or version < MIN_LLVM:
             what = "of an unknown version" if version is None else f"version {version}"
             raise UserError(
-                f"DRJIT_LIBLLVM_PATH={given} is LLVM {what}, but at least {MIN_LLVM} is needed (older ones abort the program); "
-                f"unset it, or install a newer one with: {install_hint()}"
+                f"DRJIT_LIBLLVM_PATH={given} is LLVM {what}, but version {MIN_LLVM} or newer is needed (older versions abort the program); "
+                f"unset the variable, or install a newer LLVM with: {install_hint()}"
             )
         return library, version
     found = find_llvm(folders)
@@ -152,9 +170,12 @@ def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
 
 
 def _ask_version(library: Path) -> int | None:
-    """Return the major version that the library itself reports, None when it cannot be asked.
+    """Load the library and return the major version that it reports.
 
-    LLVM 16 and newer can.
+    Returns
+    -------
+    int or None
+        Major version, or None if the library cannot be loaded or is LLVM older than 16, which has no such function.
     """
     try:
         get_version = ctypes.CDLL(str(library)).LLVMGetVersion
@@ -166,18 +187,23 @@ def _ask_version(library: Path) -> int | None:
 
 
 def start(device: str = "auto") -> str:
-    """Choose the engine, tell Mitsuba, and return one sentence that says what was chosen.
+    """Select the compute engine and set the corresponding Mitsuba variant.
 
     Parameters
     ----------
     device : str
-        ``"cpu"`` (LLVM), ``"cuda"`` (an NVIDIA GPU), or ``"auto"``: the GPU if one is usable, otherwise the CPU.
+        ``"cpu"`` (LLVM), ``"cuda"`` (NVIDIA GPU), or ``"auto"`` (the GPU if it is usable, otherwise the CPU).
+
+    Returns
+    -------
+    str
+        Sentence that states the selected device, for the user.
 
     Raises
     ------
     UserError
-        If the device is unknown or cannot be used; the message holds the command that installs what is missing. Also
-        where Dr.Jit was imported before, and loaded an LLVM that is too old.
+        If the device is unknown or cannot be used, with the command that installs missing software; or if Dr.Jit was
+        imported before and has loaded an LLVM that is too old.
     """
     if device not in DEVICES:
         raise UserError(f"--device {device} is unknown; choose one of {', '.join(DEVICES)}")
@@ -214,17 +240,17 @@ def start(device: str = "auto") -> str:
 
 
 def ensure(device: str = "auto") -> str | None:
-    """Start the engine, unless it runs already and nothing else is asked for.
+    """Start the compute engine if it is not running on the requested device.
 
     Returns
     -------
     str or None
-        The sentence of `start`; None where the engine ran already.
+        Sentence returned by `start`, or None if the engine was already running.
 
     Raises
     ------
     UserError
-        As `start`.
+        If the device is unknown or cannot be used, see `start`.
     """
     mitsuba = sys.modules.get("mitsuba")
     running = None if mitsuba is None else mitsuba.variant()
@@ -234,14 +260,14 @@ def ensure(device: str = "auto") -> str | None:
 
 
 def most_threads(count: int) -> None:
-    """Let the engine, which was started, use no more processors than this: others work beside it."""
+    """Limit the number of processors that the running compute engine uses."""
     import drjit
 
     drjit.set_thread_count(count)
 
 
 def choose_on_first_use() -> None:
-    """Let Mitsuba start the engine when a type of a variant is used first, where it would fail as no variant is set."""
+    """Make Mitsuba start the compute engine on first use instead of failing because no variant is set."""
     import mitsuba
 
     fail: Callable[[str], Any] = mitsuba.__dict__["__getattr__"]
@@ -256,19 +282,25 @@ def choose_on_first_use() -> None:
 
 
 def _load() -> tuple[Any, Any]:
-    """Import Dr.Jit and Mitsuba; a system library that they lack is the user's to install."""
+    """Import and return Dr.Jit and Mitsuba.
+
+    Raises
+    ------
+    UserError
+        If a required system library is missing, with the command that installs it.
+    """
     ensure_libatomic()
     try:
         import drjit
         import mitsuba
-    except (ImportError, NameError) as error:  # Dr.Jit stumbles over its own failed import with a NameError
+    except (ImportError, NameError) as error:  # Dr.Jit raises NameError after its own import has failed
         reason = error.__context__ if isinstance(error, NameError) and error.__context__ is not None else error
-        raise UserError(f"Dr.Jit cannot be loaded ({reason}); install what is missing with: {install_hint()}") from error
+        raise UserError(f"Dr.Jit cannot be loaded ({reason}); install the missing library with: {install_hint()}") from error
     return drjit, mitsuba
 
 
 def _has_cuda_driver() -> bool:
-    """Tell whether NVIDIA's driver library can be loaded."""
+    """Return whether NVIDIA's driver library can be loaded."""
     for name in ("libcuda.so.1", "libcuda.so"):
         try:
             ctypes.CDLL(name)

@@ -1,8 +1,9 @@
-"""Export of results: meshes, voxels, roots, traits, and cameras for nerfstudio and COLMAP.
+"""Export of results as meshes, voxels, roots, traits, and cameras for nerfstudio and COLMAP.
 
-The cameras are the calibrated ones, in air. No lens model describes the refraction at the canister's wall and the
-water, so that programs that trace straight rays from these cameras reconstruct wrong roots. The cameras are useful for
-the rig, the marker strip and the shoot, or for programs that trace refraction; each file says so.
+The exported cameras are the calibrated cameras in air. No lens model describes the refraction at the canister's wall
+and the water, so programs that trace straight rays from these cameras reconstruct the roots incorrectly. The cameras
+are valid for the rig, the marker strip and the shoot, and for programs that trace refracted rays. Each file contains a
+note about this.
 """
 
 import io
@@ -32,16 +33,20 @@ from rhizotwin.through_water import Pictures
 from rhizotwin.undistorted import VirtualCamera, best_distance_mm
 
 REFRACTION = (
-    "cameras in air, canister frame, mm; refraction at wall and water is not modelled: straight rays from these cameras miss the roots"
+    "cameras in air, canister frame, mm. Refraction at the wall and in the water is not modelled, so straight rays from these cameras "
+    "miss the roots"
 )
-IN_WATER = "pinholes in water, canister frame, mm; exact on the vertical plane through the axis, residuals elsewhere in undistorted.json"
+IN_WATER = (
+    "pinhole cameras in water, canister frame, mm. Exact on the vertical plane through the canister's axis; "
+    "undistorted.json has the residuals elsewhere"
+)
 Posed = Sequence[tuple[str, NDArray[np.float64]]]
-"""Pictures and their cam_from_canister (4, 4), mm."""
+"""File name and pose cam_from_canister (4, 4) of each picture, mm."""
 MESHES = (".ply", ".stl", ".glb")
 _SAME_PLACE_MM = 5.0
-"""Cameras whose distance and height differ by less than this share the distance of their pinhole."""
+"""Bin size of camera distance and height, mm; cameras in one bin share the same pinhole distance."""
 MOST_VOXELS = 1_500_000_000
-"""Largest size of a dense block, bytes."""
+"""Maximum size of a dense voxel block, bytes."""
 
 
 def export(
@@ -53,28 +58,27 @@ def export(
     undistorted: bool = False,
     monitor: Monitor | None = None,
 ) -> list[Path]:
-    """Write a result in the format given by the suffix of the output.
+    """Write a result in another file format, which the suffix of the output selects.
 
     Parameters
     ----------
     result_folder : path
         Folder of the result.
     output : path
-        .ply, .stl, .glb (closed surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (cameras for
-        nerfstudio) or a folder (cameras for COLMAP).
+        File with the suffix .ply, .stl, .glb, .nrrd, .rsml, .csv or .json, or folder, see `rhizotwin.api.export`.
     dataset_folder : path or None
-        Dataset of the result; needed for cameras.
+        Folder of the dataset; required for the export of cameras.
     roots : {"order", "diameter"} or None
-        For meshes: roots as tubes with these colours instead of the surface.
+        Mesh formats only: write the roots as tubes, coloured by this property, instead of the surface.
     undistorted : bool
-        Pictures of pinhole cameras in water, with these cameras.
+        Write pictures with refraction removed, and the pinhole cameras in water that correspond to them.
     monitor : Monitor or None
-        Progress of the undistorted pictures.
+        Receiver of the progress of ``undistorted``.
 
-    Raises
-    ------
-    UserError
-        If the result is damaged, the suffix is unknown, the output exists, or roots or the dataset are missing.
+    Returns
+    -------
+    list of Path
+        Written files.
     """
     suffix = output.suffix.lower()
     writers: dict[str, Callable[[Path, Path], list[Path]]] = {
@@ -85,9 +89,9 @@ def export(
     }
     if suffix not in (*writers, ".json", ""):
         known = ", ".join(writers)
-        raise UserError(f"{output}: unknown format {suffix}; give {known}, .json (cameras for nerfstudio) or a folder (cameras for COLMAP)")
+        raise UserError(f"{output}: the format {suffix} is unknown; use {known}, .json (nerfstudio cameras) or a folder (COLMAP cameras)")
     if roots is not None and suffix not in MESHES:
-        raise UserError(f"{output}: --roots is for meshes; give {', '.join(MESHES)}, or leave it out")
+        raise UserError(f"{output}: --roots applies to meshes only; give an output file with {', '.join(MESHES)}, or remove --roots")
     if undistorted and suffix:
         raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
     if output.exists() and (suffix or not output.is_dir()):  # `new_folder` checks and recovers folders
@@ -96,7 +100,7 @@ def export(
     if suffix in writers:
         return writers[suffix](result_folder, output)
     if dataset_folder is None:
-        raise UserError(f"{output}: cameras need the lens, which is stored in the dataset; give it with --dataset DATASET")
+        raise UserError(f"{output}: the export of cameras needs the lens, which is stored in the dataset; add --dataset DATASET")
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
@@ -107,18 +111,18 @@ def export(
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
-    """Write the closed surface without specks."""
+    """Write the closed surface as a mesh, without small isolated components."""
     mesh = surface_mesh.close(result_files.read_mesh(result_folder / "shape.ply"))
     return _write_mesh(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False), output)
 
 
 def _tubes(result_folder: Path, output: Path, colour: str) -> list[Path]:
-    """Write roots as coloured tubes."""
+    """Write the roots as a mesh of coloured tubes."""
     return _write_mesh(root_mesh.tubes(rsml.read_rsml(_roots_of(result_folder)), colour=colour), output)
 
 
 def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
-    """Write a mesh: PLY and STL in mm with z up, GLB in metres with y up (glTF standard)."""
+    """Write a mesh in mm with z up (PLY, STL), or in metres with y up (GLB, by the glTF standard)."""
     if output.suffix.lower() == ".glb":
         x, y, z = np.asarray(solid.vertices).T
         solid.vertices = np.stack([x, z, -y], axis=1) / 1000.0
@@ -127,7 +131,7 @@ def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
 
 
 def _rsml(result_folder: Path, output: Path) -> list[Path]:
-    """Write the centre lines; the name of the file becomes its key."""
+    """Write the centre lines as RSML, with the file name as the key of the root system."""
     rsml.write_rsml(output, rsml.read_rsml(_roots_of(result_folder)))
     return [output]
 
@@ -141,12 +145,12 @@ def _traits(result_folder: Path, output: Path) -> list[Path]:
 def _roots_of(result_folder: Path) -> Path:
     file = result_folder / "roots.rsml"
     if not file.is_file():
-        raise UserError(f"{result_folder} has no centre lines: no thin roots were found")
+        raise UserError(f"the result {result_folder} has no centre lines, because no thin roots were found")
     return file
 
 
 def _voxels(result_folder: Path, output: Path) -> list[Path]:
-    """Write the occupancy as a dense block of bytes, 0 to 255, in the canister frame, mm."""
+    """Write the occupancy as a dense voxel block of bytes (0 to 255) with its position in the canister frame, mm."""
     leaves = result_files.read_leaves(result_folder)
     low, high = leaves.low.min(axis=0), (leaves.low + leaves.size[:, None]).max(axis=0)
     shape = tuple(int(n) for n in high - low)
@@ -178,23 +182,23 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
 
 
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write cameras as transforms.json of nerfstudio, mm.
+    """Write cameras in nerfstudio's format transforms.json, with translations in mm.
 
     Parameters
     ----------
     output : path
-        The file.
+        Output file.
     camera : Camera
         Lens of all pictures.
     posed : sequence of (str, (4, 4) array)
-        Pictures and their cam_from_canister.
+        File name and pose cam_from_canister of each picture.
     note : str
-        Note in the file.
+        Text of the key ``note``.
 
     Returns
     -------
     list of Path
-        The file.
+        Written file.
     """
     k1, k2, p1, p2, k3 = camera.distortion
     lens = {
@@ -220,16 +224,22 @@ def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = 
 
 
 def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write cameras as a text model of COLMAP.
+    """Write cameras as a COLMAP text model without 3D points.
 
-    FULL_OPENCV lens, quaternions (w, x, y, z) of cam_from_canister, pixel centres at half-integers, no points.
+    The lens model is FULL_OPENCV with pixel centres at half-integers. Poses are quaternions (w, x, y, z) and
+    translations of cam_from_canister, mm.
 
     Parameters
     ----------
     output : path
-        The folder.
+        Output folder.
     camera, posed, note : Camera, sequence, str
-        As in `write_nerfstudio`.
+        See `write_nerfstudio`.
+
+    Returns
+    -------
+    list of Path
+        Written files.
     """
     k1, k2, p1, p2, k3 = camera.distortion
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
@@ -248,16 +258,19 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
 
 
 def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monitor: Monitor) -> list[Path]:
-    """Write undistorted pictures with cameras for nerfstudio and COLMAP."""
+    """Write pictures with refraction removed, and their pinhole cameras for nerfstudio and COLMAP."""
     scene, pictures = dataset.scene, Pictures.of(dataset, summary)
     if scene.tank is not None:
-        raise UserError(f"{output}: behind a flat tank wall rays do not meet in one point, so that no pinhole camera replaces a camera")
+        raise UserError(
+            f"{output}: pictures of a canister in a tank cannot be undistorted, because a pinhole camera cannot approximate "
+            "the refraction at a flat wall"
+        )
     if not pictures.views:
-        raise UserError(f"{output}: the result has no picture with a camera")
+        raise UserError(f"{output}: the result contains no calibrated picture, so there is nothing to undistort")
     heights_mm = scene.canister.floor_z_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm)
     known = {frame.file: frame for frame in dataset.frames}
     places: dict[tuple[int, int], tuple[float, float]] = {}
-    lens: Camera | None = None  # that of the first picture: the formats have one lens for all
+    lens: Camera | None = None  # lens of the first picture, because both formats have one lens for all pictures
     posed = list[tuple[str, NDArray[np.float64]]]()
     with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(pictures.views), "picture") as step:
         (building / "images").mkdir()
@@ -279,6 +292,6 @@ def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monito
 
 
 def describe(written: list[Path]) -> str:
-    """Return a sentence that lists the files, with the warning about refraction for cameras."""
+    """Return a sentence that lists the written files, with a warning about refraction if they contain cameras."""
     warning = f" ({REFRACTION})" if written[0].suffix in (".json", ".txt") else ""
     return f"wrote {', '.join(json.dumps(str(path))[1:-1] for path in written)}{warning}"

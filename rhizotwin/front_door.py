@@ -1,7 +1,7 @@
-"""Python interface of each step, which the command line calls as well. The device is chosen on first use.
+"""Python interface for scenes, simulation, reconstruction and scoring, which the command line uses as well.
 
 `import rhizotwin as rt` provides these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct``,
-``rt.load_result``, ``rt.score`` and ``rt.score_file``.
+``rt.load_result``, ``rt.score`` and ``rt.score_file``. The first function that computes selects the CPU or the GPU.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ log = logging.getLogger("rhizotwin")
 
 
 class SceneChanges(TypedDict, total=False):
-    """Settings of a scene that `simulate` changes; None keeps the scene's."""
+    """Options of `simulate` that override properties of the scene; None leaves a property unchanged."""
 
     profile: str | None
     views: int | None
@@ -56,32 +56,34 @@ def load_scene(
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
 ) -> Scene:
-    """Load a scene and change some of its settings.
+    """Load a scene, and optionally change some of its properties.
 
     Parameters
     ----------
     scene : str or path
-        Name of a scene that ``rhizotwin scenes`` lists, or a scene file (TOML).
+        Name of a scene from the list of ``rhizotwin scenes``, or a scene file (TOML).
     profile : str, optional
-        Disturbances of the rig: ``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file; default: the scene's.
+        Simulated imperfections of the rig: ``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file; default: as
+        in the scene.
     specimen : path, optional
-        Closed mesh (PLY, STL, OBJ) or traced roots (RSML) that replaces the scene's root, canister frame, mm.
+        File with a closed mesh (PLY, STL, OBJ) or traced roots (RSML) that replaces the scene's roots, canister frame,
+        mm.
     specimen_unit : str, optional
-        Unit of the coordinates in an RSML file that does not state it.
+        Unit of the coordinates in an RSML file that does not specify a unit.
     specimen_diameter_mm : float, optional
-        Diameter of roots without diameters in an RSML file.
+        Diameter of roots for which the RSML file has no diameter, mm.
     placing : Placing, optional
-        Position of a specimen from a file: ``Placing(place="auto")`` moves it below the grid of the net pot; ``flip``,
-        ``scale``, ``shift_mm``.
+        Position of a specimen from a file, with the fields ``place``, ``flip``, ``scale`` and ``shift_mm``;
+        ``Placing(place="auto")`` moves the specimen below the grid of the net pot.
     views : int, optional
-        Number of pictures in each ring; default: the scene's.
+        Number of pictures in each ring; default: as in the scene.
     image_wh : tuple of int, optional
-        Width and height of the pictures, px; default: the scene's.
+        Width and height of the pictures, px; default: as in the scene.
 
     Raises
     ------
     UserError
-        If the scene does not exist or is not valid.
+        If the scene does not exist or is invalid.
     """
     require("scene", scene, "path")
     return scene_changes.change_scene(
@@ -107,27 +109,32 @@ def simulate(
     monitor: Progress = None,
     **changes: Unpack[SceneChanges],
 ) -> Dataset:
-    """Render all views of a scene into a dataset folder with ground truth; continue an interrupted rendering.
+    """Render all views of a scene to a dataset folder with ground truth, or continue an interrupted rendering.
 
     Parameters
     ----------
     scene : Scene, str or path
-        A scene, its name, or a scene file.
+        Scene, scene name or scene file.
     folder : path
-        Folder of the dataset: new, empty, or that of an interrupted rendering of the same scene.
+        Folder for the dataset: new, empty, or with an interrupted rendering of the same scene.
     seed : int
         Random seed for all simulated errors and noise.
     fidelity : {"backlit", "path"}
-        backlit: fast, without sampling noise; path: path tracing with all reflections.
+        Rendering method: ``backlit`` is fast and free of sampling noise, ``path`` is path tracing with all reflections.
     samples : int, optional
-        Light paths per pixel; default: depends on the fidelity.
+        Number of light paths per pixel; default: depends on the fidelity.
     device : {"auto", "cpu", "cuda"}
-        Device for the computation; auto: the current one, or an NVIDIA GPU if available.
+        Device for the computation; ``auto`` is the device in use, or otherwise an NVIDIA GPU if available.
     monitor : Monitor, tqdm class, callable or None
-        Progress; a monitor can also cancel the work.
+        Receiver of the progress; a monitor can also cancel the rendering.
     **changes : SceneChanges
-        ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file), ``views`` and ``image_wh``, as in
-        `load_scene`.
+        Changes of the scene: ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file), ``views``
+        and ``image_wh``, see `load_scene`.
+
+    Returns
+    -------
+    Dataset
+        Dataset with the rendered pictures.
 
     Raises
     ------
@@ -163,34 +170,34 @@ def reconstruct(
 ) -> Result:
     """Reconstruct the shape and volume of roots from the pictures of a dataset.
 
-    The result is in memory; `Result.save` writes it. The ground truth of a simulated dataset is not used.
-
     Parameters
     ----------
     dataset : Dataset or path
-        A dataset or its folder.
+        Dataset or its folder; the ground truth of a simulated dataset is not used.
     voxel_mm : float, optional
-        Edge of the smallest voxels; overrides the settings.
+        Edge length of the smallest voxels, mm; overrides the settings.
     mass_g : float, optional
-        Mass of the roots, for specific root length and tissue density.
+        Weighed mass of the roots, g, from which specific root length and tissue density are computed.
     settings : Settings, optional
         Settings of all stages.
     keep_stages : path, optional
-        Folder for intermediate results of each stage, as JSON and NPZ files.
+        Folder for the intermediate results of each stage, as JSON and NPZ files.
     method : {"ours", "thesis", "regularised", "hull"}
-        thesis: the method of the thesis of 2022; regularised: the regularised visual hull of Zheng et al. (2011); hull:
-        the untrimmed visual hull. The volumes of these baselines are never trusted.
+        Reconstruction method; all methods but ``ours`` are baselines, see `rhizotwin.baselines`.
     device : {"auto", "cpu", "cuda"}
-        Device for the computation; auto: the current one, or an NVIDIA GPU if available.
+        Device for the computation; ``auto`` is the device in use, or otherwise an NVIDIA GPU if available.
     monitor : Monitor, tqdm class, callable or None
-        Progress; a monitor can also cancel the work.
+        Receiver of the progress; a monitor can also cancel the reconstruction.
+
+    Returns
+    -------
+    Result
+        Result in memory; `Result.save` writes the result folder.
 
     Raises
     ------
     UserError
-        If the pictures or the device cannot be used, or ``mass_g`` or ``keep_stages`` is combined with a baseline.
-    Cancelled
-        After `Monitor.cancel`.
+        If the pictures, the device or the combination of options cannot be used.
     """
     require("dataset", dataset, "Dataset", "path")
     _check_options(voxel_mm, mass_g, settings)
@@ -207,17 +214,22 @@ def reconstruct(
         from rhizotwin.baselines import reconstruct_baseline
 
         if keep_stages is not None or mass_g is not None:
-            raise UserError(f"--method {method} keeps no stages and has no traits of mass; leave out --keep-stages and --mass-g")
+            raise UserError(f"--keep-stages and --mass-g are not supported by --method {method}; remove these options")
         return _for_notebooks(reconstruct_baseline(dataset, method, settings=settings, monitor=bar))
 
 
 def load_result(folder: str | Path) -> Result:
-    """Load a result folder; its silhouettes are read on first use.
+    """Load a result from its folder.
 
     Parameters
     ----------
     folder : path
         Folder of the result.
+
+    Returns
+    -------
+    Result
+        Result, whose silhouettes are read from the folder on first use.
 
     Raises
     ------
@@ -239,40 +251,39 @@ def score(
     pictures: Dataset | str | Path | None = None,
     progress: Progress = None,
 ) -> Score | SolidScore | VolumeScore | PictureScore:
-    """Compare a result with exactly one reference: ``dataset``, ``truth``, ``volume_ml`` or ``pictures``.
+    """Compute the errors of a result with respect to a dataset, a mesh, a volume or other pictures.
 
     Parameters
     ----------
     result : Result or path
-        A result or its folder.
+        Result or its folder.
     dataset : Dataset or path, optional
-        The simulated dataset of the result, or its folder.
+        Simulated dataset from which the result was computed, or its folder.
     truth : path, optional
-        Closed mesh (PLY, STL, OBJ) of the scanned part, mm, in any pose: it is registered to the result.
+        File with a closed mesh (PLY, STL, OBJ) of the scanned part, mm; a mesh in any pose is registered to the result.
     volume_ml : float, optional
-        Volume of the specimen, measured by displacement or weight.
+        Volume of the specimen, measured by displacement or weight, ml.
     pictures : Dataset or path, optional
         Dataset with other pictures of the same plant on the same rig.
     progress : Monitor, tqdm class, callable or None
-        Progress.
+        Receiver of the progress.
 
     Returns
     -------
     Score, SolidScore, VolumeScore or PictureScore
-        For dataset, mesh, volume or pictures. All have ``table()`` and ``to_dict()``.
+        Score with respect to a dataset, mesh, volume or pictures. All have the methods ``table`` and ``to_dict``.
 
     Raises
     ------
     UserError
-        If none or several references are given, the dataset has no ground truth, the result belongs to another dataset,
-        or a file is missing or damaged.
+        If not exactly one reference is given, or the reference is missing, damaged or from another scan.
     """
     require("result", result, "Result", "path")
     require("dataset", dataset, "Dataset", "path", "None")
     if sum(given is not None for given in (dataset, truth, volume_ml, pictures)) != 1:
         raise UserError(
-            "give one reference: a simulated dataset, the mesh of the scanned part (--truth), its volume (--volume-ml) "
-            "or pictures that were not used (--pictures)"
+            "the comparison needs exactly one reference: give a simulated dataset, the mesh of the scanned part (--truth), "
+            "its volume (--volume-ml), or pictures that the reconstruction did not use (--pictures)"
         )
     if pictures is not None:
         _choose("auto")
@@ -300,32 +311,37 @@ def score_file(
     registered: bool = False,
     progress: Progress = None,
 ) -> FileScore:
-    """Compare a file of another method with the ground truth of a simulated dataset.
+    """Compute the errors of another program's output file with respect to the ground truth of a simulated dataset.
 
     Parameters
     ----------
     file : path
-        File in the canister frame, mm (GLB: metres, y up).
+        File to score, in the canister frame, mm (GLB: metres, y up).
     dataset : Dataset or path
-        The simulated dataset.
+        Simulated dataset or its folder.
     kind : {"mesh", "voxels", "points", "rsml", "traits"}
-        Content of the file.
+        Type of the file's content.
     registered : bool
-        Register a mesh to the ground truth first (rotation and translation).
+        Rotate and translate a mesh to fit the ground truth before the comparison.
     progress : Monitor, tqdm class, callable or None
-        Progress.
+        Receiver of the progress.
+
+    Returns
+    -------
+    FileScore
+        Errors of the file.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged or of another kind, or the dataset has no ground truth.
+        If the file is missing, damaged or of another type, or the dataset has no ground truth.
     """
     require("file", file, "path")
     require("dataset", dataset, "Dataset", "path")
     from rhizotwin.scoring import score_file as of
 
     if registered and kind != "mesh":
-        raise UserError(f"--registered is for meshes, and {file} is given as {kind}")
+        raise UserError(f"--registered can be used with meshes only, but the type of {file} is {kind}; remove --registered")
     with watch(progress, {"score": 1.0}) as bar, bar.stage("score"):
         if kind == "mesh":
             return of.score_mesh(file, dataset, registered=registered)
@@ -333,7 +349,7 @@ def score_file(
 
 
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
-    """Register the mesh of a scanned part to a result and compare them."""
+    """Register the mesh of a scanned part to a result, and compute the errors of the result."""
     from rhizotwin.recon.results.parts import Mesh
     from rhizotwin.scoring.score_solid import score_solid
     from rhizotwin.sim import meshes, solids
@@ -347,7 +363,7 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
 
 
 def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Settings | None) -> None:
-    """Reject options of a wrong type, and a mass out of limits, before the long computation."""
+    """Validate the types of options and the range of the mass before the long computation."""
     for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
         require(name, value, kind, "None")
     low, high = MASS_LIMITS_G
@@ -356,14 +372,14 @@ def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Setti
 
 
 def _for_notebooks(result: Result) -> Result:
-    """Return a result that notebooks show with a picture."""
+    """Return a copy of the result that notebooks display as a table with a picture."""
     from rhizotwin.report import notebook
 
     return replace(result, notebook=notebook.html)
 
 
 def _choose(device: Device) -> None:
-    """Start the engine, unless it is running on the requested device."""
+    """Start the compute engine if it is not running on the requested device, and log the selected device."""
     chosen = engine.ensure(device)
     if chosen is not None:
         log.info(chosen)

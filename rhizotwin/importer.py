@@ -1,4 +1,4 @@
-"""Creation of a dataset from existing pictures, with cameras from a file or estimated later from the markers."""
+"""Conversion of existing pictures to a dataset, with cameras from a file or to be estimated from the markers."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,21 +24,20 @@ from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.unlike_rows import LEAST, Turn
 
 MOST_CLIPPED = 0.05
-"""Fraction of pixels at full scale above which a picture is overexposed, as in the checks before a scan
-(`rig.scanning.preflight`)."""
+"""Maximum fraction of saturated pixels in a picture that is not overexposed, as in `rig.scanning.preflight`."""
 MASK_MARGIN = 0.1
-"""Tolerance of black and white in silhouettes, as a fraction of the grey range."""
+"""Maximum deviation from black or white of a silhouette's pixels, as a fraction of the grey range."""
 MASK_GREYS = 0.05
-"""Maximum fraction of a silhouette's pixels that are neither black nor white: the soft edges of its outline."""
+"""Maximum fraction of pixels in a silhouette that are neither black nor white, which the soft outline may have."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """Imported dataset with notes on automatic decisions."""
+    """Imported dataset with notes about automatic decisions."""
 
     dataset: Dataset
     notes: tuple[str, ...]
-    """One sentence for each automatic choice, conversion or exclusion."""
+    """Sentences about automatic choices, conversions and excluded pictures, for the user."""
 
 
 def import_pictures(
@@ -56,28 +55,27 @@ def import_pictures(
     Parameters
     ----------
     folder : Path
-        PNG, JPG or TIFF pictures of 8 or 16 bits, or raw pictures (DNG), in natural order of their names (view_2 before
-        view_10).
+        Folder of PNG, JPG or TIFF pictures (8 or 16 bits) or raw pictures (DNG), read in the natural order of names.
     scene : Scene
         Scene of the rig. The picture size of its camera must match, unless ``cameras`` contains a lens.
     out : Path
-        Dataset folder; new or empty. It is written atomically.
+        New or empty dataset folder, which is written atomically.
     cameras : Path or None
-        A transforms.json in nerfstudio's format (see `rhizotwin.nerfstudio`), in the canister frame in mm. Pictures
-        without a camera are excluded and listed. None: poses are estimated from the marker strip.
+        File in nerfstudio's format transforms.json, in the canister frame, mm (see `rhizotwin.nerfstudio`). Pictures
+        without a camera are excluded and listed in a note. None: poses are estimated from the marker strip.
     masks : bool
-        The pictures are silhouettes: white root on black. Requires ``cameras``, because they show no markers.
+        The pictures are silhouettes with white roots on black; requires ``cameras``.
     no_strip : bool
-        There is no marker strip: the cameras are estimated from the edges of the canister and from the roots
+        The pictures show no marker strip; the cameras are estimated from the edges of the canister and from the roots
         (telecentric camera, one ring).
     monitor : Monitor, optional
-        Progress monitor.
+        Receiver of the progress.
 
     Raises
     ------
     UserError
-        If a picture is unreadable, damaged or of another size, if rows of a picture without a checksum differ from all
-        other pictures, if silhouettes have no cameras or contain greys, or if cameras do not fit.
+        If a picture is unreadable, damaged or of another size, if silhouettes contain grey areas, or if cameras and
+        pictures do not correspond.
     """
     _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
     scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
@@ -102,9 +100,10 @@ def import_pictures(
 
 
 def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
-    """Return the number of the view and the band of each picture.
+    """Return the view number and the spectral band of each picture.
 
-    Where the camera has bands, the names of a view's pictures differ by ``_BAND`` at their end.
+    If the camera has bands, the file name ends with ``_BAND``, and the pictures of one view have the same name before
+    this suffix. Without bands, each picture is a view with the band "".
     """
     names = [band.name for band in scene.camera.bands]
     if not names:
@@ -114,43 +113,45 @@ def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
         ends = [name for name in names if path.stem.endswith(f"_{name}")]
         if not ends:
             example = f"{path.stem}_{names[0]}{path.suffix}"
-            raise UserError(f"{path}: its name ends with none of the camera's bands: call it {example}, for example")
+            raise UserError(f"{path}: the file name does not end with one of the camera's bands; rename the file, for example to {example}")
         band = max(ends, key=len)
         found.append((views.setdefault(path.stem.removesuffix(f"_{band}"), len(views)), band))
     return found
 
 
 def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
-    """Reject combinations of options that exclude each other."""
+    """Reject incompatible combinations of options."""
     if scene.tank is not None and (cameras is not None or no_strip):
         raise UserError(
-            f"the pose of the [tank] of scene {scene.name} is estimated from the marker strip; "
-            "remove --cameras or --no-strip, or the [tank] section"
+            f"scene {scene.name} has a tank, whose pose is estimated from the marker strip; "
+            "remove --cameras or --no-strip, or the [tank] section of the scene"
         )
     if masks and cameras is None:
-        raise UserError("silhouettes (--masks) show no markers, so that the cameras must be given with --cameras JSON")
+        raise UserError("silhouettes (--masks) show no markers from which the cameras could be estimated; give --cameras JSON")
     if no_strip and cameras is not None:
-        raise UserError("--no-strip and --cameras cannot be used together")
+        raise UserError("--no-strip and --cameras cannot be used together; remove one of them")
 
 
 def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
-    """Return the pictures of a folder, and whether they are raw."""
+    """Return the paths of the pictures in a folder, and whether they are raw pictures."""
     paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_pictures.SUFFIXES))
     raw = [path for path in paths if raw_pictures.is_raw(path)]
     if raw and len(raw) < len(paths):
         other = next(path for path in paths if path not in raw)
-        raise UserError(f"{folder} contains raw pictures ({raw[0].name}) and others ({other.name}); use a separate folder for each kind")
+        raise UserError(
+            f"{folder} contains raw pictures ({raw[0].name}) and other pictures ({other.name}); use a separate folder for each type"
+        )
     return paths, bool(raw)
 
 
 Alike: TypeAlias = tuple[int, str]
-"""Ring and band: pictures of one ring in one band are alike."""
+"""Ring and band of a picture; pictures with the same ring and band are similar and can be compared."""
 Placed: TypeAlias = tuple[int, str, int, float | None]
 """View, band, ring and table angle of a picture."""
 
 
 class _Copying:
-    """Pictures that are being copied to a dataset.
+    """Copies pictures to a dataset and collects notes about them.
 
     Parameters
     ----------
@@ -159,11 +160,11 @@ class _Copying:
     folder : Path
         Dataset folder.
     raw : bool
-        Whether the pictures are raw.
+        Whether the pictures are raw pictures (DNG).
     white : int or None
-        Grey value of white in silhouettes; None for pictures.
+        Grey value of white in silhouettes; None for photographs.
     given : GivenCameras or None
-        Given cameras, if any.
+        Cameras from a file; None if they are estimated from the markers.
     """
 
     def __init__(self, scene: Scene, folder: Path, *, raw: bool, white: int | None, given: GivenCameras | None) -> None:
@@ -173,10 +174,10 @@ class _Copying:
         self._turns = _Turns()
         self._count = 0
         self.clipped: dict[str, float] = {}
-        """Fraction of saturated pixels of the overexposed pictures."""
+        """Fraction of saturated pixels of each overexposed picture, by file name."""
 
     def copied(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
-        """Copy all pictures with view, band, ring and table angle; reject damaged pictures."""
+        """Copy all pictures, and reject damaged ones; ``table`` has the view, band, ring and table angle of each."""
         found = []
         with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
             for path, placed in zip(paths, table, strict=True):
@@ -187,7 +188,7 @@ class _Copying:
         return tuple(found)
 
     def _copy(self, path: Path, placed: Placed) -> Frame:
-        """Write a picture to the dataset and check it."""
+        """Write one picture to the dataset, and check its exposure."""
         view, band, ring, table_deg = placed
         if self._raw:
             light, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
@@ -214,25 +215,25 @@ class _Copying:
         )
 
     def notes(self) -> list[str]:
-        """Return notes on unchecked properties and overexposed pictures."""
+        """Return notes about overexposed pictures and about pictures that could not be checked for damage."""
         if not self.clipped:
             return self._turns.notes()
         worst = max(self.clipped, key=lambda name: self.clipped[name])
         return [
             *self._turns.notes(),
             f"warning: {len(self.clipped)} of {self._count} pictures are overexposed; the worst is {worst} with "
-            f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale. The light absorbed by roots cannot be measured there; "
-            "reduce the exposure so that the panel is at 80 % of full scale",
+            f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale, where the light absorbed by roots cannot be measured. "
+            "Reduce the exposure so that the panel is at 80 % of full scale",
         ]
 
 
 def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
-    """Return the given pose of a picture, by its name or by its name without suffix, as some programs write it."""
+    """Return the pose cam_from_canister of a picture from the camera file, which may omit the suffix of its name."""
     return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
 
 
 def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
-    """Read the cameras of a file, and the scene with their lens."""
+    """Read a camera file; return the scene with the lens of the file, and the cameras."""
     given = read_cameras(cameras, scene.camera)
     changed = replace(scene, camera=given.camera)
     scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
@@ -241,23 +242,30 @@ def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
 
 
 def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: list[str]) -> list[Path]:
-    """Return the pictures with a camera; note the others; reject cameras without a picture."""
+    """Return the pictures that have a camera, and add a note about other pictures.
+
+    Raises
+    ------
+    UserError
+        If the picture of a camera is missing.
+    """
     kept = [path for path in paths if _pose_of(path, given) is not None]
     names = {path.name for path in paths} | {path.stem for path in paths}
     missing = [name for name in given.cam_from_canister if name not in names]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise UserError(
-            f"{cameras} has a camera for {missing[0]}{more}, but this picture is missing in {paths[0].parent}; add it or remove the camera"
+            f"{cameras} has a camera for {missing[0]}{more}, but this picture is missing in {paths[0].parent}; "
+            "add the picture or remove the camera"
         )
     without = [path.name for path in paths if path not in kept]
     if without:
-        notes.append(f"not imported, because {cameras} has no camera for them: {', '.join(without)}")
+        notes.append(f"pictures that were not imported, because {cameras} has no camera for them: {', '.join(without)}")
     return kept
 
 
 def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
-    """Reject cameras inside the canister, which indicate another unit or another frame."""
+    """Reject cameras inside the canister, which indicate a wrong unit or coordinate frame."""
     for name, cam_from_canister in given.cam_from_canister.items():
         centre_mm = frames.invert(cam_from_canister)[:3, 3]
         inside = np.hypot(centre_mm[0], centre_mm[1]) < scene.canister.outer_radius_mm
@@ -270,38 +278,40 @@ def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
 
 
 def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: list[str]) -> list[tuple[int, float | None]]:
-    """Return ring and table angle of each picture: as planned if the counts agree, else ring 0 without angle."""
+    """Return ring and table angle of each view from the capture plan, and add a note.
+
+    If the numbers of views in plan and folder differ, or cameras are given, all views are in ring 0 without an angle.
+    """
     if given is not None:
         return [(0, None)] * count
     views = plan.views(scene)
     if len(views) == count:
-        notes.append(f"table angles: taken from the capture plan of the scene ({count} views), in the order of the file names")
+        notes.append(f"table angles were copied from the capture plan of the scene ({count} views), in the order of the file names")
         return [(view.ring, view.table_deg) for view in views]
     notes.append(
-        f"table angles: none, because there are {count} pictures but the capture plan "
-        f"has {len(views)} views; they are estimated from the markers"
+        f"table angles will be estimated from the markers, because there are {count} pictures but the capture plan has {len(views)} views"
     )
     return [(0, None)] * count
 
 
 def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
-    """Return a note on the response curve used for the pictures."""
+    """Return a note about the response curve with which the pictures are read."""
     if raw:
         return (
-            "raw pictures: each block of pixels was averaged to one grey pixel with "
-            "the white balance of the first picture; values are linear"
+            "raw pictures were converted: each block of pixels was averaged to one grey pixel with linear values, with "
+            "the white balance of the first picture"
         )
     stated = transfer.camera_curve(scene.camera)
     words = {word.name for path in paths if (word := transfer.read_stated_curve(path)) is not None}
     if not words:
-        return f"response curve: {stated.name}, as given by the camera of the scene, because the pictures contain no information"
+        return f"response curve: {stated.name}, as in the scene's camera, because the pictures do not state their response curve"
     return f"response curve: {', '.join(sorted(words))}, as stated in the pictures"
 
 
 def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
-    """Return the data to be stored for a picture.
+    """Return the file content to be stored for a picture.
 
-    Pictures are stored unchanged, with the stated response curve; silhouettes as PNG, scaled to 0..255.
+    Photographs are stored unchanged. Silhouettes are scaled to 0..255 and stored as PNG.
     """
     data, grey = _read(path, scene)
     if white is None:
@@ -310,12 +320,12 @@ def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
     grey = np.round(grey * (255.0 / white)).astype(np.uint8)
     done, encoded = cv2.imencode(".png", grey)
     if not done:
-        raise UserError(f"{path} cannot be converted to PNG; convert it with another program")
+        raise UserError(f"{path} could not be converted to PNG; convert it with another program")
     return bytes(encoded.tobytes())
 
 
 class _Turns:
-    """Pictures of each ring; damage in those without a checksum is detected by comparison with their neighbours."""
+    """Detects damaged pictures without a checksum by comparison with the other pictures of the same ring."""
 
     def __init__(self) -> None:
         self._turns: dict[Alike, Turn] = {}
@@ -323,73 +333,69 @@ class _Turns:
         self._folder = Path()
 
     def add(self, path: Path, ring: Alike, grey: Grey, *, sealed: bool) -> None:
-        """Add a picture."""
+        """Add a picture to its ring; ``sealed`` states whether its format has a checksum."""
         self._folder = path.parent
         self._turns.setdefault(ring, Turn()).add(path.name, grey)
         if not sealed:
             self._open[path.name] = ring
 
     def refuse_damaged(self) -> None:
-        """Reject a picture without a checksum in which rows differ from all other pictures."""
+        """Raise UserError if rows of a picture without a checksum differ from those of all other pictures."""
         for ring in sorted(set(self._open.values())):
             for found in self._turns[ring].unlike():
                 if found.name in self._open:
                     raise UserError(
                         f"{self._folder / found.name}: rows {found.first} to {found.last} differ from all other pictures, which "
-                        "indicates damage; copy or take the picture again or remove it. If it is correct, convert it to PNG, "
-                        "because its format has no "
-                        "checksum that could prove this"
+                        "indicates damage. Copy or take the picture again, or remove it; if the picture is correct, convert it to "
+                        "PNG, whose checksum replaces this test"
                     )
 
     def notes(self) -> list[str]:
-        """Return notes on what was not checked."""
+        """Return notes about pictures that could not be checked for damage."""
         if not self._open:
             return []
         apart = sum(not self._turns[ring].enough for ring in self._open.values())
         but = "damage of less than a fifth of a row cannot be detected"
         if apart:
-            but += f"; {apart} of them could not be compared with others of their ring, which requires {LEAST} pictures"
+            but += f", and {apart} of them could not be compared, because their ring has fewer than {LEAST} pictures"
         return [
-            f"{len(self._open)} pictures have formats without a checksum (JPEG, TIFF with LZW, PackBits or no compression): {but}; "
-            "damage of PNG, or of TIFF with Deflate, is always detected"
+            f"{len(self._open)} pictures have a format without a checksum (JPEG, TIFF with LZW, PackBits or no compression), so {but}. "
+            "In PNG, and in TIFF with Deflate, any damage is detected"
         ]
 
 
 def _clipped(grey: Grey) -> float:
-    """Return the fraction of a picture's pixels at the maximum of its bit depth.
+    """Return the fraction of saturated pixels in a picture.
 
-    The bit depth may be smaller than that of the file (12 bits in 16).
+    The bit depth of the picture may be smaller than that of the file, such as 12 bits in a 16-bit file.
     """
     largest = int(grey.max())
-    # as integers, and 10, 12 and 14 bits shifted up to 16
+    # full scale of 8, 10, 12, 14 and 16 bits, and of 10, 12 and 14 bits shifted to 16 bits
     full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}
     return float((grey == largest).mean()) if largest in full else 0.0
 
 
 def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
-    """Read the bytes and the grey picture of a file, which must be complete and of the camera's size."""
+    """Return the bytes of a file and its grey picture, which must be complete and have the camera's size."""
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)
 
 
 def _white_level(paths: list[Path], scene: Scene) -> int:
-    """Return the grey value of white in a set of silhouettes.
-
-    It is the largest value in use, because some programs write 0 and 1.
-    """
+    """Return the largest grey value in a set of silhouettes, which is white; some programs write 0 and 1."""
     white = max(int(_read(path, scene)[1].max()) for path in paths)
     if white == 0:
-        raise UserError(f"{paths[0].parent}: all silhouettes are empty (black); roots must be white")
+        raise UserError(f"{paths[0].parent}: all silhouettes are completely black; roots must be white")
     return white
 
 
 def _check_mask(grey: Grey, white: int, path: Path) -> None:
-    """Reject a silhouette with grey values other than soft edges."""
+    """Reject a silhouette with more grey pixels than a soft outline has."""
     level = grey / white
     between = float(np.mean((level > MASK_MARGIN) & (level < 1.0 - MASK_MARGIN)))
     if between > MASK_GREYS:
         raise UserError(
             f"{path} is not a silhouette: {100.0 * between:.0f} % of its pixels are neither black nor white "
-            f"(maximum {100.0 * MASK_GREYS:.0f} %); "
-            "give silhouettes, or remove --masks"
+            f"(maximum {100.0 * MASK_GREYS:.0f} %). "
+            "Use black and white silhouettes, or remove --masks"
         )

@@ -1,9 +1,9 @@
-"""Read camera poses and a lens from a transforms.json in nerfstudio's form.
+"""Reader of camera poses and lens parameters in nerfstudio's formatat transforms.json.
 
-Nerfstudio's conventions (docs.nerf.studio, "Data conventions"): ``transform_matrix`` is camera-to-world with OpenGL
-axes (x right, y up, z backward); pixel coordinates have their origin at the corner of the first pixel, so that its
-centre is (0.5, 0.5). The project's are OpenCV's: x right, y down, z forward, and pixel centres at integers. The file's
-world is the canister frame, in millimetres.
+In nerfstudio (docs.nerf.studio, "Data conventions"), ``transform_matrix`` is camera-to-world with OpenGL axes (x right,
+y up, z backward), and pixel coordinates have their origin at the corner of the first pixel, whose centre is (0.5, 0.5).
+This project uses OpenCV's conventions: x right, y down, z forward, and pixel centres at integers. The world of the
+file is the canister frame, in millimetres.
 """
 
 import json
@@ -24,43 +24,55 @@ _LENS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "k3", "k4", "p1"
 
 
 LARGEST = 1e9
-"""Pixels and millimetres of a camera are less."""
+"""Upper limit of all numbers in a file, px or mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GivenCameras:
-    """The lens and the poses of a transforms.json."""
+    """Lens and camera poses of a file transforms.json."""
 
     camera: Camera
     cam_from_canister: dict[str, frames.Array]
-    """By the picture's file name as the file gives it (with or without a suffix), 4x4, OpenCV axes, mm."""
+    """Pose (4, 4) of each picture with OpenCV axes, mm, by the file name (with or without suffix) in the file."""
 
 
 def read_cameras(path: Path, camera: Camera) -> GivenCameras:
-    """Read a transforms.json; ``camera`` gives what such a file does not hold (the converter's bits).
+    """Read a file transforms.json.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    camera : Camera
+        Source of the properties that the format does not include, such as the bit depth.
+
+    Returns
+    -------
+    GivenCameras
+        Lens and poses.
 
     Raises
     ------
     UserError
-        For a missing or damaged file, a lens that is not OpenCV's, a lens per frame, or a matrix that is no rigid
-        motion.
+        If the file is missing or damaged, the lens model is not OpenCV's, frames have different lenses, or a matrix is
+        not a rigid transform.
     """
     try:
         text = read_file(path).decode()
     except UnicodeDecodeError as error:
-        raise UserError(f"{path} cannot be read; give a transforms.json in nerfstudio's form") from error
+        raise UserError(f"{path} cannot be read; give a transforms.json in nerfstudio's format") from error
     try:
         given = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not JSON ({error}); give a transforms.json in nerfstudio's form") from error
+        raise UserError(f"{path} is not JSON ({error}); give a transforms.json in nerfstudio's format") from error
     if not isinstance(given, dict) or not isinstance(given.get("frames"), list) or not given["frames"]:
-        raise UserError(f"{path} has no list 'frames'; give a transforms.json in nerfstudio's form")
+        raise UserError(f"{path}: the list 'frames' is missing or empty; give a transforms.json in nerfstudio's format")
     canister_from_world = _canister_from_world(given, path)
     poses: dict[str, frames.Array] = {}
     for index, frame in enumerate(given["frames"]):
         name, cam_from_canister = _read_frame(frame, canister_from_world, where=f"{path}, frames[{index}]")
         if name in poses:
-            raise UserError(f"{path}, frames[{index}]: {name} has a camera already; file names must differ")
+            raise UserError(f"{path}, frames[{index}]: the picture {name} has two cameras; each picture name must be unique")
         poses[name] = cam_from_canister
     return GivenCameras(camera=_read_lens(given, camera, path), cam_from_canister=poses)
 
@@ -68,7 +80,9 @@ def read_cameras(path: Path, camera: Camera) -> GivenCameras:
 def _read_lens(given: dict[str, Any], camera: Camera, path: Path) -> Camera:
     model = given.get("camera_model", "OPENCV")
     if model not in MODELS:
-        raise UserError(f"{path}: camera_model {model!r} is not supported; undistort the pictures to one of {', '.join(MODELS)}")
+        raise UserError(
+            f"{path}: camera_model {model!r} is not supported; undistort the pictures, and use one of {', '.join(MODELS)} for them"
+        )
     focal_x = _number(given, "fl_x", path)
     focal_y = _number(given, "fl_y", path, default=focal_x)
     width, height = _number(given, "w", path), _number(given, "h", path)
@@ -77,7 +91,7 @@ def _read_lens(given: dict[str, Any], camera: Camera, path: Path) -> Camera:
     if not (width >= 16 and height >= 16 and width == int(width) and height == int(height)):
         raise UserError(f"{path}: w and h must be whole numbers of at least 16, but they are {width:g} and {height:g}")
     if _number(given, "k4", path, default=0.0) != 0.0:
-        raise UserError(f"{path}: k4 is not part of the lens model k1 k2 p1 p2 k3; undistort the pictures first")
+        raise UserError(f"{path}: the distortion coefficient k4 is not supported; undistort the pictures first")
     k1, k2, p1, p2, k3 = (_number(given, key, path, default=0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
     return replace(
         camera,
@@ -90,10 +104,10 @@ def _read_lens(given: dict[str, Any], camera: Camera, path: Path) -> Camera:
 
 def _read_frame(frame: Any, canister_from_world: frames.Array, *, where: str) -> tuple[str, frames.Array]:
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-        raise UserError(f"{where}: file_path is missing; every frame names its picture")
+        raise UserError(f"{where}: file_path is missing; add the file name of the picture")
     own = [key for key in _LENS_KEYS if key in frame]
     if own:
-        raise UserError(f"{where}: {own[0]} is given for this frame alone; all pictures must share one lens, given at the top of the file")
+        raise UserError(f"{where}: {own[0]} is set for a single picture; all pictures must share the lens at the top of the file")
     world_from_gl = _matrix(frame.get("transform_matrix"), where=f"{where}: transform_matrix")
     canister_from_cam = canister_from_world @ world_from_gl @ OPENCV_FROM_OPENGL
     name = PurePosixPath(frame["file_path"].replace("\\", "/")).name
@@ -101,27 +115,27 @@ def _read_frame(frame: Any, canister_from_world: frames.Array, *, where: str) ->
 
 
 def _canister_from_world(given: dict[str, Any], path: Path) -> frames.Array:
-    """Return the inverse of what nerfstudio applied to the poses (``applied_transform``).
+    """Return the inverse (4, 4) of the transform that nerfstudio applied to the poses (``applied_transform``).
 
-    Identity when it applied nothing.
+    Without ``applied_transform`` the matrix is the identity.
     """
     if _number(given, "applied_scale", path, default=1.0) != 1.0:
-        raise UserError(f"{path}: applied_scale is not 1; the file's world must be the canister frame in millimetres")
+        raise UserError(f"{path}: applied_scale must be 1, because the coordinates must be in the canister frame in millimetres")
     applied = given.get("applied_transform")
     return np.eye(4) if applied is None else frames.invert(_matrix(applied, where=f"{path}: applied_transform"))
 
 
 def _matrix(rows: Any, *, where: str) -> frames.Array:
-    """Return a rigid 4x4 transform from 3 or 4 rows of 4 numbers, its rotation freed of rounding."""
+    """Convert 3 or 4 rows of 4 numbers to a rigid transform (4, 4) with an exactly orthonormal rotation."""
     try:
         matrix = np.array(rows, np.float64)
     except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
-        raise UserError(f"{where} must be 4 rows of 4 numbers")
+        raise UserError(f"{where} must have 3 or 4 rows of 4 numbers")
     rotation = matrix[:3, :3]
     if np.abs(rotation).max() > 1.1 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
-        raise UserError(f"{where} is not a rotation and a translation; remove scale, shear and mirroring")
+        raise UserError(f"{where} is not a rigid transform; remove scale, shear and mirroring")
     if matrix.shape == (4, 4) and np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
         raise UserError(f"{where} must end with the row 0 0 0 1")
     left, _, right = np.linalg.svd(rotation)
@@ -131,7 +145,7 @@ def _matrix(rows: Any, *, where: str) -> frames.Array:
 def _number(given: dict[str, Any], key: str, path: Path, *, default: float | None = None) -> float:
     value = given.get(key, default)
     if value is None:
-        raise UserError(f"{path}: {key} is missing; give a transforms.json in nerfstudio's form with one lens at its top")
+        raise UserError(f"{path}: {key} is missing; give a transforms.json in nerfstudio's format with the lens at the top of the file")
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise UserError(f"{path}: {key} must be a number below {LARGEST:g}, but it is {str(value)[:40]}")
     return float(value)

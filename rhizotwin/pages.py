@@ -1,4 +1,4 @@
-"""Options for printed pages: paper, scale of the printer, and calibration board."""
+"""Command-line options for printed pages: paper, printer scale, and calibration board."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,17 +21,17 @@ SQUARES_LIMITS = (3, 60)
 
 
 def read_page(text: str) -> str | tuple[float, float]:
-    """Read a page by its name, or by its width and height in mm."""
+    """Convert text to the name of a paper size, or to its width and height in mm."""
     if text.lower() in PAGES:
         return text.lower()
     pair = _pair(text)
     if pair is None:
-        raise ValueError(f"{text!r} is not a page size; give {', '.join(PAGES)}, or width and height in mm as 297x210")
+        raise ValueError(f"{text!r} is not a paper size; give {', '.join(PAGES)}, or width and height in mm, such as 297x210")
     return read_length_mm(pair[0], PAGE_LIMITS_MM), read_length_mm(pair[1], PAGE_LIMITS_MM)
 
 
 def read_printed_ruler(text: str) -> tuple[float, float]:
-    """Read the printed length of a 100 mm ruler across and down the page."""
+    """Convert text to the measured lengths of the printed 100 mm ruler across and down the page, mm."""
     pair = _pair(text if "x" in text.lower() else f"{text}x{text}")
     if pair is None:
         raise ValueError(f"{text!r} is not a ruler length in mm; write it as 99.6, or as 99.6x99.8 (across and down)")
@@ -39,7 +39,7 @@ def read_printed_ruler(text: str) -> tuple[float, float]:
 
 
 def read_squares(text: str) -> tuple[int, int]:
-    """Read the squares of a board across and down."""
+    """Convert text such as 7x5 to the number of squares of a board across and down."""
     columns, cross, rows = text.lower().partition("x")
     if not (cross and columns.isdecimal() and rows.isdecimal()):
         raise ValueError(f"{text!r} is not a number of squares; write it as 7x5")
@@ -50,12 +50,12 @@ def read_squares(text: str) -> tuple[int, int]:
 
 
 def read_square_mm(text: str) -> float:
-    """Read the side of a square."""
+    """Convert text to the side length of a square, mm."""
     return read_length_mm(text, SQUARE_LIMITS_MM)
 
 
 def _pair(text: str) -> tuple[str, str] | None:
-    """Return two numbers written as 297x210; None where it is not that."""
+    """Split text such as 297x210 into the texts of both numbers; None if the text does not have this form."""
     first, cross, second = text.lower().partition("x")
     try:
         float(first), float(second)
@@ -67,20 +67,20 @@ def _pair(text: str) -> tuple[str, str] | None:
 @Parameter(name="*", group="Paper")
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """Paper and scale of the printer."""
+    """Options for the paper and the scale of the printer."""
 
-    page: Annotated[str | tuple[float, float], option(read_page, "a4|a3|letter|WxH")] = "a4"
-    """Paper size: a4, a3, letter, or width and height in mm."""
+    page: Annotated[str | tuple[float, float], option(read_page, "SIZE")] = "a4"
+    """Paper size: a4, a3, letter, or width and height in mm, such as 297x210."""
     landscape: Flag = False
-    """Use landscape orientation; default: the orientation that fits better."""
+    """Print in landscape orientation; default: the orientation that fits better."""
     portrait: Flag = False
-    """Use portrait orientation."""
-    printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM|MMxMM")] = (100.0, 100.0)
-    """Length of the 100 mm ruler as measured on a print, across and down the page, such as 99.6 or 99.6x99.8. The \
-drawing is scaled to compensate for the error of the printer."""
+    """Print in portrait orientation."""
+    printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM")] = (100.0, 100.0)
+    """Lengths in mm of the 100 mm ruler as measured on an earlier print, across and down the page, such as 99.6 or \
+99.6x99.8. The drawing is scaled to compensate for the error of the printer."""
 
     def paper(self) -> "Paper":
-        """Return the paper.
+        """Return the paper that the options describe.
 
         Raises
         ------
@@ -90,7 +90,7 @@ drawing is scaled to compensate for the error of the printer."""
         from rhizotwin.rig.printing.print_page import PAGES_MM, Paper
 
         if self.landscape and self.portrait:
-            raise UserError("--landscape and --portrait cannot be used together")
+            raise UserError("--landscape and --portrait cannot be used together; remove one of them")
         free: Literal["either", "as given"] = "either" if isinstance(self.page, str) else "as given"
         size_mm = PAGES_MM[self.page] if isinstance(self.page, str) else self.page
         turn: Literal["either", "as given", "landscape", "portrait"]
@@ -101,23 +101,23 @@ drawing is scaled to compensate for the error of the printer."""
 @Parameter(name="*", group="Board")
 @dataclass(frozen=True, kw_only=True)
 class BoardOptions:
-    """A calibration board."""
+    """Options that describe a calibration board."""
 
-    squares: Annotated[tuple[int, int] | None, option(read_squares, "CxR")] = None
+    squares: Annotated[tuple[int, int] | None, option(read_squares, "NxN")] = None
     """Number of squares across and down; default: 7x5."""
     square_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
-    """Side length of the squares; default: 30 mm."""
+    """Side length of the squares in mm; default: 30."""
     marker_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
-    """Side length of the markers; default: 11/15 of the squares."""
+    """Side length of the markers in mm; default: 11/15 of the squares' side."""
     dictionary: Annotated[str | None, with_metavar("NAME")] = None
     """ArUco dictionary of the markers; default: 5X5_100."""
 
     def given(self) -> list[str]:
-        """Return the options that were given."""
+        """Return the names of the options that were given on the command line."""
         return [f"--{name.replace('_', '-')}" for name, value in vars(self).items() if value is not None]
 
     def board(self) -> "CharucoBoard":
-        """Return the validated board."""
+        """Return the board that the options describe, after validation."""
         from rhizotwin.scenes.board import MARKER_SHARE, CharucoBoard, check_board
 
         default = CharucoBoard()
@@ -131,11 +131,14 @@ class BoardOptions:
         return check_board(made, where="the board")
 
     def board_of(self, file: Path | None) -> "CharucoBoard":
-        """Return the board described by a file, or by the options if there is none."""
+        """Return the board described by a file, or by the options if ``file`` is None."""
         from rhizotwin.scenes.board import load_board
 
         if file is None:
             return self.board()
         if self.given():
-            raise UserError(f"--board {file} and {self.given()[0]} cannot be used together; the board file describes the whole board")
+            raise UserError(
+                f"--board {file} and {self.given()[0]} cannot be used together, because the file describes the complete board; "
+                f"remove {self.given()[0]}"
+            )
         return load_board(file)

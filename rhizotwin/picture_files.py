@@ -1,4 +1,4 @@
-"""Find the pictures in a folder from any source, in the order in which they were taken."""
+"""Search for the pictures in a folder, sorted by their file names in the order in which they were taken."""
 
 import re
 from pathlib import Path
@@ -9,18 +9,18 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
 def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """Return a sorting key that puts view_2 before view_10."""
+    """Return a sorting key for natural order, in which view_2 precedes view_10."""
     parts = [part for part in re.split(r"([0-9]+)", path.name.lower()) if part]
     return tuple((0, int(part), part) if part[0] in "0123456789" else (1, 0, part) for part in parts)
 
 
 def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
-    """Return the pictures of a folder (not of its subfolders), by their suffixes, in natural order.
+    """List the files with the given suffixes in a folder, without subfolders, in the natural order of their names.
 
     Raises
     ------
     UserError
-        If the folder is missing, contains no picture, or contains two that differ only in extension.
+        If the folder is missing, contains no picture, or contains two pictures whose names differ only in the suffix.
     """
     if not folder.is_dir():
         raise UserError(f"{folder} is not a folder; give the folder that contains the pictures")
@@ -29,15 +29,17 @@ def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list
         key=natural_key,
     )
     if not paths:
-        raise UserError(f"{folder} contains no picture ({', '.join(suffixes)}); give the folder that contains them")
+        raise UserError(f"the folder {folder} contains no picture ({', '.join(suffixes)}); give the folder that contains the pictures")
     for path in paths:
         if path.is_symlink():
-            raise UserError(f"{folder} contains {path.name}, which is a link; replace it by the picture")
+            raise UserError(f"{folder} contains {path.name}, which is a symbolic link; replace the link by the picture")
         if not path.name.isprintable():  # bytes that are not UTF-8 are not printable either
-            raise UserError(f"{folder} contains {path.name!a}, whose name is not printable UTF-8 text; rename it")
+            raise UserError(f"{folder} contains {path.name!a}, whose name is not printable UTF-8 text; rename the file")
     by_stem: dict[str, Path] = {}
     for path in paths:
         other = by_stem.setdefault(path.stem, path)
         if other != path:
-            raise UserError(f"{folder} contains {other.name} and {path.name}, which differ only in extension; rename or remove one")
+            raise UserError(
+                f"{folder} contains {other.name} and {path.name}, whose names differ only in the suffix; rename or remove one of them"
+            )
     return paths

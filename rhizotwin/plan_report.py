@@ -1,4 +1,4 @@
-"""Table, CSV and figure of compared capture plans."""
+"""Output of a comparison of capture plans as a table, CSV text and figure."""
 
 import csv
 import io
@@ -13,12 +13,13 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.figures import figure, png
 
 NOTE = (
-    "volume, length: median error, and worst of the seeds; interval: width relative to the true volume; covers: runs that contain the truth"
+    "volume, length: median error, and largest error over the seeds; interval: width of the 90 % interval relative to the true volume; "
+    "covers: fraction of runs whose interval contains the true volume"
 )
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Format the rows as a text table."""
+    """Format the scores of capture plans as a text table."""
     wide = max(len("heights (mm)"), *(len(_heights(row)) for row in rows)) + 2
     head = (
         f"{'heights (mm)':<{wide}}{'views':>6}{'picture':>11}{'volume':>9}{'worst':>8}{'interval':>10}{'covers':>7}"
@@ -35,7 +36,9 @@ def table(rows: Sequence[Row]) -> str:
             f"{100 * row.interval_width:>9.0f}%{100 * row.interval_holds:>6.0f}%{length:>9}{worst:>8}"
             f"{row.recall:>8.3f}{row.precision:>7.3f}{row.capture_min:>6.1f} min{row.compute_s:>7.0f} s"
         )
-    return "\n".join([*lines, NOTE, f"recall: found fraction of {_counted(rows)}; prec. (precision): correct fraction of what was found"])
+    return "\n".join(
+        [*lines, NOTE, f"recall: found fraction of {_counted(rows)}; prec. (precision): correct fraction of the reconstruction"]
+    )
 
 
 def _heights(row: Row) -> str:
@@ -48,7 +51,7 @@ def _counted(rows: Sequence[Row]) -> str:
 
 
 def csv_text(rows: Sequence[Row]) -> str:
-    """Format the rows as CSV."""
+    """Format the scores of capture plans as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [name for name in asdict(rows[0]) if name not in ("variant", "volume_errors", "length_errors")]
@@ -61,9 +64,9 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 
 def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
-    """Plot errors, recall and precision against the number of pictures of a plan.
+    """Plot errors, recall and precision of capture plans against their number of pictures, and write the figure.
 
-    There is one line per set of rings and picture size.
+    Plans with the same camera heights and picture size are connected by a line.
     """
     has_roots = any(row.length_error is not None for row in rows)
     drawn = figure(13.5 if has_roots else 9.5, 4.6)
@@ -94,7 +97,7 @@ def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
 
 
 def _errors(axis: Any, line: Sequence[Row], of: Callable[[Row], tuple[float, ...]], label: str) -> None:
-    """Plot the median over the seeds as a line, and every seed as a dot."""
+    """Plot the median error over the seeds as a line, and the error of each seed as a dot."""
     with_some = [row for row in line if of(row)]
     (drawn,) = axis.plot([r.pictures for r in with_some], [100.0 * statistics.median(of(r)) for r in with_some], linewidth=1.2, label=label)
     dots = [(row.pictures, 100.0 * error) for row in with_some for error in of(row)]

@@ -1,7 +1,7 @@
-"""Comparison of capture plans in simulation: number of views, rings, camera heights and picture size.
+"""Comparison of capture plans in simulation by number of views, rings, camera heights and picture size.
 
-Each capture plan is simulated, reconstructed and scored for a number of seeds. All plans use the same seeds, so that
-their differences are not random. The table and the figure are in `rhizotwin.plan_report`.
+Each capture plan is simulated, reconstructed and scored for a number of random seeds. All plans use the same seeds, so
+that random differences between the plans cancel. `rhizotwin.plan_report` formats the table and the figure.
 """
 
 import itertools
@@ -27,14 +27,17 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
-"""Time per view for rotation, rest and exposure on the rig of the documentation."""
+"""Duration of rotation, settling and exposure of one view on the rig of the documentation, s."""
 RING_TIME_S = 10.0
-"""Time to move the camera to another ring."""
+"""Duration of moving the camera to another ring, s."""
 SECOND_RING_MM = 52.0
-"""Height of the default second ring above the first: from 10 mm above the rim, the top of a plant is seen in front of
-the backlight; from -42 mm it is seen in front of the dark net pot."""
+"""Height of the default second ring above the first ring, mm.
+
+The first ring at -42 mm sees the top of a plant in front of the dark net pot. The second ring, 10 mm above the rim,
+sees the top in front of the backlight.
+"""
 RUN = "unfinished"
-"""Folder of the current run; its pictures are reused after an interruption."""
+"""Name of the subfolder of the current run, whose pictures are reused after an interruption."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
 
 
@@ -48,23 +51,34 @@ def run_plans(
     say: Callable[[str], None],
     monitor: Monitor | None = None,
 ) -> list[Row]:
-    """Simulate, reconstruct and score every variant; scores of an earlier run with the same settings are reused.
+    """Simulate, reconstruct and score each capture plan, and reuse scores of an earlier run with the same settings.
 
     Parameters
     ----------
     scene : Scene
-        Scene with its specimen and the disturbances of the profile.
+        Scene with the specimen and the simulated imperfections of the profile.
+    variants : sequence of Variant
+        Capture plans to compare.
     folder : path
-        Output folder for ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; and `RUN` during a run.
+        Output folder for ``scores/*.json``, ``plan.csv``, ``plan.json`` and ``plan.png``, and for `RUN` during a run.
+    profile_name : str
+        Name of the profile, for the output.
     seeds : int
-        Number of runs per variant, seeds 0, 1, ...
+        Number of runs per capture plan, with the random seeds 0, 1, ...
+    say : callable
+        Function that is called with each line of output.
     monitor : Monitor or None
-        Progress monitor; each run is a stage (`stage_of`).
+        Receiver of the progress; each run is a stage (`stage_of`).
+
+    Returns
+    -------
+    list of Row
+        Scores of the capture plans that could be reconstructed.
 
     Raises
     ------
     UserError
-        If a plan is not possible in the scene, no plan can be reconstructed, or the folder contains other files.
+        If a plan is impossible in the scene, no plan can be reconstructed, or the folder contains other files.
     """
     wanted = [variant.of(scene) for variant in variants]
     for variant, changed in zip(variants, wanted, strict=True):
@@ -94,7 +108,7 @@ def _run(
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant, _ in variants}
     runs = list(itertools.product(range(seeds), variants))
     pictures = sum(variant.views * len(variant.heights) for variant, _ in variants) * seeds
-    say(f"{len(runs)} runs, {pictures} pictures to render and reconstruct; if interrupted, run the same command again to continue")
+    say(f"rendering and reconstructing {pictures} pictures in {len(runs)} runs; after an interruption, repeat the command to continue")
     for seed, (variant, changed) in runs:
         path = folder / "scores" / f"{variant.name}_seed{seed}.json"
         with monitor.stage(stage_of(variant, seed)):
@@ -102,9 +116,9 @@ def _run(
     failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
     rows = [_row(variant, found[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
-        say(f"{name} could not be reconstructed: {reason}")
+        say(f"the plan {name} could not be reconstructed: {reason}")
     if not rows:
-        raise UserError("none of the plans could be reconstructed; see the reasons above and try other plans")
+        raise UserError("no plan could be reconstructed, for the reasons printed above; try other plans")
     write_bytes(folder / "plan.csv", plan_report.csv_text(rows).encode())
     write_json(folder / "plan.json", {**settings, "seeds": seeds, "failed": failed, "rows": [asdict(row) for row in rows]})
     plan_report.draw(rows, folder / "plan.png", title=f"{scene.name}, {profile_name}, {seeds} seed{'s' if seeds > 1 else ''}")
@@ -113,19 +127,19 @@ def _run(
 
 
 def stage_of(variant: Variant, seed: int) -> str:
-    """Return the name of a run for progress output."""
+    """Return the name of a run (capture plan and random seed) for progress output."""
     return f"{variant.name}, seed {seed}"
 
 
 def shares(variants: Sequence[Variant], seeds: int) -> dict[str, float]:
-    """Estimate the relative duration of each run, which is proportional to the number of pictures."""
+    """Return the estimated relative duration of each run, which is its number of pictures."""
     return {stage_of(variant, seed): float(variant.views * len(variant.heights)) for variant in variants for seed in range(seeds)}
 
 
 def best(rows: Sequence[Row], *, within: float) -> Row | None:
-    """Return the plan with the fewest pixels whose worst volume error is within a limit; None if there is none.
+    """Return the cheapest plan whose worst volume error is at most ``within``; None if no plan is accurate enough.
 
-    Among equal plans, the one with the shortest capture is returned.
+    The cheapest plan has the fewest pixels in total and, among equals, the shortest scan.
     """
     good = [row for row in rows if row.volume_error_worst <= within]
     return min(good, key=lambda row: (row.pictures * row.variant.image_wh[0] * row.variant.image_wh[1], row.capture_min), default=None)
@@ -134,11 +148,11 @@ def best(rows: Sequence[Row], *, within: float) -> Row | None:
 def _refuse_strangers(folder: Path) -> None:
     known = {"scores", "plan.csv", "plan.json", "plan.png", RUN}
     if any(name not in known for name in contents(folder)):
-        raise UserError(f"{folder} contains files that do not belong to an earlier plan; choose another folder with -o")
+        raise UserError(f"{folder} contains files that were not written by an earlier plan; choose another folder with -o")
 
 
 def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
-    """Score one run, or read its score from an earlier run."""
+    """Simulate, reconstruct and score one run, or read its score from the file of an earlier run."""
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.scoring.score import score
     from rhizotwin.sim.simulate import CannotContinueError, simulate
@@ -148,7 +162,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
         except (ValueError, RecursionError) as error:
-            raise UserError(f"{path} is damaged ({error}); delete it and run again") from error
+            raise UserError(f"{path} is damaged ({error}); delete the file and run the command again") from error
         if isinstance(before, dict) and before.get("made_with") == made_with:
             return dict(before["score"])
     working = path.parents[1] / RUN

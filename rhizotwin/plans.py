@@ -1,4 +1,4 @@
-"""Capture plans to be compared, and their scores."""
+"""Capture plans for comparison, and their scores."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,42 +8,43 @@ from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 @dataclass(frozen=True, order=True)
 class Height:
-    """Camera height of a ring, with optional tilt and distance."""
+    """Camera position of a ring: height, and optionally tilt and distance."""
 
     mm: float
-    """Height in the rig frame (0 is the rim of the canister)."""
+    """Height of the camera in the rig frame, mm; 0 is the rim of the canister."""
     tilt_deg: float | None = None
-    """Tilt of the optical axis below the horizon; None: aimed at the target of the scene's first ring."""
+    """Tilt of the optical axis below the horizon, deg; None: aim at the target point of the scene's first ring."""
     distance_mm: float | None = None
-    """Distance from the turntable axis; None: as in the scene's first ring."""
+    """Distance of the camera from the turntable axis, mm; None: as in the scene's first ring."""
 
     @property
     def name(self) -> str:
-        """Height in the notation of the command line."""
+        """Camera position as written on the command line, such as ``10:5@300``."""
         tilt = "" if self.tilt_deg is None else f":{self.tilt_deg:g}"
         return f"{self.mm:g}{tilt}" + ("" if self.distance_mm is None else f"@{self.distance_mm:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """Capture plan to be evaluated."""
+    """Capture plan to be compared with others."""
 
     heights: tuple[Height, ...]
-    """Camera heights, one per ring."""
+    """Camera position of each ring."""
     views: int
     """Number of views per ring."""
     image_wh: tuple[int, int]
 
     @property
     def name(self) -> str:
-        """Short name, also used in file names."""
+        """Short name of the plan, also used in file names."""
         heights = "_".join(height.name.replace(":", "tilt").replace("@", "from") for height in self.heights)
         return f"{self.views}x{self.image_wh[0]}x{self.image_wh[1]}_at_{heights}"
 
     def of(self, scene: Scene) -> Scene:
-        """Return the scene with this plan.
+        """Return a copy of the scene with this capture plan.
 
-        Rings without a distance use that of the scene's first ring; the views of the rings are interleaved.
+        Rings without a distance use the distance of the scene's first ring. The table angles of the rings are
+        interleaved.
         """
         first = scene.plan.rings[0]
         aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
@@ -58,29 +59,29 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Scores of a plan: medians over the seeds."""
+    """Scores of a capture plan, combined over the random seeds."""
 
     variant: Variant
     pictures: int
     volume_error: float
-    """Median of found / true - 1."""
+    """Median relative volume error, reconstructed / true - 1."""
     volume_error_worst: float
-    """Largest absolute value."""
+    """Largest absolute relative volume error over the seeds."""
     volume_errors: tuple[float, ...]
-    """Value for each seed."""
+    """Relative volume error for each seed."""
     interval_width: float
-    """Width of the interval relative to the true volume."""
+    """Median width of the 90 % interval of the volume, relative to the true volume."""
     interval_holds: float
-    """Fraction of the runs whose interval contains the true volume."""
+    """Fraction of the runs in which the 90 % interval contains the true volume."""
     length_error: float | None
-    """Median of found / true - 1; None if there are no roots, or a run found none."""
+    """Median relative error of the total root length, reconstructed / true - 1; None if a run has no roots."""
     length_error_worst: float | None
     length_errors: tuple[float, ...]
     recall: float
-    """Median recall: of the roots' centre lines, or of voxels if there are no roots."""
+    """Median recall of the roots' centre lines, or of the voxels if a run has no roots."""
     precision: float
-    """Median precision, likewise."""
+    """Median precision of the roots' centre lines, or of the voxels if a run has no roots."""
     capture_min: float
-    """Duration of the scan."""
+    """Estimated duration of the scan, min."""
     compute_s: float
-    """Duration of the reconstruction."""
+    """Median duration of the reconstruction, s."""

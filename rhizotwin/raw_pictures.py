@@ -1,4 +1,4 @@
-"""Raw pictures (DNG, as a Raspberry Pi writes them beside its JPEGs) as light, through LibRaw."""
+"""Reader of raw pictures (DNG, such as from a Raspberry Pi camera) as linear light, through LibRaw."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -13,40 +13,42 @@ from rhizotwin.scenes.picture_codec import Grey
 
 SUFFIXES = (".dng",)
 BITS = 16
-"""Depth of the light: a quad's mean has two bits more than the converter's 12 or 14."""
+"""Bit depth of the grey picture; the mean of four raw pixels has two bits more than the sensor's 12 or 14."""
 
 
 def is_raw(path: Path) -> bool:
-    """Tell a raw picture by its name."""
+    """Return whether the suffix of a file is that of a raw picture."""
     return path.suffix.lower() in SUFFIXES
 
 
 def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float] | None = None) -> tuple[Grey, tuple[float, float]]:
-    """Read a raw picture as light.
+    """Read a raw picture as a grey picture of linear light.
 
     Parameters
     ----------
     path : Path
-        A DNG with a colour filter of 2x2 pixels.
+        DNG file of a sensor with a 2x2 colour filter.
     image_wh : tuple of int
-        Size of the grey picture: blocks of 2x2, 4x4 ... raw pixels become one, so that no colour is interpolated.
+        Width and height of the grey picture, px. Blocks of 2x2, 4x4 ... raw pixels are averaged to one pixel, so that
+        no colour is interpolated.
     gains : tuple of float, optional
-        Factors of red and blue; None: as the file has them. A set of pictures has the gains of its first.
+        White balance factors of red and blue, relative to green; None: factors in the file. All pictures of a set
+        should be read with the factors of the first picture.
 
     Returns
     -------
     light : (H, W) uint16
-        Proportional to light; the converter's range above black is full scale.
+        Values proportional to the light, scaled from the black level and white level of the sensor to 0 and full scale.
     gains : tuple of float
-        The factors used.
+        White balance factors that were applied.
 
     Raises
     ------
     UserError
-        Where LibRaw is not installed, or the file is damaged, has no such filter or another size.
+        If LibRaw is not installed, or the file is damaged, has another colour filter or another size.
     """
     if find_spec("rawpy") is None:
-        raise UserError(f"{path}: raw pictures are read by LibRaw, which is not installed; type: pip install 'rhizotwin[raw]'")
+        raise UserError(f"{path}: raw pictures are read with LibRaw, which is not installed; run: pip install 'rhizotwin[raw]'")
     import rawpy
 
     try:
@@ -56,13 +58,13 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
             names, black = opened.color_desc.decode("ascii"), [float(value) for value in opened.black_level_per_channel]
             white, balance = float(opened.white_level), [float(value) for value in opened.camera_whitebalance]
     except (rawpy.LibRawError, UnicodeDecodeError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read as a raw picture ({type(error).__name__}); copy or take it again") from None
+        raise UserError(f"{path}: the raw picture could not be read ({type(error).__name__}); copy or take the picture again") from None
     if pattern is None or pattern.shape != (2, 2) or raw.ndim != 2 or raw.dtype != np.uint16:
-        raise UserError(f"{path}: its sensor has no colour filter of 2x2 pixels; convert it to a linear 16-bit PNG")
+        raise UserError(f"{path}: the sensor has no 2x2 colour filter; convert the picture to a linear 16-bit PNG")
     block = _block(path, (raw.shape[1], raw.shape[0]), image_wh)
     order = "".join(names[k] for k in pattern.ravel())
     if sorted(order) != ["B", "G", "G", "R"]:
-        raise UserError(f"{path}: its colour filter is {order}, not of red, green and blue; convert it to a linear 16-bit PNG")
+        raise UserError(f"{path}: the colour filter {order} is not supported; convert the picture to a linear 16-bit PNG")
     if gains is None:
         gains = _gains(names, balance)
     light = grey_from_bayer(raw, order=order, black=_black(order, pattern, black), white=white, colour_gains=gains, block=block, bits=BITS)
@@ -75,14 +77,14 @@ def _block(path: Path, raw_wh: tuple[int, int], image_wh: tuple[int, int]) -> in
     if block < 2 or block % 2 or raw_wh != (image_wh[0] * block, image_wh[1] * block):
         halves = " or ".join(f"{raw_wh[0] // k}x{raw_wh[1] // k}" for k in (2, 4))
         raise UserError(
-            f"{path}: has {raw_wh[0]}x{raw_wh[1]} raw pixels; they must be an even multiple (2, 4, ...) of the scene's image_wh "
-            f"{image_wh[0]}x{image_wh[1]}; set the camera's image_wh to {halves}"
+            f"{path}: the raw picture has {raw_wh[0]}x{raw_wh[1]} pixels, which is not an even multiple (2, 4, ...) of the scene's "
+            f"image_wh {image_wh[0]}x{image_wh[1]}; set the camera's image_wh to {halves}"
         )
     return block
 
 
 def _black(order: str, pattern: NDArray[np.uint8], black: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return the numbers without light in the order of `COLOURS`."""
+    """Return the black levels of the four filter colours, in the order of `COLOURS`."""
     found = {}
     for place, colour in enumerate(order):
         row = order[2 * (place // 2) : 2 * (place // 2) + 2]
@@ -92,7 +94,7 @@ def _black(order: str, pattern: NDArray[np.uint8], black: Sequence[float]) -> tu
 
 
 def _gains(names: str, balance: Sequence[float]) -> tuple[float, float]:
-    """Return the factors of red and blue that the file has; 1 where it has none."""
+    """Return the white balance factors of red and blue relative to green; (1, 1) if the file has none."""
     of = {name: balance[place] for place, name in reversed(list(enumerate(names)))}
     if min(of.get(name, 0.0) for name in "RGB") <= 0.0:
         return 1.0, 1.0

@@ -1,4 +1,4 @@
-"""A real or emulated rig with its scene and devices, as used by the commands scan and rig."""
+"""Access to a real or emulated rig with its scene and devices, shared by several commands."""
 
 import hashlib
 import json
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
 SHOTS_FILE = "truth/shots.jsonl"
-"""True state of the rig in each of the twin's pictures, from which the truth of an interrupted scan is written."""
+"""File with the true state of the emulated rig in each picture, from which the ground truth of a scan is written."""
 
 RigName: TypeAlias = Annotated[str, with_metavar("RIG|twin")]
 Fidelity: TypeAlias = Literal["render", "sketch"]
@@ -43,11 +43,11 @@ Fidelity: TypeAlias = Literal["render", "sketch"]
 @Parameter(name="*", group="Emulated rig")
 @dataclass(frozen=True, kw_only=True)
 class TwinErrors:
-    """Errors of the emulated rig."""
+    """Options for the simulated imperfections of the emulated rig."""
 
     profile: Profile = "bench"
-    """Simulated errors: clean (none), bench (a well-built rig), camera (bench with an ordinary \
-camera), harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file."""
+    """Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an \
+ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file."""
     seed: Seed = 0
     """Random seed for all simulated errors and noise."""
 
@@ -55,28 +55,28 @@ camera), harsh (a badly adjusted rig), real (a first scan of a living plant), or
 @Parameter(name="*", group="Emulated rig")
 @dataclass(frozen=True, kw_only=True)
 class TwinPictures(TwinErrors):
-    """Errors of the emulated rig and quality of its pictures."""
+    """Options for the emulated rig: simulated imperfections, and rendering of its pictures."""
 
     fidelity: Fidelity = "render"
-    """Pictures of the emulated rig: render (as in 'rhizotwin simulate') or sketch (marker strip and light panel only, \
-fast)."""
+    """Pictures of the emulated rig: render (realistic, as in 'rhizotwin simulate') or sketch (fast, with only the \
+marker strip and the light panel)."""
     device: Device = "auto"
-    """Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
+    """Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """A real or emulated rig with its scene and clock."""
+    """Real or emulated rig with its scene and clock."""
 
     rig: "RigFile"
     scene: Scene
-    """Scene with the calibration that a laboratory has, without the true errors."""
+    """Scene with nominal or calibrated values, as known in a laboratory, without the simulated imperfections."""
     clock: Any
     twin: Any = None
-    """Emulated rig; None for a real one."""
+    """Emulated rig; None for a real rig."""
 
     def open_camera(self) -> "Camera":
-        """Open the camera."""
+        """Open the camera of the rig, and return it."""
         from rhizotwin.rig.cameras import open_camera
 
         if self.twin is not None:
@@ -86,7 +86,7 @@ class Bench:
         return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
 
     def open_devices(self, recorder: "Recorder | None", stack: ExitStack) -> "Devices":
-        """Open all devices; they are closed with the stack, also when the terminal is closed."""
+        """Open all devices; ``stack`` closes them, even if the terminal is closed."""
         from rhizotwin.rig.open import open_devices
 
         stack.enter_context(hang_up_stops())
@@ -97,7 +97,7 @@ class Bench:
 
 
 def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | None = None) -> Bench:
-    """Load a rig with its scene.
+    """Load a rig with its scene, without opening the devices.
 
     Pictures of the emulated rig are sketches unless ``errors`` is a `TwinPictures` with the fidelity ``render``.
 
@@ -106,16 +106,16 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     rig : str
         Rig file, or ``twin`` for the emulated rig.
     scene : str or None
-        Library scene or scene file; None: the default scene.
+        Library scene or scene file; None: default scene.
     errors : TwinErrors
-        Errors of the emulated rig.
+        Options of the emulated rig.
     plan : str or None
-        Scene or file with the rings of camera positions; None: as in the scene.
+        Scan plan file, or scene, whose rings replace the rings of ``scene``; None: as in the scene.
 
     Returns
     -------
     Bench
-        Rig and scene; the devices are not open yet.
+        Rig with its scene and clock.
     """
     if rig != TWIN:
         from rhizotwin.rig.clock import SystemClock
@@ -131,31 +131,36 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
 
 
 def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
-    """Return the emulated rig with the canister of a scene on its table.
+    """Return the emulated rig with the canister of a scene on its turntable.
 
     Parameters
     ----------
     known : Scene
-        With its specimen and disturbances.
+        Scene with specimen and simulated imperfections.
     errors : TwinErrors
-        Profile and seed. With `TwinPictures` that are rendered, the engine must have been started; otherwise the
-        pictures are sketches.
+        Options of the emulated rig. For the fidelity ``render`` of `TwinPictures`, the compute engine must have been
+        started. With a plain `TwinErrors` the pictures are sketches.
+
+    Returns
+    -------
+    Bench
+        Emulated rig with its scene and clock.
     """
     pictures: Fidelity = errors.fidelity if isinstance(errors, TwinPictures) else "sketch"
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     rig_file = default_rig(scene=known)
-    if errors.profile == "real":  # its roots swing after each move
+    if errors.profile == "real":  # the roots in this profile swing after each move
         rig_file = replace(rig_file, turntable=replace(rig_file.turntable, rest="measured"))
     emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures, rig=rig_file)
     return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
 
 
 def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
-    """Return a scene with what the catalogue knows of a plant: strip on its pot, nutrient solution, days since sowing.
+    """Return a copy of the scene with a plant's marker strip, nutrient solution and age from the catalogue.
 
-    A day that the scene's subject has is kept; without one it follows from the subject's date, unless that is earlier
-    than the sowing.
+    An age that the scene specifies is not changed. Otherwise the age is the number of days from sowing to the date of
+    the scan, or None if the date precedes sowing.
     """
     strip, subject = scene.strip, scene.subject
     if plant.tag is not None:
@@ -177,40 +182,40 @@ def take_scan(
     resume: bool = False,
     table_angle_deg: float | None = None,
 ) -> "Dataset":
-    """Scan on open devices, and write the truth of a scan whose pictures the twin rendered.
+    """Scan on open devices; for rendered pictures of the emulated rig, also write the ground truth.
 
     Parameters
     ----------
     bench, devices : Bench, Devices
-        The rig and its open devices.
+        Rig and its open devices.
     scene : Scene
-        The bench's scene with the subject of this scan.
+        Scene of the rig with the subject of this scan.
     folder : Path
-        Of the dataset: new or empty; with ``resume`` one with an interrupted scan.
+        New or empty folder for the dataset; with ``resume`` the folder of the interrupted scan.
     observers : Observers
-        Listeners of the scan; its ``begun`` is replaced.
+        Callbacks of the scan; the callback ``begun`` is replaced.
     twin : TwinPictures or None
-        How the twin makes its pictures; None for a real rig.
+        Options of the emulated rig; None for a real rig.
     resume : bool
-        Whether an interrupted scan is continued.
+        Continue an interrupted scan.
     table_angle_deg : float or None
-        Present angle of the table, where the markers cannot be read.
+        Initial angle of the turntable, deg; required only if the markers cannot be detected.
 
     Returns
     -------
     Dataset
-        The complete dataset.
+        Complete dataset.
 
     Raises
     ------
     RigError
-        When a device failed; the scan can be resumed.
+        If a device failed; the scan can be resumed.
     UserError
-        For a folder or plan that cannot be used.
+        If the folder or the plan cannot be used.
     """
     from rhizotwin.rig.scanning.scan import scan
 
-    # An interrupted and resumed scan needs the true state of the earlier pictures as well.
+    # a resumed scan also needs the true state of the pictures before the interruption
     rendered = twin is not None and twin.fidelity == "render"
     made = scan(
         devices,
@@ -229,20 +234,20 @@ def take_scan(
 
 
 def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:
-    """Return the settings that determine the twin's pictures, for the dataset."""
+    """Return the settings of the emulated rig that are recorded in the dataset, with a digest of the scene."""
     digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
     return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}
 
 
 def _with_plan(scene: Scene, plan: str | None) -> Scene:
-    """Replace the rings of a scene by those of another file or scene."""
+    """Return a copy of the scene with the rings of a scan plan file or of another scene."""
     if plan is None:
         return scene
     path = Path(plan)
     if path.suffix == ".toml":
         table, text = files.read_toml(path)
         if "plan" not in table:
-            raise UserError(f"{path} has no [[plan.rings]]; give a file that contains them, or the name of a scene")
+            raise UserError(f"{path}: the table [[plan.rings]] is missing; give a file with this table, or the name of a scene")
         changed = replace(scene, plan=from_plain(CapturePlan, table["plan"], Place(str(path), text).at("plan")))
     else:
         changed = replace(scene, plan=files.load_scene(plan).plan)
@@ -251,7 +256,7 @@ def _with_plan(scene: Scene, plan: str | None) -> Scene:
 
 
 def recorder(path: Path | None, stack: ExitStack) -> Any:
-    """Open the recorder of serial communication; None without a path."""
+    """Open a file that records the serial communication; None if ``path`` is None."""
     if path is None:
         return None
     from rhizotwin.rig.serial_line.recording import Recorder
@@ -267,7 +272,7 @@ def recorder(path: Path | None, stack: ExitStack) -> Any:
 
 
 def asker() -> Callable[[str], str] | None:
-    """Return a function that asks the user at the terminal; None without a terminal."""
+    """Return a function that prompts the user on the terminal and returns the answer; None without a terminal."""
     if not sys.stdin.isatty():
         return None
 
@@ -275,14 +280,14 @@ def asker() -> Callable[[str], str] | None:
         try:
             return input(question)
         except EOFError:
-            raise UserError("a question was not answered; run the command again and answer it, or see --help for the option") from None
+            raise UserError("a question was not answered; run the command again, or answer in advance with the option in --help") from None
 
     return ask
 
 
 @contextmanager
 def hang_up_stops() -> Iterator[None]:
-    """Treat a closed terminal like Ctrl-C, so that the lamps are switched off and the arm is parked."""
+    """Handle the closing of the terminal like Ctrl-C, so that the lamps are switched off and the arm is parked."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
         yield
         return

@@ -1,4 +1,4 @@
-"""Colours of roots by order, diameter, depth or uncertainty, and the colour key of each."""
+"""Colour maps of roots by order, diameter, depth, uncertainty or tip visibility, with their colour keys."""
 
 from __future__ import annotations
 
@@ -17,40 +17,41 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 Colouring = Callable[[int, Line], Bytes]
-"""Function that returns the colours (N, 3) of the points of a numbered root."""
+"""Function that returns the colours (N, 3) of the points of a root, from its number and centre line."""
 
 ORDERS: tuple[Rgb, ...] = ((222, 160, 92), (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189), (230, 90, 200))
-"""Main roots first; the last colour is used for all higher orders."""
+"""Colour of each root order, from main roots upwards; the last colour is used for all higher orders."""
 SURFACE: Rgb = ORDERS[0]
-"""A surface without centre lines."""
+"""Colour of a surface without centre lines."""
 VISIBLE, HIDDEN = (44, 120, 160), (230, 120, 30)
-"""Roots whose tip the pictures show, and those whose tip other roots hide."""
+"""Colours of roots with a visible tip, and of roots whose tip is hidden by other roots."""
 UNKNOWN: Rgb = (150, 150, 150)
 CHOICES = ("order", "diameter", "depth", "uncertainty", "tip visibility")
 PER_ROOT = ("uncertainty", "tip visibility")
-"""Colours that do not change when other roots are edited."""
+"""Colourings of a root that do not change when other roots are edited."""
 WIDEST_UNCERTAINTY = 0.25
-"""The uncertainty scale ends at this relative 90 % half-width (`recon.uncertainty.root_uncertainty`)."""
+"""Upper end of the uncertainty scale: 90 % half-width of the diameter, relative to the diameter
+(`recon.uncertainty.root_uncertainty`)."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """A colour key: swatches with labels, or the two ends of a continuous scale."""
+    """Colour key: swatches with labels, or the labels at both ends of a continuous scale."""
 
     swatches: tuple[tuple[Rgb, str], ...] = ()
     ends: tuple[str, str] | None = None
-    """Labels of the first and last colour of the scale (viridis)."""
+    """Labels at the first and the last colour of the continuous scale (viridis); None for swatches."""
 
 
 def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
-    """Return a function that colours the points (N, 3) of a root, and the colour key.
+    """Return a function that computes the colours (N, 3) of a root's points, and the colour key.
 
     Parameters
     ----------
     by : str
-        One of `CHOICES`.
+        Coloured property, one of `CHOICES`.
     lines : Lines
-        All roots, by number.
+        Centre lines of all roots, by number.
     """
     if by == "order":
         orders = root_orders(lines)
@@ -74,23 +75,23 @@ def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
 
 
 def colour_depths(heights_mm: Array) -> tuple[Callable[[Array], Bytes], Key]:
-    """Return a function that colours heights (N,), and the colour key, for points between the given heights."""
+    """Return a function that computes colours (N, 3) from heights (N,) in the given range, and the colour key."""
     top, bottom = (float(heights_mm.max()), float(heights_mm.min())) if len(heights_mm) else (0.0, -1.0)
     span = max(top - bottom, 1e-6)
     return lambda z: scale_colours((top - z) / span), Key(ends=(f"{-top:.0f} mm below the rim", f"{-bottom:.0f} mm"))
 
 
 def colour_surface(points_mm: Array, lines: Lines, colour: Colouring) -> Bytes:
-    """Return the colours (N, 3) of points (N, 3) on the surface: those of the nearest points of centre lines.
+    """Return the colours (N, 3) of points on the surface, which are those of the nearest roots.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
         Points on or near the surface, canister frame.
     lines : Lines
-        One or more roots, by number.
+        Centre lines of one or more roots, by number.
     colour : callable
-        Colours the points of a root, from `colour_roots`.
+        Function from `colour_roots` that computes the colours of a root's points.
     """
     points = np.concatenate([line.points_mm for line in lines.values()])
     radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
@@ -99,7 +100,7 @@ def colour_surface(points_mm: Array, lines: Lines, colour: Colouring) -> Bytes:
 
 
 def order_name(order: int) -> str:
-    """Return the name of a root order: "main root", "lateral, 1st order", ..."""
+    """Return the name of a root order, such as "main root" or "lateral, 1st order"."""
     if order == 0:
         return "main root"
     ordinal = {1: "1st", 2: "2nd", 3: "3rd"}.get(order, f"{order}th")
@@ -107,12 +108,12 @@ def order_name(order: int) -> str:
 
 
 def half_widths(line: Line) -> Array | None:
-    """Return the 90 % half-widths of a root's diameters (N,), mm; None if they are unknown."""
+    """Return the half-widths (N,) of the 90 % intervals of a root's diameters, mm; None if they are unknown."""
     return None if line.sigma_mm is None else NINETY * line.sigma_mm
 
 
 def root_orders(lines: Lines) -> dict[int, int]:
-    """Return the order of each root, 0 for a root without parent."""
+    """Return the order of each root by its number; the order is 0 for a root without parent."""
     found: dict[int, int] = {}
     for number in lines:
         path, here = list[int](), number
@@ -128,7 +129,7 @@ def root_orders(lines: Lines) -> dict[int, int]:
 
 def scale_colours(share: Array) -> Bytes:
     """Return the colours (N, 3) of values from 0 to 1 on the continuous scale (viridis)."""
-    from matplotlib import colormaps  # loaded on first use: the viewer's first picture does not need it
+    from matplotlib import colormaps  # imported on first use, because the viewer starts without it
 
     return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(share, 0.0, 1.0))[:, :3]), np.uint8)
 

@@ -1,4 +1,4 @@
-"""Roots as a mesh of tubes, coloured by order or diameter: for people to look at. Overlaps are not united."""
+"""Mesh of roots for display, with one coloured tube per root; overlapping tubes are not united."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 AROUND = 12
-"""Corners of a tube's cross-section, whose area is the circle's."""
+"""Number of corners of a tube's polygonal cross-section, which has the area of the circle."""
 THICKEST_PERCENT = 98.0
-"""Colours by diameter end here: the few points of a thick taproot do not take the scale from the laterals."""
+"""Percentile of the diameters at which the colour scale ends, so that a thick taproot does not compress the scale."""
 
 
 def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
-    """Return closed tubes along roots, canister frame, mm, with a colour a vertex.
+    """Return a mesh of closed tubes along roots, canister frame, mm, with a colour for each vertex.
 
     Parameters
     ----------
     roots : sequence of Root
-        One or more.
+        One or more roots.
     colour : str
-        "order" (ten colours in turn) or "diameter" (viridis from 0 to the diameter that 98 % of the points stay below).
+        Coloured property: "order" (cycle of ten colours) or "diameter" (viridis from 0 to the 98th percentile).
     """
-    import trimesh  # these two take half a second, and the viewer needs tubes alone
+    import trimesh  # these two imports take half a second, and the viewer uses only `tube`
     from matplotlib import colormaps
 
     parts = [tube(root.points_mm, root.diameters_mm) for root in roots]
@@ -49,28 +49,29 @@ def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
 
 
 def tube(points: Array, diameters_mm: Array, *, around: int = AROUND) -> tuple[Array, NDArray[np.int64]]:
-    """Return a closed tube along a line.
+    """Return a closed tube along a centre line.
 
     Parameters
     ----------
     points : (N, 3) float64 array
-        From base to tip.
-    diameters_mm : (N,)
+        Points of the centre line from base to tip, mm.
+    diameters_mm : (N,) float64 array
+        Diameter at each point.
     around : int
-        Corners of its cross-section.
+        Number of corners of the cross-section.
 
     Returns
     -------
     vertices : (N * around + 2, 3) float64 array
-        Rings from base to tip, then the middles of both ends.
+        Corners of the cross-sections from base to tip, then the centres of both end caps, mm.
     faces : (F, 3) int64 array
-        Triangles, counter-clockwise from outside.
+        Triangles, counter-clockwise as seen from outside.
     """
     along = np.gradient(points, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
     side = np.empty_like(points)
     side[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
-    for k in range(1, len(points)):  # carried along, so that tubes do not twist
+    for k in range(1, len(points)):  # parallel transport, so that the tube is not twisted
         side[k] = side[k - 1] - (side[k - 1] @ along[k]) * along[k]
         side[k] /= max(float(np.linalg.norm(side[k])), 1e-12)
     side[0] /= np.linalg.norm(side[0])

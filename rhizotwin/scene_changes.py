@@ -1,4 +1,4 @@
-"""Changes of a scene by arguments or command-line options."""
+"""Modification of a scene by function arguments or command-line options."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,34 +23,34 @@ def change_scene(
     image_wh: tuple[int, int] | None = None,
     profile: str | None = None,
 ) -> Scene:
-    """Return a scene with changes; values and their combination are validated.
+    """Return a copy of a scene with the given changes, which are validated.
 
     Parameters
     ----------
     scene : Scene
-        Scene as loaded.
+        Original scene.
     specimen : Path or None
-        Mesh or traced roots in the canister.
+        File of a mesh or of traced roots that replaces the specimen.
     specimen_unit, specimen_diameter_mm : (str or None), (float or None)
-        Unit and diameter of traced roots, if missing in the file.
+        Unit of the coordinates and diameter of the roots, mm, for traced roots whose file does not specify them.
     placing : Placing or None
-        Position of the specimen.
+        Position of the specimen in the canister.
     views : int or None
         Number of views per ring.
     image_wh : tuple of int or None
-        Picture size; the lens is scaled accordingly.
+        Width and height of the pictures, px; the lens is scaled accordingly.
     profile : str or None
-        Name or file of the error profile.
+        Name or file of the profile of simulated imperfections.
 
-    Returns
-    -------
-    Scene
-        Validated scene.
+    Raises
+    ------
+    UserError
+        If a value or a combination of values is invalid.
     """
     is_rsml = specimen is not None and specimen.suffix.lower() in _RSML_SUFFIXES
     for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
         if value is not None and not is_rsml:
-            raise UserError(f"{option} {value} can be used with traced roots only; give them with --specimen FILE.rsml, or remove {option}")
+            raise UserError(f"{option} applies to traced roots only; give a file with --specimen FILE.rsml, or remove {option}")
     if specimen is not None:
         if not specimen.is_file():
             raise UserError(f"the file {specimen} does not exist; give a mesh (PLY, STL, OBJ) or traced roots (RSML)")
@@ -60,9 +60,8 @@ def change_scene(
     given = {name: value for name, value in vars(placing or Placing()).items() if value is not None}
     if given:
         if not isinstance(scene.specimen, PlacedFile):
-            raise UserError(
-                f"--{next(iter(given)).replace('_', '-')} can be used with specimens from files only; give one with --specimen FILE"
-            )
+            name = next(iter(given)).replace("_", "-")
+            raise UserError(f"--{name} applies to a specimen from a file only; give a file with --specimen FILE")
         scene = replace(scene, specimen=replace(scene.specimen, **given))
     if views is not None:
         scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))

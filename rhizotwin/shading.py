@@ -1,4 +1,4 @@
-"""Orthographic renderer of meshes for figures: depth buffer, smooth normals, soft shading."""
+"""Orthographic renderer of meshes for figures, with depth buffer, smooth normals and soft shading."""
 
 from dataclasses import dataclass
 
@@ -12,12 +12,12 @@ Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 2_000_000
-"""Largest number of pairs of triangle and pixel that are processed at once."""
+"""Maximum number of triangle-pixel pairs in one vectorised step, which limits the memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """A direction of view: axes of the canister frame that point right, up and towards the eye."""
+    """Viewing direction, defined by the directions in the canister frame that point right and up in the picture."""
 
     name: str
     right: tuple[float, float, float]
@@ -26,42 +26,51 @@ class Side:
 
     @property
     def axes(self) -> Floats:
-        """(3, 3) rows: right, up, towards the eye."""
+        """Rotation matrix (3, 3) whose rows are the directions right, up and towards the viewer."""
         return np.array([self.right, self.up, np.cross(self.right, self.up)])
 
 
 FRONT = Side(name="front (seen from +x)", right=(0.0, 1.0, 0.0), up=(0.0, 0.0, 1.0), right_label="y (mm)")
-"""Seen from +x."""
+"""View from +x."""
 SIDE = Side(name="side (seen from -y)", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), right_label="x (mm)")
-"""Seen from -y."""
+"""View from -y."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Raster:
-    """A rendered mesh; row 0 is the top."""
+    """Rendered mesh as arrays of pixels, with the top row first."""
 
     hit: NDArray[np.bool_]
-    """(H, W) whether the surface covers the pixel."""
+    """Mask (H, W) of the pixels that the surface covers."""
     depth_mm: Pixels
-    """(H, W) coordinate towards the eye; undefined outside the surface."""
+    """Coordinate of the surface towards the viewer (H, W), mm; 0 outside the surface."""
     normal: Pixels
-    """(H, W, 3) unit vectors: right, up, towards the eye."""
+    """Unit normals of the surface (H, W, 3) with the components right, up and towards the viewer."""
 
 
 def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, float], px_mm: float) -> Raster:
-    """Render a mesh orthographically.
+    """Render a mesh in orthographic projection.
 
     Parameters
     ----------
+    mesh : Mesh
+        Mesh to render, canister frame.
+    side : Side
+        Viewing direction.
     box_mm : tuple of float
-        (left, right, bottom, top) of the picture along the side's axes.
+        Left, right, bottom and top edge of the picture, along the axes of ``side``.
     px_mm : float
-        Size of a pixel.
+        Edge length of a pixel.
+
+    Returns
+    -------
+    Raster
+        Mask, depth and normals of the pixels.
     """
     left, right, bottom, top = box_mm
     width, height = max(1, round((right - left) / px_mm)), max(1, round((top - bottom) / px_mm))
     view = mesh.vertices_mm @ side.axes.T
-    # Pixel centres at integers, rows downwards.
+    # pixel centres are at integers, and rows count downwards
     flat = np.stack([(view[:, 0] - left) / px_mm - 0.5, (top - view[:, 1]) / px_mm - 0.5, view[:, 2]], axis=1)
     low = np.maximum(np.ceil(_of_faces(np.minimum, flat[:, :2], mesh.faces)).astype(np.int64), 0)
     high = np.minimum(np.floor(_of_faces(np.maximum, flat[:, :2], mesh.faces)).astype(np.int64) + 1, [width, height])
@@ -101,15 +110,16 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
 
 
 def _of_faces(least: np.ufunc, values: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return the minimum (or maximum) of values (V, K) over the corners of faces (F, 3): (F, K)."""
+    """Return the minimum or maximum (F, K) of vertex values (V, K) over the corners of each face (F, 3)."""
     a, b, c = (values[corner] for corner in faces.T)
     return np.asarray(least(least(a, b), c))
 
 
 def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return linear functions (3, 3, F) of the pixel: weights of the second and third corner, and depth.
+    """Return three linear functions of the pixel for each triangle (3, 3, F).
 
-    Each has derivatives by x and y and the value at the origin; NaN for triangles seen edge-on, which cover nothing.
+    The functions are the barycentric weights of the second and third corner, and the depth. Each consists of the
+    derivatives by x and y and the value at the origin. All are NaN for triangles seen edge-on, which cover no pixel.
     """
     a, b, c = (flat[corner].T for corner in faces.T)
     (b_x, b_y, b_z), (c_x, c_y, c_z) = b - a, c - a
@@ -123,9 +133,9 @@ def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def vertex_normals(mesh: Mesh) -> Floats:
-    """Return (V, 3) outward normals: sums of the area vectors of adjacent faces, not normalised.
+    """Return the outward normals (V, 3) of the vertices, as sums of the area vectors of adjacent faces.
 
-    The orientation is chosen such that the signed volume is positive.
+    The normals are not normalised. Their orientation makes the signed volume of the mesh positive.
     """
     a, b, c = mesh.corners_mm
     area = np.cross(b - a, c - a)
@@ -136,13 +146,13 @@ def vertex_normals(mesh: Mesh) -> Floats:
 
 
 def unit_normals(mesh: Mesh) -> Floats:
-    """Return (V, 3) outward unit normals of the vertices; zero where a vertex has no triangles."""
+    """Return the outward unit normals (V, 3) of the vertices; zero for vertices without triangles."""
     normals = vertex_normals(mesh)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
 def _blurred(image: Pixels, sigma_px: float) -> Pixels:
-    """Blur an image with a Gaussian, at a lower resolution if it is wide."""
+    """Blur an image with a Gaussian; a wide Gaussian is applied at a lower resolution."""
     fewer = max(1, int(sigma_px / 4.0))
     height, width = image.shape
     small = cv2.resize(image, (max(1, width // fewer), max(1, height // fewer)), interpolation=cv2.INTER_AREA)
@@ -153,25 +163,25 @@ def _blurred(image: Pixels, sigma_px: float) -> Pixels:
 def shade(
     raster: Raster, colour: tuple[float, float, float] | NDArray[np.floating], *, px_mm: float, shrink: int = 1, flat: bool = False
 ) -> Pixels:
-    """Shade a rendered mesh: light from the upper left, darker hollows, distant parts faded towards white.
+    """Shade a rendered mesh with light from the upper left, darkened hollows, and distant parts faded to white.
 
     Parameters
     ----------
     raster : Raster
-        The rendered mesh.
+        Rendered mesh.
     colour : (3,) or (H, W, 3) array
-        RGB of the mesh, or of each pixel.
+        RGB colour of the mesh, or of each pixel.
     px_mm : float
-        Edge of a pixel.
+        Edge length of a pixel.
     shrink : int
-        Factor of downsampling, each way.
+        Downsampling factor of rows and columns.
     flat : bool
-        Little shading and no fading, so that colours that represent numbers can be read.
+        Reduce the shading and disable the fading, so that colours that represent numbers remain readable.
 
     Returns
     -------
     (H / shrink, W / shrink, 4) array
-        RGBA, 0 to 1, transparent outside the mesh.
+        RGBA picture with values from 0 to 1, transparent outside the mesh.
     """
     light = np.array([-0.45, 0.65, 0.75], np.float32)
     light /= np.linalg.norm(light)

@@ -1,6 +1,7 @@
-"""Which of our source files decide something.
+"""Digest of the source files on which an entry point depends, which detects changes of the code.
 
-The modules that an entry point imports, and theirs, read from the sources themselves.
+The dependencies are all modules of this project that the entry point imports, directly or indirectly. They are found by
+parsing the source files.
 """
 
 import ast
@@ -19,31 +20,29 @@ PACKAGES = (
     "rhizotwin.stored",
     "benchmarks",
 )
-"""Packages whose modules count; libraries count by their versions."""
+"""Packages whose modules are included in a digest; other libraries are identified by their versions."""
 
 DATA_OF_SCENES = ("rhizotwin/scenes/library", "rhizotwin/scenes/profiles")
-"""What these hold is in the settings of every picture already."""
+"""Data folders excluded from digests, because their contents are recorded in the settings of each picture."""
 
 _Import = tuple[int, str, tuple[str, ...]]
-"""Level of a relative import (0: absolute), the module, the names from it."""
+"""Import statement: level of a relative import (0 for an absolute import), module, and imported names."""
 
 
 def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> list[str]:
-    """Return the names of all modules of ours that the entries import, sorted, the entries included.
+    """Return the sorted names of the entry modules and of all project modules that they import directly or indirectly.
 
-    Directly or through others.
-
-    Imports anywhere in a file count, in functions too. Modules ``without`` neither count nor are followed.
+    Imports inside functions are included. Modules in ``without`` are excluded, and their imports are not followed.
 
     Raises
     ------
     FileNotFoundError
-        Where an entry is no module, so that nobody could tell whether it changed.
+        If an entry is not a module of the project.
     """
     waiting = list(entries)
     for entry in waiting:
         if _file(entry, root) is None:
-            raise FileNotFoundError(f"{entry} is no module in {root}")
+            raise FileNotFoundError(f"{entry} is not a module in {root}")
     found: set[str] = set()
     while waiting:
         name = waiting.pop()
@@ -57,9 +56,9 @@ def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str
 
 
 def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> str:
-    """Return one SHA-256 over the code of a closure and over the data files of its packages.
+    """Return a SHA-256 of the code of all modules in a closure, and of the data files in their packages.
 
-    Comments and docstrings are left out.
+    Comments and docstrings are ignored. The parameters are those of `closure`.
     """
     total = hashlib.sha256()
     modules = closure(entries, root=root, without=without)
@@ -75,7 +74,7 @@ def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str]
 
 
 def _file(module: str, root: Path) -> Path | None:
-    """Return a module's file; None where it is none of ours (a name inside a module, a library)."""
+    """Return the source file of a module; None if the name is not a module of the project."""
     if not _package(module):
         return None
     place = root.joinpath(*module.split("."))
@@ -83,14 +82,14 @@ def _file(module: str, root: Path) -> Path | None:
 
 
 def _package(module: str) -> str:
-    """Return which of our packages a module lies in; nothing where in none."""
+    """Return the name of the project package that contains a module, or an empty text for other modules."""
     return next((package for package in PACKAGES if module == package or module.startswith(f"{package}.")), "")
 
 
 def _imported(importer: str, imports: Iterable[_Import]) -> Iterator[str]:
-    """Return the names that a module imports.
+    """Yield the full names that a module imports.
 
-    ``from a import b`` gives both a and a.b, of which one may be no module.
+    ``from a import b`` yields both a and a.b, because b may be a module or a name in a.
     """
     for level, base, names in imports:
         above = [*importer.split(".")[:-level]] if level else []
@@ -101,10 +100,7 @@ def _imported(importer: str, imports: Iterable[_Import]) -> Iterator[str]:
 
 @cache
 def _read(source: bytes) -> tuple[str, tuple[_Import, ...]]:
-    """Return a module's code without comments, layout and docstrings, and its imports.
-
-    These cannot change what it does.
-    """
+    """Return the code of a module without comments, layout and docstrings, and its import statements."""
     tree = ast.parse(source)
     imports: list[_Import] = []
     for node in ast.walk(tree):

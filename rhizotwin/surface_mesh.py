@@ -1,4 +1,4 @@
-"""Surfaces for display and export: closed, without specks, with as many triangles as a screen needs."""
+"""Preparation of surfaces for display and export: closing, removal of specks, and simplification."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SPECK_MM, SPECK_EXTENT, SPECK_VOLUME = 3.0, 0.05, 0.01
-"""A component is a speck if it is shorter than this, or than this share of the shape, and has less than this share of
-its volume."""
+"""Limits of a speck, which is a small isolated component: extent in mm, extent relative to the shape, and volume
+relative to the shape. A speck is below the larger of both extents and below the volume."""
 _APART_MM = 0.004
-"""Vertices at the same position are moved apart by twice this distance: pages store steps of 2 micrometres."""
+"""Half the displacement of vertices at the same position, mm. The displacement exceeds the 2 micrometre steps in which
+web pages store positions."""
 _FIRST_TOLERANCE_MM, _GROWTH = 0.01, 1.4
-"""Tolerance of the first simplification, and its growth until few enough triangles are left. Small steps shrink thin
-roots less: a bean of 900,000 triangles reduced to 120,000 loses 5 % of its volume, and 14 % in one step."""
+"""Tolerance of the first simplification, mm, and its growth factor per iteration. Small steps shrink thin roots less: a
+bean reduced from 900,000 to 120,000 triangles loses 5 % of its volume, but 14 % in a single step."""
 _LARGEST_TOLERANCE_MM = 1.0
+"""Maximum tolerance of the simplification, mm."""
 
 
 def close(mesh: Mesh) -> Mesh:
-    """Make a surface watertight and remove its specks.
+    """Make a surface watertight, and remove specks (small isolated components).
 
-    Holes are closed by fans. Where parts of the surface touch in an edge or a vertex, that edge or vertex is duplicated
-    and the copies are moved apart by a few micrometres, so that every edge has exactly two triangles, also after a file
-    format without shared vertices (STL).
+    Holes are closed by triangle fans. An edge or vertex at which parts of the surface touch is duplicated, and the
+    copies are moved apart by a few micrometres. Every edge then has exactly two triangles, even after the surface was
+    written to a format without shared vertices (STL).
 
     Parameters
     ----------
@@ -37,7 +39,7 @@ def close(mesh: Mesh) -> Mesh:
     Returns
     -------
     Mesh
-        Without triangles if ``mesh`` has none.
+        Closed surface; empty if ``mesh`` is empty.
     """
     if not len(mesh.faces):
         return mesh
@@ -49,17 +51,28 @@ def close(mesh: Mesh) -> Mesh:
 
 
 def simplify(mesh: Mesh, most: int) -> Mesh:
-    """Return a closed surface with at most ``most`` triangles, for display.
+    """Reduce the number of triangles of a closed surface for display.
 
-    Edges are collapsed (Manifold's ``simplify``) under a tolerance that grows until few enough triangles are left, then
-    the surface is offset so that it encloses the same volume as before: collapsed edges are chords, which lie inside.
+    Edges are collapsed (Manifold's ``simplify``) with a tolerance that grows until the surface has at most ``most``
+    triangles or the tolerance reaches 1 mm. Collapsed edges are chords inside the original surface, so the surface is
+    then offset outwards to restore its volume.
 
     Parameters
     ----------
     mesh : Mesh
-        Closed, such as `close` makes it.
+        Closed surface, as returned by `close`.
     most : int
-        Number of triangles that need not be reduced further.
+        Desired maximum number of triangles.
+
+    Returns
+    -------
+    Mesh
+        Simplified closed surface, or ``mesh`` itself if it has at most ``most`` triangles.
+
+    Raises
+    ------
+    ValueError
+        If the surface is not closed.
     """
     if len(mesh.faces) <= most:
         return mesh
@@ -87,7 +100,7 @@ def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
     points_mm : (N, 3) array
         Points on or near the surface.
     centres_mm, radii_mm : (M, 3), (M,) array
-        Points of all centre lines, and the radius there.
+        Points of all centre lines, and the tube radius at each point.
 
     Returns
     -------
@@ -96,7 +109,7 @@ def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
     """
     from scipy.spatial import cKDTree
 
-    # The nearest of points of like radius is found by a tree; few groups of radii make the comparison exact enough.
+    # a k-d tree finds the nearest point among points of similar radius; the groups of radii are then compared
     group = np.round(2.0 * np.log2(np.maximum(radii_mm, 1e-3))).astype(int)
     best, found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm), np.int64)
     for one in np.unique(group):
@@ -109,12 +122,12 @@ def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
 
 
 def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Join vertices at the same position and drop triangles that lose a corner or that occur in both orientations."""
+    """Merge vertices at the same position, and remove degenerate triangles and pairs with opposite orientations."""
     _, first, inverse = np.unique(_row_keys((vertices + 0.0).view(np.uint64)), return_index=True, return_inverse=True)
     faces = inverse[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     vertices = vertices[first]
-    # Two triangles with the same corners and opposite orientations enclose nothing.
+    # two triangles with the same corners and opposite orientations enclose no volume
     turned = np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     sense = np.where(turned[:, 1] < turned[:, 2], 1, -1)
     _, group = np.unique(_row_keys(np.sort(faces, axis=1).astype(np.uint64)), return_inverse=True)
@@ -136,7 +149,7 @@ def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return a 64-bit hash of each row (N, 3); sorting it is ten times as fast as sorting rows."""
+    """Return a 64-bit hash (N,) of each row (N, 3); sorting hashes is ten times faster than sorting rows."""
     key = np.zeros(len(rows), np.uint64)
     for column in rows.T:
         key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing: 2^64 over the golden ratio
@@ -145,12 +158,15 @@ def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _half_edges(faces: Index) -> tuple[Index, Index]:
-    """Return start and end (3 F,) of the edges that follow each corner of the triangles."""
+    """Return the start and end vertices (3 F,) of all half-edges of the triangles (F, 3)."""
     return faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
 
 
 def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
-    """Return the number of connected components of ``count`` nodes with edges (E,), and the component of each node."""
+    """Return the number of connected components of a graph with ``count`` nodes, and the component of each node.
+
+    The edges (E,) connect the nodes ``start`` and ``end``.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components  # SciPy is loaded on first use
 
@@ -159,7 +175,7 @@ def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
 
 
 def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Close each connected boundary by a fan about its centre."""
+    """Close each connected boundary of the surface by a triangle fan about the centre of the boundary."""
     start, end = _half_edges(faces)
     count = len(vertices)
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -182,7 +198,7 @@ def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Duplicate edges and vertices at which sheets touch: each half-edge is paired with exactly one opposite."""
+    """Duplicate edges and vertices at which parts of the surface touch, so that each edge has two triangles."""
     start, end = _half_edges(faces)
     count, corners = len(vertices), len(start)
     key = np.minimum(start, end) * count + np.maximum(start, end)
@@ -191,7 +207,7 @@ def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
     ahead, back = np.flatnonzero(forward), np.flatnonzero(~forward)
     ahead = ahead[np.lexsort((angle[ahead], key[ahead]))]
     back = back[np.lexsort((angle[back], key[back]))]
-    # Corner k begins half-edge k; the next corner of its triangle ends it.
+    # half-edge k starts at corner k and ends at the next corner of the triangle
     after = np.arange(corners) - np.arange(corners) % 3 + (np.arange(corners) + 1) % 3
     one = np.concatenate([ahead, after[ahead]])
     other = np.concatenate([after[back], back])
@@ -201,9 +217,10 @@ def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _angles(vertices: Array, faces: Index, start: Index, end: Index, key: Index, forward: NDArray[np.bool_]) -> Array:
-    """Return the direction of each triangle about its edge, so that pairs of neighbours enclose the solid.
+    """Return the sorting key of each half-edge among the triangles at its edge, by their angle about the edge.
 
-    Zero at edges with two triangles, where no choice is left.
+    Triangles that are adjacent in this order enclose a part of the solid. The key is zero at edges with two triangles,
+    which need no sorting.
     """
     _, group, times = np.unique(key, return_inverse=True, return_counts=True)
     many = np.flatnonzero(times[group] > 2)
@@ -218,8 +235,8 @@ def _angles(vertices: Array, faces: Index, start: Index, end: Index, key: Index,
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     up, out = np.cross(along, across), vertices[third] - a
     angle[many] = np.arctan2((out * up).sum(axis=1), (out * across).sum(axis=1))
-    # The outward side of a triangle is that of increasing angle if its half-edge runs along the edge, else that of
-    # decreasing angle: the solid begins at a backward half-edge and ends at the next forward one.
+    # A triangle faces outwards in the direction of increasing angle if its half-edge is forward, and of decreasing
+    # angle if it is backward. The solid therefore lies between a backward half-edge and the next forward half-edge.
     order = many[np.lexsort((angle[many], key[many]))]
     for begin, stop in zip(*_runs(key[order]), strict=True):
         run = order[begin:stop]
@@ -229,13 +246,13 @@ def _angles(vertices: Array, faces: Index, start: Index, end: Index, key: Index,
 
 
 def _runs(values: Index) -> tuple[Index, Index]:
-    """Return where runs of equal values begin and end."""
+    """Return the start and end indices of runs of equal values."""
     edges = np.flatnonzero(np.diff(values)) + 1
     return np.concatenate([[0], edges]), np.concatenate([edges, [len(values)]])
 
 
 def _is_kept(vertices: Array, faces: Index) -> NDArray[np.bool_]:
-    """Return which triangles belong to components that are no specks; the largest component is always kept."""
+    """Return a mask (F,) of the triangles that are not part of a speck; the largest component is always retained."""
     count = len(vertices)
     start, end = _half_edges(faces)
     number, label = _components(start, end, count)
@@ -255,7 +272,7 @@ def _is_kept(vertices: Array, faces: Index) -> NDArray[np.bool_]:
 
 
 def _move_apart(vertices: Array, faces: Index) -> Array:
-    """Move vertices at the same position apart, each towards the centre of its own triangles."""
+    """Separate vertices at the same position by moving each towards the centre of its own triangles."""
     cells = np.round(vertices / _APART_MM).astype(np.int64).astype(np.uint64)
     _, group, times = np.unique(_row_keys(cells), return_inverse=True, return_counts=True)
     twice = times[group] > 1

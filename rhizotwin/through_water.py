@@ -1,4 +1,4 @@
-"""The pictures of a scan with the outline of the reconstruction, projected through the water."""
+"""Overlay of the reconstruction's outline, projected with refraction, on the pictures of a scan."""
 
 from __future__ import annotations
 
@@ -22,30 +22,31 @@ Colour = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 
 _SHIFT = 4
-"""Binary digits of OpenCV's fixed-point coordinates: sixteenths of a pixel."""
+"""Number of fractional bits of OpenCV's fixed-point coordinates, which are sixteenths of a pixel."""
 LEAST_WIDE_PX = 1600
-"""Pictures are enlarged to at least this width, so that the outline of a root of two pixels does not cover it."""
+"""Minimum width of a drawn picture; smaller pictures are enlarged, so that an outline does not cover a thin root."""
 THIN_MM = 0.9
-"""Roots up to this diameter are drawn as tubes: the surface of roots of few voxels has gaps."""
+"""Maximum diameter of roots drawn as tubes, because the surface of roots only a few voxels thick has gaps."""
 OUTLINE: Rgb = (255, 120, 0)
+"""Colour of the outline of the reconstruction."""
 SELECTED: Rgb = (0, 150, 255)
-"""Colours of the outline of all roots, and of selected ones."""
+"""Colour of the outline of selected roots."""
 
 
 @dataclass(frozen=True)
 class Pictures(Cameras):
-    """The pictures of a result that have cameras."""
+    """Calibrated pictures of a result with their cameras."""
 
     dataset: Dataset
 
     @classmethod
     def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Pictures:
-        """Collect pictures and cameras, with lens and water as the reconstruction calibrated them."""
+        """Create an instance from a dataset and the summary of its result, which has the calibrated optics."""
         found = Cameras.of(dataset, summary)
         return cls(found.files, found.views, found.table_deg, found.optics, dataset)
 
     def picture(self, place: int) -> Colour:
-        """Return a picture (H, W, 3), sRGB."""
+        """Return a picture (H, W, 3) in sRGB, scaled to full brightness."""
         frame = next(frame for frame in self.dataset.frames if frame.file == self.files[place])
         grey = read_image(self.dataset, frame).astype(np.float64)
         grey = np.clip(grey / max(float(np.percentile(grey, 99.8)), 1.0), 0.0, 1.0)
@@ -54,7 +55,7 @@ class Pictures(Cameras):
         return np.repeat(np.round(255.0 * grey).astype(np.uint8)[..., None], 3, axis=2)
 
     def pixels(self, place: int, points_mm: Array) -> Array:
-        """Project points (N, 3) into a picture: pixels (N, 2), NaN for points that have no image."""
+        """Project points (N, 3) into a picture; return pixels (N, 2), NaN for points without an image."""
         within = np.hypot(points_mm[:, 0], points_mm[:, 1]) < self.optics.inner_radius_mm
         found = np.full((len(points_mm), 2), np.nan)
         if within.any():
@@ -62,16 +63,16 @@ class Pictures(Cameras):
         return found
 
     def nearest(self, azimuth_deg: float) -> int:
-        """Return the picture whose camera is nearest to an azimuth about the canister's axis."""
+        """Return the index of the picture whose camera is nearest to an azimuth about the canister's axis."""
         centre = np.array([view.centre_mm for view in self.views])
         off = np.rad2deg(np.arctan2(centre[:, 1], centre[:, 0])) - azimuth_deg
         return int(np.abs((off + 180.0) % 360.0 - 180.0).argmin())
 
     def best_for(self, line: Line, count: int = 3) -> list[int]:
-        """Return the pictures in which a root is longest, refraction neglected for speed.
+        """Return the indices of the ``count`` pictures in which a root appears longest, neglecting refraction.
 
-        Refraction magnifies roots nearly equally in all pictures: for 31 roots of a day-30 plant the first picture
-        had at least 89 % of the largest refracted length, 99 % in the median.
+        Refraction magnifies a root almost equally in all pictures. For 31 roots of a 30-day-old plant, the length in
+        the first picture was at least 89 % of the largest refracted length, and 99 % in the median.
         """
         shown = []
         for view in self.views:
@@ -86,27 +87,28 @@ class Pictures(Cameras):
     def draw_outline(
         self, place: int, surface: Mesh | None, lines: Mapping[int, Line], *, selected: Collection[int] = (), thickness: int = 1
     ) -> Colour:
-        """Return a picture with the outline of the reconstruction, and of selected roots in another colour.
+        """Draw the outline of the reconstruction on a picture, and the outlines of selected roots in another colour.
 
-        The outline is that of the union of the surface and the tubes of thin roots, of which the surface has gaps.
+        The outline of the reconstruction is that of the union of the surface and the tubes of thin roots, where the
+        surface has gaps.
 
         Parameters
         ----------
         place : int
-            Number of the picture.
+            Index of the picture.
         surface : Mesh or None
             Closed surface, canister frame; None: all roots are drawn as tubes.
         lines : Lines
-            Roots by number; may be empty.
+            Centre lines of roots by number; may be empty.
         selected : collection of int
-            Roots that get an outline of their own.
+            Numbers of the roots whose outlines are drawn separately.
         thickness : int
             Line width, px.
 
         Returns
         -------
         (H, W, 3) uint8 array
-            RGB, enlarged if it is small.
+            RGB picture, enlarged if it is narrower than `LEAST_WIDE_PX`.
         """
         image, scale = _enlarge(self.picture(place))
         mask = np.zeros(image.shape[:2], np.uint8)
@@ -122,9 +124,9 @@ class Pictures(Cameras):
         return image
 
     def _fill_tubes(self, mask: NDArray[np.uint8], place: int, lines: Mapping[int, Line], scale: int, *, thickest_mm: float) -> None:
-        """Fill the union of tubes in a mask (H, W): a quadrilateral for each segment, and discs at its ends.
+        """Fill the projections of tubes in a mask (H, W), as a quadrilateral per segment and discs at both ends.
 
-        Parts with a larger diameter than ``thickest_mm`` are left out.
+        Parts with a diameter above ``thickest_mm`` are omitted.
         """
         if not lines:
             return
@@ -140,7 +142,10 @@ class Pictures(Cameras):
             cv2.circle(mask, (int(middle[0]), int(middle[1])), int(r), 255, -1, cv2.LINE_8, _SHIFT)
 
     def _project_flanks(self, place: int, lines: Mapping[int, Line]) -> tuple[Array, Array]:
-        """Project both flanks of roots: centre lines moved by the radius across the root and the line of sight."""
+        """Project both edges of roots into a picture; return the pixels (N, 2) of each edge.
+
+        An edge is the centre line, displaced by the radius perpendicular to the root and to the line of sight.
+        """
         centre = self.views[place].centre_mm
         moved = []
         for line in lines.values():
@@ -162,9 +167,9 @@ def _fixed_point(values: Array) -> NDArray[np.int32]:
 
 
 def _enlarge(image: Colour) -> tuple[Colour, int]:
-    """Return a picture at least `LEAST_WIDE_PX` wide, and the magnification.
+    """Enlarge a picture by a whole number to at least `LEAST_WIDE_PX` width; return the picture and the magnification.
 
-    The centre of pixel k is at magnification * (k + 0.5) - 0.5.
+    The centre of the original pixel k is at magnification * (k + 0.5) - 0.5.
     """
     scale = -(-LEAST_WIDE_PX // image.shape[1])
     if scale <= 1:

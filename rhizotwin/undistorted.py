@@ -1,9 +1,10 @@
-"""Pictures as a pinhole camera in the water would see them (the virtual camera of the thesis's figure 5.4).
+"""Removal of refraction from pictures, as if taken by a pinhole camera in water (virtual camera, thesis fig. 5.4).
 
-Refraction at a round wall has no single centre: where a point shows depends on its depth along the ray, and no pinhole
-is right for all. Here pictures are mapped so that they are exact on the upright plane through the canister's axis that
-faces the camera. Before and behind it, points are off by what the wall's astigmatism leaves: horizontally the rays of a
-picture meet farther away than vertically. The pinhole stands at the distance from the axis where that is least.
+Refraction at a round wall has no single centre of projection. The image position of a point depends on its depth along
+the ray, so no pinhole camera is exact for all points. The mapping here is exact on the vertical plane through the
+canister's axis that faces the camera. Points in front of and behind this plane have a residual error due to the wall's
+astigmatism, because the rays of a picture converge farther away horizontally than vertically. The distance of the
+pinhole from the axis minimises this error.
 """
 
 from __future__ import annotations
@@ -26,35 +27,36 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8 | np.uint16]
 
 _STEP_PX = 4
-"""The map is worked out at every fourth pixel; between, it is interpolated to 0.01 px."""
+"""Spacing of the pixels at which the mapping is computed; interpolation in between has an error of 0.01 px."""
 _NEAR_AXIS = 0.6
-"""Points of so much of the water's radius decide where the pinhole stands: the wall shows some of the others twice."""
+"""Maximum radius of the points for which the pinhole distance is optimised, relative to the radius of the water; some
+points farther out appear twice in a picture."""
 _NODES = 41
-"""Nodes along each side of the plane, for the way back from pixels to the plane."""
+"""Number of nodes along each side of the plane for the inverse mapping from pixels to the plane."""
 
 
 @dataclass(frozen=True)
 class VirtualCamera:
-    """A pinhole in water that stands for one picture's camera."""
+    """Pinhole camera in water that approximates the real camera of a picture."""
 
     view: View
     optics: Optics
     distance_mm: float
-    """From the axis to the pinhole, horizontally."""
+    """Horizontal distance from the canister's axis to the pinhole."""
     heights_mm: tuple[float, float]
-    """Lowest and highest point of the water."""
+    """Lowest and highest point of the water, canister frame."""
     focal_px: float | None = None
-    """Focal length; None: with it, the scale on the plane through the axis is the picture's."""
+    """Focal length; None: computed so that the scale on the plane through the axis equals that of the picture."""
 
     @property
     def cam_from_canister(self) -> Array:
-        """Return its pose (4, 4): level, looking at the axis from the camera's azimuth and height."""
+        """Pose (4, 4) of the pinhole camera, which looks horizontally at the axis from the real azimuth and height."""
         level = frames.level_camera(distance_mm=self.distance_mm, height_mm=float(self.view.centre_mm[2]), tilt_deg=0.0)
         return level @ frames.rotation_z(-self._azimuth_rad)
 
     @cached_property
     def lens(self) -> Camera:
-        """Return its lens, without distortion."""
+        """Lens of the pinhole camera, without distortion."""
         (width, height), focal = self.view.camera.image_wh, self.focal_px
         if focal is None:
             middle = np.array([0.0, 0.0, float(np.mean(self.heights_mm))])
@@ -63,13 +65,13 @@ class VirtualCamera:
         return Camera(image_wh=(width, height), focal_px=(focal, focal), principal_px=((width - 1) / 2.0, (height - 1) / 2.0))
 
     def pixels(self, points_mm: Array) -> Array:
-        """Return where the pinhole sees points (N, 3): (N, 2)."""
+        """Project points (N, 3) with the pinhole camera, without refraction; return pixels (N, 2)."""
         x, y, z = frames.apply(self.cam_from_canister, points_mm).T
         (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
         return np.stack([focal * x / z + cx, focal * y / z + cy], axis=1)
 
     def undistort(self, picture: Picture) -> Picture:
-        """Return a picture (H, W) as the pinhole sees it; 0 where the water has no image."""
+        """Map a picture (H, W) to the pinhole camera; pixels that show no water become 0."""
         width, height = self.lens.image_wh
         (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
         u, v = np.arange(0.0, width + _STEP_PX, _STEP_PX), np.arange(0.0, height + _STEP_PX, _STEP_PX)
@@ -83,21 +85,24 @@ class VirtualCamera:
         source[source[..., 2] == 0.0] = 0.0
         rows, columns = np.mgrid[0:height, 0:width]
         px = RegularGridInterpolator((v, u), source)(np.stack([rows, columns], axis=-1).reshape(-1, 2)).reshape(height, width, 3)
-        px[px[..., 2] < 1.0 - 1e-9] = -1e4  # where a corner of the cell has no image
+        px[px[..., 2] < 1.0 - 1e-9] = -1e4  # a corner of the interpolation cell has no image
         x, y = px[..., 0].astype(np.float32), px[..., 1].astype(np.float32)
         return np.asarray(cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
 
     def shown(self, points_mm: Array) -> Array:
-        """Return where the undistorted picture shows points (N, 3) in the water: (N, 2); NaN where it does not.
+        """Return the pixels (N, 2) at which the undistorted picture shows points (N, 3) in the water, or NaN.
 
-        On the plane through the axis this is where the pinhole sees them.
+        For points on the plane through the axis, the pixels equal those of the pinhole projection `pixels`.
         """
         px = project_inner(self.view, self.optics, points_mm)
         plane = self.pixels(self._to_plane(px))
         return np.where(np.isfinite(px), plane, np.nan)
 
     def _to_plane(self, px: Array) -> Array:
-        """Return the points (N, 3) on the plane whose images are pixels (N, 2), by Newton steps from a linear fit."""
+        """Return the points (N, 3) on the plane through the axis that project to pixels (N, 2) of the real picture.
+
+        The solution starts from a linear fit and is refined by Newton steps.
+        """
         radius, (low, high) = 0.98 * self.optics.inner_radius_mm, self.heights_mm
         nodes = np.meshgrid(np.linspace(-radius, radius, _NODES), np.linspace(low, high, _NODES))
         seen = project_inner(self.view, self.optics, self._plane(*nodes).reshape(-1, 3))
@@ -116,7 +121,7 @@ class VirtualCamera:
         return self._plane(at[:, 0], at[:, 1])
 
     def _plane(self, aside_mm: Array, height_mm: Array) -> Array:
-        """Return points (..., 3) of the plane through the axis that faces the camera."""
+        """Return points (..., 3) on the plane through the axis that faces the camera, from their plane coordinates."""
         return aside_mm[..., None] * self._right + height_mm[..., None] * np.array([0.0, 0.0, 1.0])
 
     @cached_property
@@ -125,21 +130,26 @@ class VirtualCamera:
 
     @property
     def _right(self) -> Array:
-        """To the right in the picture, (3,)."""
+        """Unit vector (3,) in the canister frame that points right in the picture."""
         return np.array([-np.sin(self._azimuth_rad), np.cos(self._azimuth_rad), 0.0])
 
 
 def best_distance_mm(view: View, optics: Optics, heights_mm: tuple[float, float]) -> tuple[float, float]:
-    """Return where a pinhole in water does best, and the root mean square in px that is left off the plane.
+    """Find the distance from the axis at which a pinhole camera in water best approximates a real camera.
 
     Parameters
     ----------
     view : View
-        A camera.
+        Real camera.
     optics : Optics
-        Canister and water.
+        Optical properties of canister and water.
     heights_mm : tuple of float
-        Lowest and highest point of the water.
+        Lowest and highest point of the water, canister frame.
+
+    Returns
+    -------
+    tuple of float
+        Distance of the pinhole from the axis, mm, and RMS error of points in the water, px.
     """
     rng, radius = np.random.default_rng(0), _NEAR_AXIS * optics.inner_radius_mm
     points = rng.uniform((-radius, -radius, heights_mm[0]), (radius, radius, heights_mm[1]), (400, 3))

@@ -1,4 +1,4 @@
-"""Rows of a picture that no other picture of its turn has: what damage looks like where a file has no checksum."""
+"""Detection of damaged pictures without a checksum: rows of pixels that differ from all other pictures of the ring."""
 
 from dataclasses import dataclass
 
@@ -8,48 +8,59 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.picture_codec import Grey
 
 COLUMNS = 256
-"""About so many columns of each picture are kept."""
+"""Approximate number of columns per picture that are compared."""
 LEAST = 5
-"""With fewer pictures nobody can tell which of them is the one that is wrong."""
+"""Minimum number of pictures in a ring for the comparison, so that a deviating picture can be identified."""
 OTHER = 0.15
-"""A pixel is another one when it differs from the median over the turn by this share of the bright panel."""
+"""Minimum difference of a deviating pixel from the median over the ring, relative to the brightness of the panel."""
 NEAR = 2
-"""A picture may be a little higher or lower: rows so near to a row count as that row."""
+"""Number of rows above and below a row that are included in the comparison, for small vertical shifts of a picture."""
 MORE = 0.2
-"""Share of a row's pixels that must be other ones beyond what any other picture has there. In 1,600 whole pictures of
-the accuracy ladder and of a real rig nothing came above 0.11, with 5 views a turn above 0.14."""
+"""Minimum fraction of deviating pixels in a damaged row, above the largest fraction in any other picture of the ring.
+
+In 1,600 intact pictures of the accuracy ladder and of a real rig the value was at most 0.11, and at most 0.14 with 5
+views in a ring.
+"""
 WHOLE = 0.95
-"""With more rows than that the light was another one, and the reconstruction's checks tell."""
+"""Maximum fraction of damaged rows in a picture. Above it the illumination has changed, which the checks of the
+reconstruction detect."""
 
 
 @dataclass(frozen=True)
 class Unlike:
-    """Where a picture is like no other."""
+    """Picture with rows that differ from all other pictures of the ring."""
 
     name: str
+    """File name of the picture."""
     first: int
+    """Index of the first deviating row."""
     last: int
+    """Index of the last deviating row."""
 
 
 class Turn:
-    """Collects the pictures of one ring, a few columns of each."""
+    """Compares the pictures of one ring, of which it stores a subset of the columns."""
 
     def __init__(self) -> None:
         self._names: list[str] = []
         self._rows: list[Grey] = []
 
     def add(self, name: str, grey: Grey) -> None:
-        """Keep some columns of a picture (H, W); all pictures have one size and depth."""
+        """Add a picture (H, W); all pictures must have the same size and bit depth."""
         self._names.append(name)
         self._rows.append(np.ascontiguousarray(grey[:, :: max(1, grey.shape[1] // COLUMNS)]))
 
     @property
     def enough(self) -> bool:
-        """Whether there are enough pictures to compare."""
+        """Whether the ring has enough pictures for the comparison."""
         return len(self._rows) >= LEAST
 
     def excess(self) -> NDArray[np.float64]:
-        """Return (N, H), the share of other pixels in each row beyond the most that another picture has near there."""
+        """Return the excess fraction (N, H) of deviating pixels in each row of each picture.
+
+        The excess is the fraction of deviating pixels in the row, minus the largest such fraction in nearby rows of any
+        other picture.
+        """
         stack = np.stack(self._rows)
         median = np.median(stack, axis=0)
         limit = OTHER * np.percentile(median, 99.0)
@@ -57,11 +68,11 @@ class Turn:
         padded = np.pad(other, ((0, 0), (NEAR, NEAR)), mode="edge")
         near = np.max([padded[:, k : k + other.shape[1]] for k in range(2 * NEAR + 1)], axis=0)
         order = np.sort(near, axis=0)
-        most = np.where(near == order[-1], order[-2], order[-1])  # of the others
+        most = np.where(near == order[-1], order[-2], order[-1])  # maximum over the other pictures
         return np.asarray(other - most)
 
     def unlike(self) -> list[Unlike]:
-        """Return the pictures with rows that are like no other picture's."""
+        """Return the pictures with rows that differ from all other pictures."""
         if not self.enough:
             return []
         found = []

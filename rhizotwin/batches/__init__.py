@@ -1,1 +1,1 @@
-"""Batches of scans: finding the datasets, running the jobs, recording their outcomes, and an overview page."""
+"""Reconstruction or simulation of many scans: search for datasets, execution of jobs, records, and overview page."""

@@ -1,7 +1,7 @@
-"""Jobs on Dask: an existing scheduler, or one on a SLURM cluster.
+"""Execution of jobs with Dask, on an existing scheduler or a Slurm cluster.
 
-The workers need this program and access to the same folders or addresses. Dask itself repeats the job of a lost worker;
-a job that loses several workers fails with a message.
+The workers need this program, and access to the same folders or addresses. Dask repeats a job whose worker was lost; a
+job that loses several workers fails with a message.
 """
 
 from __future__ import annotations
@@ -21,29 +21,38 @@ if TYPE_CHECKING:
 
 SLURM = "slurm"
 WAIT_S = 30.0
-"""Time limit for the answer of a scheduler."""
+"""Timeout for connecting to a scheduler, s."""
 
 
 @contextmanager
 def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
-    """Connect to a scheduler (``tcp://host:8786``), or start one that requests workers from SLURM (``slurm``).
+    """Provide a client of a Dask scheduler.
 
-    SLURM's queue, account and time limits are read from Dask's configuration (``~/.config/dask/jobqueue.yaml``); the
-    requested memory is the predicted maximum of all jobs.
+    Parameters
+    ----------
+    where : str
+        Address of the scheduler, such as ``tcp://host:8786``, or ``slurm`` to start a scheduler whose workers are Slurm
+        jobs. Slurm's queue, account and time limits are read from Dask's configuration
+        (``~/.config/dask/jobqueue.yaml``).
+    jobs : sequence of Job
+        Jobs to run; the memory requested from Slurm is the largest predicted memory of a job.
+    workers : int or None
+        Maximum number of Slurm workers; None: one per job.
 
     Raises
     ------
     UserError
-        If Dask is not installed, or the scheduler does not answer.
+        If Dask or Slurm is not installed, or the scheduler cannot be reached.
     """
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise UserError("--cluster needs Dask: pip install 'rhizotwin[cluster]'") from None
+        raise UserError("--cluster needs Dask, which is not installed; run: pip install 'rhizotwin[cluster]'") from None
     if where == SLURM:
         if shutil.which("sbatch") is None:
             raise UserError(
-                "--cluster slurm: there is no sbatch on this computer; run it where SLURM is installed, or give the address of a scheduler"
+                "--cluster slurm: the program sbatch was not found; run the command on a computer with Slurm, "
+                "or give the address of a Dask scheduler"
             )
         with slurm(jobs) as cluster, Client(cluster) as client:
             cluster.scale(jobs=min(len(jobs), workers or len(jobs)))
@@ -53,14 +62,15 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
         client = Client(where, timeout=WAIT_S)
     except (OSError, ValueError, TimeoutError) as error:
         raise UserError(
-            f"--cluster {where}: no Dask scheduler answers there ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+            f"--cluster {where}: the Dask scheduler could not be reached "
+            f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); start the scheduler, or check its address"
         ) from None
     with client:
         yield client
 
 
 def slurm(jobs: Sequence[Job]) -> Any:
-    """Return a cluster whose workers are jobs of SLURM."""
+    """Return a Dask cluster whose workers are Slurm jobs with enough memory for the largest job."""
     from dask_jobqueue.slurm import SLURMCluster
 
     memory_mib = max((job.memory_mib for job in jobs), default=1000.0)
@@ -71,7 +81,7 @@ def slurm(jobs: Sequence[Job]) -> Any:
 
 
 def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
-    """Run jobs on the workers of a scheduler, one at a time on each, and yield each job with its final outcome."""
+    """Run jobs on the workers of a scheduler, one at a time per worker, and yield each job with its final outcome."""
     from distributed import as_completed
 
     memory = {job.name: job for job in jobs}
@@ -95,9 +105,9 @@ def _submit(client: Client, job: Job, attempt: int) -> Any:
 
 
 def _outcome(future: Any, job: Job) -> Outcome:
-    """Return the outcome of a job; an exception comes from Dask, since `work` raises none."""
+    """Return the outcome of a finished job; exceptions come from Dask, because `work` raises none."""
     try:
         return Outcome(**future.result())
     except Exception as error:  # noqa: BLE001 - Dask raises KilledWorker, CancelledError, CommClosedError and others
-        sentence = f"the cluster lost it ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
+        sentence = f"the job was lost by the cluster ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
         return Outcome(name=job.name, state="again", sentence=sentence)

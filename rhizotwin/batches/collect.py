@@ -1,4 +1,4 @@
-"""Jobs from the arguments of a command: datasets, identified by their hashes, and scenes."""
+"""Creation of jobs from datasets or scenes given on the command line."""
 
 import hashlib
 import json
@@ -15,23 +15,34 @@ from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 
 _PIXELS = 20e6
-"""Assumed for a dataset whose manifest cannot be read; its job will fail."""
+"""Assumed number of pixels of a dataset whose file dataset.json is unreadable, so that its job fails later."""
 
 
 def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | None, settings: Path | None, device: str) -> list[Job]:
-    """Return one job for each dataset.
+    """Create a reconstruction job for each dataset.
 
     Parameters
     ----------
     scans : sequence of str
-        Datasets, folders that contain datasets, patterns, or addresses.
+        Datasets, folders of datasets, patterns, or addresses.
     results : str
-        Folder or address of the results.
+        Folder or address for the results.
+    voxel_mm : float or None
+        Edge length of the smallest voxels; None: as in the settings.
+    settings : Path or None
+        Settings file (TOML); None: default settings.
+    device : str
+        Device for the computation.
+
+    Returns
+    -------
+    list of Job
+        One job per dataset.
 
     Raises
     ------
     UserError
-        If no dataset is found, two would have the same name, or the settings cannot be read.
+        If no dataset is found, two results would have the same name, or the settings are invalid.
     """
     found = list(dict.fromkeys(_resolved(dataset) for scan in scans for dataset in places.find_datasets(scan)))
     options: dict[str, Any] = {"voxel_mm": voxel_mm, "settings": None if settings is None else _checked(settings), "device": device}
@@ -46,23 +57,23 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
 
 
 def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed: int, device: str) -> list[Job]:
-    """Return one job for each scene; the datasets are named like the scenes.
+    """Create a rendering job for each scene, whose dataset has the name of the scene.
 
     Parameters
     ----------
     scenes : dict of Scene
         Scenes by name.
     datasets : str
-        Folder or address of the datasets.
+        Folder or address for the datasets.
     profile, seed : str, int
-        As `rhizotwin.front_door.simulate`.
+        Profile of simulated imperfections, and random seed, see `rhizotwin.front_door.simulate`.
     device : str
         Device for the computation.
 
     Returns
     -------
     list of Job
-        One for each scene.
+        One job per scene.
     """
     code = sources.digest(("rhizotwin.sim.simulate",))
     options: dict[str, Any] = {"profile": profile, "seed": seed, "device": device}
@@ -82,7 +93,7 @@ def _resolved(dataset: str) -> str:
 
 
 def _head(dataset: str) -> bytes:
-    """Return the manifest of a dataset; empty if it is a link or cannot be read, so that only this job fails."""
+    """Return the content of dataset.json, or b"" if the file is a link or unreadable, so that only this job fails."""
     head = places.join(dataset, places.HEAD)
     try:
         return b"" if Path(head).is_symlink() else places.read(head) or b""
@@ -91,7 +102,7 @@ def _head(dataset: str) -> bytes:
 
 
 def _checked(settings: Path) -> str:
-    """Return the text of a settings file, after validation."""
+    """Validate a settings file, and return its text."""
     from rhizotwin.recon.settings import load_settings
 
     load_settings(settings)
@@ -99,7 +110,7 @@ def _checked(settings: Path) -> str:
 
 
 def _pixels(data: bytes) -> float:
-    """Return the number of pixels of all pictures in a manifest."""
+    """Return the total number of pixels of all pictures that dataset.json lists."""
     try:
         manifest = json.loads(data)
         width, height = manifest["scene"]["camera"]["image_wh"]

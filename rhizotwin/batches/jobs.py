@@ -1,6 +1,6 @@
-"""Jobs (reconstruct a scan, render a scene) and the records of their outcomes.
+"""Jobs of a batch (reconstruction of a scan or rendering of a scene), and the records of their outcomes.
 
-A job is identified by everything that decides its outcome.
+A job is identified by a hash of all inputs that affect its outcome.
 """
 
 import hashlib
@@ -17,75 +17,79 @@ Kind = Literal["reconstruct", "simulate"]
 State = Literal["done", "failed", "again"]
 
 RECORDS = ".rhizotwin-jobs"
-"""Folder of the records beside the outputs; hidden, so that it is not mistaken for an output."""
+"""Name of the hidden folder of job records, in the folder of the outputs."""
 HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json"}
-"""The file that marks an output as complete, by kind of job."""
+"""Name of the file that marks an output as complete, by kind of job."""
 
 BASE_MIB, MIB_PER_MPX = 700.0, 120.0
-"""Peak memory of a reconstruction: that of the process with its libraries, plus an amount per million pixels.
+"""Peak memory of a reconstruction: memory of the process with its libraries, MiB, and memory per million pixels, MiB.
 
-An upper bound over the accuracy ladder: 18 plants of 38.4 million pixels (two rings of 40 views, 800x600) took up to
-4953 MiB, printed phantoms of 19.2 million pixels 1336 MiB. Voxels below the default of 0.27 mm need more: 0.07 mm
-took twice as much.
+The sum is an upper bound over the accuracy ladder. Reconstructions of 18 plants with 38.4 million pixels (two rings of
+40 views, 800x600) used up to 4953 MiB, and those of printed phantoms with 19.2 million pixels 1336 MiB. Voxels smaller
+than the default of 0.27 mm need more memory; voxels of 0.07 mm used twice as much.
 """
 RENDER_MIB = 1000.0
-"""Peak memory of a rendering: 414 MiB at 800x600, plus the solid of the largest plant of the library."""
+"""Peak memory of a rendering, MiB: 414 MiB at 800x600, plus the mesh of the largest plant in the library."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One scan to reconstruct, or one scene to render."""
+    """Reconstruction of one scan, or rendering of one scene."""
 
     name: str
-    """Name of the output folder."""
+    """Name of the job and of its output folder."""
     kind: Kind
     source: str
-    """Dataset, or scene as JSON text."""
+    """Path or address of the dataset to reconstruct, or JSON text of the scene to render."""
     output: str
+    """Path or address of the output folder."""
     key: str
-    """SHA-256 of everything that decides the outcome: dataset or scene, settings, code."""
+    """SHA-256 of all inputs that affect the outcome: dataset or scene, settings, and code."""
     pixels: float
-    """Number of pixels of all pictures, which determines memory and time."""
+    """Total number of pixels of all pictures, which determines memory and duration."""
     options: dict[str, Any]
-    """Arguments of the step, as JSON values."""
+    """Arguments of the reconstruction or rendering, as JSON values."""
 
     @property
     def memory_mib(self) -> float:
-        """Return the maximum of its peak memory."""
+        """Predicted upper bound of the job's peak memory."""
         return RENDER_MIB if self.kind == "simulate" else BASE_MIB + MIB_PER_MPX * self.pixels / 1e6
 
     @property
     def record(self) -> str:
-        """Return the path or address of its record."""
+        """Path or address of the job's record."""
         beside = self.output.rstrip("/").rpartition("/")[0]
         return places.join(beside or ".", RECORDS, f"{self.name}.json")
 
     def plain(self) -> dict[str, Any]:
-        """Convert to JSON values, for another process."""
+        """Convert the job to JSON values, for transfer to another process."""
         return asdict(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a job."""
+    """Outcome of one attempt to run a job."""
 
     name: str
+    """Name of the job."""
     state: State
-    """again: failed for an external reason (a worker that died, a full disk); it is repeated."""
+    """``done``; ``failed``; or ``again`` after an external failure (lost worker, full disk), after which to retry."""
     sentence: str = ""
-    """Reason of the failure."""
+    """Reason for a failure, for the user."""
     seconds: float = 0.0
+    """Duration of the attempt."""
     peak_mib: float = 0.0
+    """Peak memory of the process."""
 
 
 def key_of(settings: Mapping[str, Any], *, code: str) -> str:
-    """Return the key of a job from its settings (JSON values) and the digest of the code."""
+    """Return the SHA-256 of a job's settings (JSON values) and of the digest of the code."""
     text = json.dumps({"settings": settings, "code": code}, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def is_done(job: Job) -> bool:
-    """Return whether an earlier run finished the job with the same key, and its output exists."""
+    """Return whether an earlier run finished a job with the same key, and the output still exists."""
     data = places.read(job.record)
     try:
         record = {} if data is None else json.loads(data)
@@ -96,19 +100,21 @@ def is_done(job: Job) -> bool:
 
 
 def note(job: Job, outcome: Outcome) -> None:
-    """Write the record of a job."""
+    """Write the record of a job with its outcome, key and source."""
     places.write(
         job.record, json_bytes(asdict(outcome) | {"key": job.key, "source": job.source if job.kind == "reconstruct" else job.name})
     )
 
 
 def named(sources: Sequence[str]) -> list[str]:
-    """Return a name for each source: the name of its folder, preceded by those of its parents where two are the same.
+    """Return a unique name for each source.
+
+    The name is that of the source's folder. If two names are equal, the names of parent folders are prepended.
 
     Raises
     ------
     UserError
-        If two sources would have the same name.
+        If two sources have equal names even with all parent folders.
     """
     parts = [
         [part for part in source.replace("://", "/").split("/") if part not in ("", ".", "..")] or [places.name_of(source)]
@@ -120,5 +126,5 @@ def named(sources: Sequence[str]) -> list[str]:
         names = ["-".join(part[-depth:]) if name in twice else name for name, part in zip(names, parts, strict=True)]
     same = sorted({name for name in names if names.count(name) > 1})
     if same:
-        raise UserError(f"two scans would have the name {same[0]}; rename one of their folders")
+        raise UserError(f"two scans have the same name {same[0]}; rename the folder of one of them")
     return names

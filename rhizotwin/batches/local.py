@@ -1,6 +1,6 @@
-"""Jobs in processes of this computer, as many at once as memory allows.
+"""Execution of jobs in worker processes on this computer, with as many processes as the memory allows.
 
-If a process dies, its job is repeated.
+The job of a process that dies is repeated.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from rhizotwin.scenes.memory import available_mib
 from rhizotwin.scenes.monitor import threads
 
 MOST_TRIES = 3
-"""Maximum number of attempts for a job whose process dies or whose disk is full."""
+"""Maximum number of attempts to run a job that fails for an external reason, such as a full disk."""
 LEFT_FREE = 0.1
-"""Share of the free memory that is left to other programs."""
+"""Fraction of the available memory that is reserved for other programs."""
 LOOK_S = 1.0
-"""Interval in which a worker checks that the main process still exists."""
+"""Interval at which a worker checks that the main process still exists, s."""
 
 
 @dataclass
 class _Worker:
-    """A process that does one job at a time."""
+    """Worker process that runs one job at a time."""
 
     process: Any
     line: Connection
@@ -38,14 +38,15 @@ class _Worker:
 
 
 def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None) -> Iterator[tuple[Job, Outcome]]:
-    """Run jobs, the largest first, and yield each with its final outcome.
+    """Run jobs in the order of decreasing size, and yield each job with its final outcome.
 
     Parameters
     ----------
     workers : int or None
-        Maximum number of processes; None: one per processor.
+        Maximum number of processes; None: number of processors.
     memory_mib : float or None
-        Maximum memory of all processes; None: the free memory. A job that needs more runs alone.
+        Maximum total memory of all processes; None: 90 % of the available memory. A job that needs more memory runs
+        alone.
     """
     most = workers or threads()
     allowed = memory_mib or available_mib() * (1.0 - LEFT_FREE)
@@ -74,7 +75,7 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
 
 
 def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: float) -> None:
-    """Assign waiting jobs to idle or new workers while memory allows; at least one job runs."""
+    """Assign waiting jobs to idle or new workers within the limits of processes and memory; at least one job runs."""
     for job in list(waiting):
         busy = [worker.job for worker in crew if worker.job]
         if len(busy) >= most:
@@ -87,7 +88,7 @@ def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: f
             crew.append(worker)
         waiting.remove(job)
         worker.job = job
-        with suppress(OSError):  # it died while idle: `_hear` will report it
+        with suppress(OSError):  # the worker died while idle, which `_hear` reports
             worker.line.send(job.plain())
 
 
@@ -101,7 +102,7 @@ def _hire(threads_each: int) -> _Worker:
 
 
 def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
-    """Receive the outcome of a worker's job; a dead worker is removed."""
+    """Receive and return the outcome of a worker's job; a worker that has died is removed from ``crew``."""
     job = worker.job
     worker.job = None
     name = "" if job is None else job.name
@@ -113,11 +114,11 @@ def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
         crew.remove(worker)
         worker.line.close()
         how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
-        return Outcome(name=name, state="again", sentence=f"its process died ({how}), perhaps because it ran out of memory")
+        return Outcome(name=name, state="again", sentence=f"the process of the job died ({how}), perhaps because the memory was full")
 
 
 def _serve(line: Connection, master: int, threads_each: int) -> None:
-    """Run jobs until the main process closes the connection."""
+    """Receive and run jobs until the main process closes the connection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process handles Ctrl-C and ends its workers
     threading.Thread(target=_leave_with, args=(master,), daemon=True).start()
     from rhizotwin.batches.work import work
@@ -131,7 +132,7 @@ def _serve(line: Connection, master: int, threads_each: int) -> None:
 
 
 def _leave_with(master: int) -> None:
-    """End this process soon after the main process has ended."""
+    """Poll for the main process, and exit this process when the main process has ended."""
     while os.getppid() == master:
         time.sleep(LOOK_S)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""Overview of a batch: a table of traits, and a page with verdict, volume and picture of each scan."""
+"""Overview of a batch: trait table, and HTML page with verdict, volume and picture of each scan."""
 
 import base64
 import html
@@ -23,13 +23,13 @@ from rhizotwin.stored import result_files, stored_traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 112
-"""Height of a picture, twice that on the page."""
+"""Height of a scan's picture, which is twice the height on the page."""
 _COLUMNS = ("total_length_mm", "depth_mm", "mean_diameter_mm", "tips")
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Row:
-    """A finished scan."""
+    """Finished scan with its summary, traits and picture."""
 
     name: str
     summary: Json
@@ -42,21 +42,23 @@ class _Row:
 
 
 def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) -> tuple[list[Path], str]:
-    """Write the table and the page of a batch into the folder of its results.
+    """Write the trait table and the HTML page of a batch to the folder of the results.
 
     Parameters
     ----------
+    folder : Path
+        Folder of the results.
     done : sequence of Job
-        Finished jobs, whose results are in the folder under their names.
+        Finished jobs, whose names are those of the result folders.
     failed : sequence of tuple of Job, str
         Failed jobs with their messages.
 
     Returns
     -------
     list of Path
-        The table and the page.
+        Paths of the table and the page.
     str
-        A summary such as "3 of 12 volumes usable; not usable: 7 x inconsistent views, 2 x blurred pictures".
+        Summary such as "3 of 12 volumes usable; not usable: 7 x inconsistent views, 2 x blurred pictures".
     """
     rows = []
     broken = list(failed)
@@ -75,7 +77,7 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
 
 def summarise(summaries: Sequence[Json]) -> str:
-    """Return the number of usable volumes, and how often each reason made one unusable, the most frequent first."""
+    """Describe the number of usable volumes and the frequency of each reason for unusable volumes."""
     codes = Counter(code for summary in summaries for code in reasons.reasons_for_volume(summary))
     usable = sum(bool(summary["volume_trusted"]) for summary in summaries)
     counted = ", ".join(f"{count} x {code.replace('_', ' ')}" for code, count in codes.most_common())
@@ -83,7 +85,7 @@ def summarise(summaries: Sequence[Json]) -> str:
 
 
 def _thumbnail(result: Path) -> bytes | None:
-    """Return the left half of the result's picture of the shape, a view from the front, as a small JPEG."""
+    """Return the front view of the reconstructed shape as a small JPEG; None if the result has no picture."""
     image = result_files.read_shape_picture(result)
     if image is None:
         return None
@@ -122,12 +124,12 @@ def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition
 
 
 def _number(row: _Row, field: str) -> str:
-    """Return a trait, with its verdict unless it is reliable."""
+    """Format a trait for the table; the verdict is appended unless it is "reliable"."""
     value, verdict = getattr(row.traits, field), row.assessed[field].verdict
     return trait_table.format_number(value) if value is None or verdict == "reliable" else f"{trait_table.format_number(value)} ({verdict})"
 
 
 def _subject(row: _Row) -> dict[str, str]:
-    """Return the subject of a scan, joined for several plants."""
+    """Return the subject of a scan by key; values of several plants are joined by commas."""
     each = [subject.as_text(own.subject) for own in result_traits.traits_by_plant(row.name, row.summary, row.traits)]
     return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

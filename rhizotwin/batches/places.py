@@ -1,4 +1,4 @@
-"""Local folders and other file systems: addresses (``s3://...``) are accessed with fsspec, others are paths."""
+"""Access to files in local folders, and to addresses such as ``s3://...`` with fsspec."""
 
 from __future__ import annotations
 
@@ -14,31 +14,36 @@ if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 HEAD = "dataset.json"
-"""File that every dataset contains."""
+"""Name of the file by which a dataset is recognised."""
 
 
 def is_address(place: str) -> bool:
-    """Return whether a place is on another file system, such as ``s3://bucket/scans``."""
+    """Return whether a text is an address such as ``s3://bucket/scans`` rather than a local path."""
     return "://" in place
 
 
 def join(place: str, *names: str) -> str:
-    """Append names to a path or address."""
+    """Append folder or file names to a path or address."""
     return "/".join([place.rstrip("/"), *names]) if is_address(place) else str(Path(place, *names))
 
 
 def name_of(place: str) -> str:
-    """Return the last name of a path or address, also for ``.``."""
+    """Return the last component of a path or address; for ``.`` the name of the current folder."""
     return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(os.path.realpath(place)).name
 
 
 def find_datasets(source: str) -> list[str]:
-    """Return the datasets in a folder, at an address, or that match a pattern (``*``, ``?``, ``**``), sorted.
+    """Search for datasets, and return their paths or addresses in sorted order.
+
+    Parameters
+    ----------
+    source : str
+        Dataset, folder of datasets, address, or pattern of paths with the wildcards ``*``, ``?`` and ``**``.
 
     Raises
     ------
     UserError
-        If there are none.
+        If no dataset is found.
     """
     if is_address(source):
         system, path = _system(source)
@@ -49,12 +54,12 @@ def find_datasets(source: str) -> list[str]:
         heads = {head for folder in folders for head in ([folder / HEAD] if (folder / HEAD).exists() else folder.rglob(HEAD))}
         found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") and part != ".." for part in head.parts))
     if not found:
-        raise UserError(f"{source}: there is no dataset; give datasets, folders that contain datasets, or a pattern in quotes")
+        raise UserError(f"{source}: no dataset was found; give datasets, folders that contain datasets, or a pattern in quotes")
     return found
 
 
 def _matches(pattern: Path) -> list[Path]:
-    """Return the path itself if it exists, else the paths that match it as a pattern."""
+    """Return the path in a list if it exists, or otherwise the existing paths that match it as a pattern."""
     if pattern.exists():
         return [pattern]
     try:
@@ -64,7 +69,7 @@ def _matches(pattern: Path) -> list[Path]:
 
 
 def read(place: str) -> bytes | None:
-    """Return the content of a file; None if it does not exist."""
+    """Return the content of a file, or None if the file does not exist."""
     if not is_address(place):
         return read_file(place) if os.path.lexists(place) else None
     system, path = _system(place)
@@ -75,7 +80,7 @@ def read(place: str) -> bytes | None:
 
 
 def write(place: str, data: bytes) -> None:
-    """Write a file; its folder is created if it is missing."""
+    """Write a file, and create its folder if necessary."""
     if is_address(place):
         system, path = _system(place)
         system.makedirs(path.rpartition("/")[0], exist_ok=True)
@@ -85,7 +90,7 @@ def write(place: str, data: bytes) -> None:
 
 
 def exists(place: str) -> bool:
-    """Return whether a file exists."""
+    """Return whether a file exists at a path or address."""
     if is_address(place):
         system, path = _system(place)
         return bool(system.exists(path))
@@ -93,14 +98,17 @@ def exists(place: str) -> bool:
 
 
 def fetch(address: str, folder: Path) -> None:
-    """Copy a folder from an address."""
+    """Copy the folder at an address to a local folder."""
     system, path = _system(address)
     folder.mkdir(parents=True, exist_ok=True)
     system.get(f"{path.rstrip('/')}/", f"{folder}/", recursive=True)
 
 
 def put(folder: Path, address: str, *, last: str) -> None:
-    """Copy a folder to an address; the file ``last``, which marks it as complete, is written last."""
+    """Copy a local folder to an address.
+
+    The file ``last``, which marks the folder as complete, is written after all other files.
+    """
     system, path = _system(address)
     system.makedirs(path, exist_ok=True)
     if system.exists(f"{path}/{last}"):
@@ -113,13 +121,13 @@ def put(folder: Path, address: str, *, last: str) -> None:
 
 
 def _system(address: str) -> tuple[AbstractFileSystem, str]:
-    """Return the file system of an address, and the path in it."""
+    """Return the fsspec file system of an address, and the path within this file system."""
     try:
         from fsspec.core import url_to_fs
     except ModuleNotFoundError:
-        raise UserError(f"{address}: other file systems need fsspec: pip install 'rhizotwin[cluster]'") from None
+        raise UserError(f"{address}: addresses need fsspec, which is not installed; run: pip install 'rhizotwin[cluster]'") from None
     try:
         found: tuple[Any, str] = url_to_fs(address)
     except (ImportError, ValueError) as error:
-        raise UserError(f"{address}: cannot be reached ({error})") from None
+        raise UserError(f"{address}: the address could not be opened ({error})") from None
     return found

@@ -1,4 +1,4 @@
-"""Run a batch: finished jobs are kept, the others are run, and failures are collected."""
+"""Execution of a batch: run all unfinished jobs, and collect the failures."""
 
 import sys
 from collections.abc import Sequence
@@ -25,28 +25,36 @@ class Batch:
     """Outcomes of the jobs of a batch."""
 
     kept: tuple[Job, ...]
-    """Finished by an earlier run."""
+    """Jobs that an earlier run finished."""
     done: tuple[Job, ...]
+    """Jobs that this run finished."""
     failed: tuple[tuple[Job, str], ...]
-    """Each with its message."""
+    """Failed jobs with their messages."""
 
 
 def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers: int | None = None) -> Batch:
-    """Run all jobs that are not finished, with one progress bar.
+    """Run all jobs that no earlier run has finished, and show a progress bar.
 
     Parameters
     ----------
+    jobs : sequence of Job
+        Jobs of the batch.
     folder : str
-        Folder of the outputs; only one batch can use it at a time.
+        Folder or address of the outputs; a folder can be used by one batch at a time.
     cluster : str or None
-        Address of a Dask scheduler, or slurm; None: processes of this computer.
+        Address of a Dask scheduler, or ``slurm``; None: worker processes on this computer.
     workers : int or None
-        Maximum number of jobs at once.
+        Maximum number of concurrent jobs; None: depends on processors and memory.
+
+    Returns
+    -------
+    Batch
+        Finished and failed jobs.
 
     Raises
     ------
     UserError
-        If another batch uses the folder, or the cluster does not answer.
+        If another batch uses the folder, or the cluster cannot be reached.
     """
     done: list[Job] = []
     failed: list[tuple[Job, str]] = []
@@ -75,14 +83,16 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
 
 
 def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
-    """Reject links in the folder, through which files elsewhere would be overwritten."""
+    """Reject symbolic links in the folder, through which files outside it would be overwritten."""
     linked = next((folder / name for name in (listed.RECORDS, *(job.name for job in jobs)) if (folder / name).is_symlink()), None)
     if linked is not None:
-        raise UserError(f"{linked}: is a link, and a batch does not write through links; remove it, or give the folder that it points to")
+        raise UserError(
+            f"{linked}: a batch does not write through symbolic links; remove the link, or give the folder that the link points to"
+        )
 
 
 class _Bar:
-    """One progress bar with the remaining time, estimated from pixels; without a terminal one line per job."""
+    """Progress bar of a batch with the estimated remaining time; without a terminal, one line of text per job."""
 
     def __init__(self, jobs: Sequence[Job]) -> None:
         self._total, self._count = len(jobs), 0
@@ -100,7 +110,7 @@ class _Bar:
             self._bar.close()
 
     def step(self, job: Job, said: str) -> None:
-        """Report that a job has ended."""
+        """Show that a job has ended, with the sentence ``said`` about its outcome."""
         self._count += 1
         if self._bar is None:
             sys.stderr.write(f"{self._count} of {self._total}: {printable(f'{job.name}: {said}')}\n")

@@ -1,4 +1,4 @@
-"""Variation of a scene by plant, day and treatment; each variant has its own name and subject."""
+"""Generation of scenes for several plants, ages and treatments from one scene."""
 
 import re
 from collections.abc import Sequence
@@ -11,28 +11,28 @@ from rhizotwin.scenes.solution import Factors
 def vary(
     scene: Scene, *, plants: int = 1, days: Sequence[float] | None = None, treatments: Sequence[tuple[str, float, Factors]] | None = None
 ) -> dict[str, Scene]:
-    """Return every combination by name; without variation, the scene itself.
+    """Return a scene for each combination of plant, age and treatment.
 
     Parameters
     ----------
     scene : Scene
-        Scene of a grown plant.
+        Scene with a simulated plant.
     plants : int
-        Number of plants.
+        Number of plants per treatment, grown from different seeds.
     days : sequence of float or None
-        Ages in days; None: that of the scene.
+        Ages of the plants in days; None: age in the scene.
     treatments : sequence of (str, float, Factors) or None
-        Name, growth factor, and factors of the solution of each; None: that of the scene.
+        Name, growth factor, and factors of the nutrient solution's elements for each treatment; None: as in the scene.
 
     Returns
     -------
     dict of Scene
-        Scenes by name, which contains treatment, plant and day.
+        Scenes by name; the name includes treatment, plant and day. Without variation, the original scene only.
 
     Raises
     ------
     UserError
-        If the scene has no grown plant and something is varied.
+        If the specimen of the scene is not a simulated plant, so that it cannot be varied.
     """
     found = {scene.name: scene}
     if treatments is not None:

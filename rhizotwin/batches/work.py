@@ -1,4 +1,4 @@
-"""Execution of one job in any process; errors become messages in its outcome."""
+"""Execution of one job in the current process, with errors converted to messages in the outcome."""
 
 from __future__ import annotations
 
@@ -18,18 +18,23 @@ from rhizotwin.scenes import formatting, memory
 from rhizotwin.scenes.errors import UserError
 
 OF_DISK = (*formatting.FULL, errno.EIO, errno.ESTALE)
-"""Error numbers of disk or network, after which a job is repeated."""
+"""Values of errno that indicate a disk or network failure, after which a job is repeated."""
 
 
 def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
-    """Run a job and write its record; return its outcome as JSON values.
+    """Run a job, and write its record.
 
     Parameters
     ----------
     plain : dict of object
-        From `Job.plain`.
+        Job as JSON values, see `Job.plain`.
     threads : int or None
-        Number of threads; None: all processors.
+        Number of threads; None: number of processors.
+
+    Returns
+    -------
+    dict of object
+        Fields of the `Outcome`, as JSON values.
     """
     job = Job(**plain)
     begin = time.perf_counter()

@@ -1,1 +1,1 @@
-"""Benchmarks: simulated scans with exact ground truth on which any method can be run and scored."""
+"""Benchmarks of simulated scans with exact ground truth, on which any reconstruction method can be run and scored."""

@@ -1,6 +1,7 @@
-"""The benchmarks and their cases.
+"""Definition of the benchmarks and their cases.
 
-A name ends with a version. Modified cases get a new name, so that numbers under one name remain comparable.
+The name of a benchmark ends with a version. If cases are modified, the version is increased, so that results under one
+name remain comparable.
 """
 
 from __future__ import annotations
@@ -14,33 +15,35 @@ from rhizotwin.scenes.name_suggestion import most_similar
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 HELD_BACK = 1000
-"""First seed reserved for benchmarks; methods must not be tuned on these seeds."""
+"""Smallest random seed reserved for benchmarks; methods must not be tuned on seeds from this value on."""
 PLANT_SEEDS_APART = 1_000_003
-"""Seed s grows the plant with the scene's own seed + s times this prime: 0 is the plant of the library, and no other
-seed coincides with one of its plants."""
+"""Multiplier of a case's seed, which is then added to the plant's seed in the scene. Seed 0 is the plant of the
+library, and because the multiplier is a large prime, no other seed reproduces a plant of the library."""
 HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
-"""Height and tilt of the second ring of a plant. From -42 mm, its topmost 2.4 mm (8 % of the volume of radish_day05a)
-are seen in front of the dark net pot; from 10 mm they are seen in front of the backlight, and half of the hull's
-artefacts disappear."""
+"""Second ring in scans of plants.
+
+The first ring at -42 mm sees the topmost 2.4 mm of a plant (8 % of the volume of radish_day05a) in front of the dark
+net pot. The second ring at 10 mm sees them in front of the backlight, which removes half of the hull's artefacts.
+"""
 
 
 def rendered_scene(scene: Scene, profile: str, *, rings: int, views: int, image_wh: tuple[int, int], seed: int) -> Scene:
-    """Return a scene with another plant, other views and the disturbances of a profile.
+    """Return a copy of a scene with the plant, views and simulated imperfections of a benchmark case.
 
     Parameters
     ----------
     scene : Scene
-        Scene of the library.
+        Library scene.
     profile : str
-        Name of the profile.
+        Name of the profile of simulated imperfections.
     rings : int
-        1: the capture plan of the scene; 2: its first ring, and `HIGH_RING` at the same distance.
+        1: rings of the scene; 2: first ring of the scene, and `HIGH_RING` at the same distance.
     views : int
         Number of views per ring.
     image_wh : tuple of int
-        Picture size in px.
+        Width and height of the pictures, px.
     seed : int
-        Seed of the plant, if the specimen is grown.
+        Seed of the simulated plant, see `PLANT_SEEDS_APART`; ignored for other specimens.
     """
     first = scene.plan.rings[0]
     chosen = scene.plan.rings if rings == 1 else (first, replace(HIGH_RING, distance_mm=first.distance_mm))
@@ -58,7 +61,7 @@ def rendered_scene(scene: Scene, profile: str, *, rings: int, views: int, image_
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One scan of a benchmark."""
+    """Simulated scan of a benchmark."""
 
     name: str
     scene: str
@@ -68,10 +71,10 @@ class Case:
     image_wh: tuple[int, int]
     rings: int = 1
     seed: int = HELD_BACK
-    """Seed of the plant and of all disturbances."""
+    """Random seed of the plant and of all simulated imperfections."""
 
     def rendered_scene(self) -> Scene:
-        """Return the scene with this plant, these views and the disturbances of the profile."""
+        """Return the scene to render for this case."""
         scene = rendered_scene(
             load_scene(self.scene), self.profile, rings=self.rings, views=self.views, image_wh=self.image_wh, seed=self.seed
         )
@@ -80,18 +83,24 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark:
-    """Named set of cases."""
+    """Named set of cases on which methods are compared."""
 
     name: str
     description: str
     cases: tuple[Case, ...]
 
     def chosen(self, names: tuple[str, ...]) -> Benchmark:
-        """Return the benchmark with the given cases only, or all without names; raise UserError for an unknown name."""
+        """Return a copy of the benchmark with the named cases only, or with all cases if ``names`` is empty.
+
+        Raises
+        ------
+        UserError
+            If a case is unknown.
+        """
         known = {case.name: case for case in self.cases}
         for name in names:
             if name not in known:
-                raise UserError(f"{self.name} has no case {name!r}; its cases are {', '.join(known)}")
+                raise UserError(f"the benchmark {self.name} has no case {name!r}; choose from {', '.join(known)}")
         return replace(self, cases=tuple(known[name] for name in names) or self.cases)
 
 
@@ -108,7 +117,7 @@ BENCHMARKS = {
     for one in (
         Benchmark(
             name="quick-1",
-            description="a sphere, a printed root without and with rig errors, and a bean: small pictures, a few minutes",
+            description="a sphere, a printed root without and with rig errors, and a bean; small pictures, which take a few minutes",
             cases=(
                 _small("ball", "sphere_20mm", "clean", views=16),
                 _small("print", "printed_8ml", "clean"),
@@ -118,7 +127,7 @@ BENCHMARKS = {
         ),
         Benchmark(
             name="roots-1",
-            description="ten root systems of eight kinds on a well-built rig, two rings of 40 pictures of 800x600",
+            description="ten root systems of eight kinds on a well-built rig; 40 pictures of 800x600 from each of two camera heights",
             cases=(
                 _plant("radish-05", "radish_day05a", "bench"),
                 _plant("radish-15", "radish_day15b", "bench"),
@@ -150,8 +159,16 @@ BENCHMARKS = {
 
 
 def find(name: str) -> Benchmark:
-    """Return a benchmark by name; raise UserError if it is unknown."""
+    """Return the benchmark with the given name.
+
+    Raises
+    ------
+    UserError
+        If the name is unknown.
+    """
     if name not in BENCHMARKS:
         near = most_similar(name, list(BENCHMARKS))
-        raise UserError(f"unknown benchmark {name!r}{f'; did you mean {near}?' if near else ''}; available: {', '.join(BENCHMARKS)}")
+        raise UserError(
+            f"the benchmark {name!r} is unknown{f'; did you mean {near}?' if near else ''}; choose from {', '.join(BENCHMARKS)}"
+        )
     return BENCHMARKS[name]

@@ -1,8 +1,8 @@
-"""Fingerprints of rendered pictures, for checking that two computers rendered the same data.
+"""Fingerprints of rendered pictures, which verify that two computers have rendered the same data.
 
-Checksums of files would change with rounding errors. Instead, pixels at random positions with a fixed seed are
-compared: a difference in 1 % of the pixels of 24 pictures is detected with a probability of 0.98, of 80 pictures with
-0.999997.
+Checksums of files would differ because of rounding errors. Instead, pixels at fixed pseudo-random positions are
+compared within a tolerance. A difference in 1 % of the pixels is detected with a probability of 0.98 for 24 pictures,
+and of 0.999997 for 80 pictures.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import load_truth
 
 PIXELS = 16
-"""Sampled pixels per picture."""
+"""Number of sampled pixels per picture."""
 LIMIT = 1e-3
-"""Maximum difference, relative to full scale."""
+"""Maximum difference of a sampled pixel from the reference, relative to full scale."""
 _SAME_VOLUME = 1e-6
-"""Relative tolerance of the volume; versions of the mesh library differ in rounding."""
+"""Maximum relative difference of the true volume from the reference, for rounding differences of mesh libraries."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Difference between a rendered case and the reference."""
+    """Difference between a rendered case and its reference fingerprint."""
 
     case: str
     largest: float
-    """Largest difference of sampled pixels relative to full scale; infinite if the pictures cannot be compared."""
+    """Largest difference of a sampled pixel, relative to full scale; infinite if there is no comparable reference."""
     volume: float
-    """Relative difference of the true volumes."""
+    """Relative difference of the true volume; infinite if there is no comparable reference."""
 
     @property
     def same(self) -> bool:
-        """Return whether the case equals the reference up to rounding."""
+        """Whether pixels and volume equal the reference within the tolerances."""
         return self.largest <= LIMIT and self.volume <= _SAME_VOLUME
 
 
 def take(folder: Path) -> dict[str, Any]:
-    """Compute the fingerprint of a rendered case as JSON values: sampled 16-bit grey levels and the volume."""
+    """Return the fingerprint of a rendered case: sampled 16-bit grey levels and true volume, as JSON values."""
     dataset = load_dataset(folder)
     return {"volume_mm3": load_truth(folder).volume_mm3, "pixels": [_sampled(dataset, k).tolist() for k in range(len(dataset.frames))]}
 
@@ -63,14 +63,14 @@ def compare(folder: Path, case: str, reference: dict[str, Any]) -> Comparison:
 
 
 def write(benchmark: Benchmark, folder: Path, goal: Path) -> None:
-    """Write the fingerprints of a rendered benchmark to a folder, for `reference`."""
+    """Write the fingerprints of all cases of a rendered benchmark to a file, which `reference` reads."""
     described = {"benchmark": benchmark.name, "versions": versions(("rhizotwin", "mitsuba", "drjit"))}
     cases = {case.name: take(folder / case.name) for case in benchmark.cases}
     atomic.write_text(goal / f"{benchmark.name}.json", json.dumps({**described, "cases": cases}, separators=(",", ":")) + "\n")
 
 
 def reference(benchmark: Benchmark) -> dict[str, Any]:
-    """Return the reference fingerprints of the cases of a benchmark; empty if there are none."""
+    """Return the reference fingerprints of a benchmark by case; empty if the program includes none."""
     file = resources.files("rhizotwin.bench").joinpath("data", f"{benchmark.name}.json")
     return dict(json.loads(file.read_text(encoding="utf-8"))["cases"]) if benchmark.name in BENCHMARKS and file.is_file() else {}
 

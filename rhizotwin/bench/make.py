@@ -1,4 +1,4 @@
-"""Rendering of a benchmark."""
+"""Rendering of the datasets of a benchmark, and comparison with reference fingerprints."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from rhizotwin.scenes.monitor import Monitor
 
 
 def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[[str], None]) -> list[Comparison]:
-    """Render the cases of a benchmark, one dataset each; an interrupted run is continued.
+    """Render a dataset for each case of a benchmark, or continue an interrupted rendering.
 
     Parameters
     ----------
     benchmark : Benchmark
         Benchmark to render.
     folder : path
-        Folder of the datasets.
+        Folder for the datasets.
     monitor : Monitor
-        Progress monitor.
+        Receiver of the progress.
     say : callable
-        Receives one line per case.
+        Function that is called with one line of output per case.
 
     Returns
     -------
@@ -42,15 +42,21 @@ def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[
 
 
 def sentence(one: Comparison) -> str:
-    """Describe a comparison in a sentence."""
+    """Return a sentence that describes a comparison."""
     if one.largest == float("inf"):
-        return f"{one.case}: rendered; there is no reference for this case in this version"
+        return f"{one.case}: rendered; this version of the program has no reference for this case"
     amount = f"maximum difference of sampled pixels {one.largest:.1e} of full scale (limit {fingerprints.LIMIT:g})"
     return f"{one.case}: {amount}, {'identical to the reference' if one.same else 'DIFFERENT FROM THE REFERENCE'}"
 
 
 def check_made(benchmark: Benchmark, folder: Path) -> None:
-    """Raise UserError, with the command to run, if a case is missing in a folder."""
+    """Check that all cases of a benchmark have been rendered to a folder.
+
+    Raises
+    ------
+    UserError
+        If a case is missing, with the command that renders it.
+    """
     for case in benchmark.cases:
         if not (folder / case.name / "truth" / "truth.json").is_file():
             raise UserError(

@@ -1,14 +1,15 @@
-"""Input folder for other methods: a benchmark scan without ground truth, with cameras, masks and undistorted pictures.
+"""Creation of an input folder for other methods: a benchmark scan in open formats, without its ground truth.
 
-The folder contains
+The folder contains these files:
 
-    dataset.json, images/   dataset as written by `rhizotwin simulate`, without its truth transforms.json
-    cameras in nerfstudio's format for the original pictures, with lens distortion colmap/                 the same
-    cameras in COLMAP's text format masks/                  binary silhouettes, segmented from the pictures: 255 is root
-    undistorted/            pictures and masks of a pinhole camera, with their own transforms.json
+- ``dataset.json``, ``images/``: dataset as written by ``rhizotwin simulate``, without the folder ``truth``
+- ``transforms.json``: cameras of the original pictures in nerfstudio's format, with lens distortion
+- ``colmap/``: same cameras in COLMAP's text format
+- ``masks/``: binary silhouettes, segmented from the pictures, in which root pixels are 255
+- ``undistorted/``: pictures and masks with lens distortion removed, and their ``transforms.json``
 
-All cameras are in the canister frame in mm. The pictures show the roots through a round wall and water; straight rays
-from these cameras miss the roots by the refraction.
+All cameras are in the canister frame, mm. The pictures show the roots refracted by a round wall and water, so straight
+rays from these cameras miss the roots.
 """
 
 from __future__ import annotations
@@ -33,20 +34,20 @@ from rhizotwin.scenes.truth import load_truth
 Picture = NDArray[np.uint8 | np.uint16]
 CameraSource = Literal["estimated", "true"]
 _HALF = 0.5
-"""Coverage from which a pixel of a mask is root."""
+"""Minimum coverage of a root pixel in a mask."""
 
 
 def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
-    """Write a dataset in formats for other methods.
+    """Write the input folder for other methods, as described in the module.
 
     Parameters
     ----------
     dataset_folder : path
-        Dataset with its ground truth, which is not copied.
+        Simulated dataset, whose ground truth is not copied.
     goal : path
         New folder.
     cameras : {"estimated", "true"}
-        Cameras estimated from the markers, or the true ones. Masks always use the estimated cameras.
+        Cameras to write: estimated from the markers, or true. The masks are always based on the estimated cameras.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
 
 
 def _undistort(dataset: Dataset, lens: Camera, posed: Posed, masks: dict[str, Picture], goal: Path) -> None:
-    """Write the pictures and masks of a pinhole camera with the same focal length."""
+    """Remove the lens distortion from pictures and masks, and write them with their cameras."""
     (fx, fy), (cx, cy) = lens.focal_px, lens.principal_px
     matrix, distortion = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(lens.distortion)
     known, frames = {frame.file: frame for frame in dataset.frames}, []

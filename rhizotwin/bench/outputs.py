@@ -1,9 +1,9 @@
-"""Scoring of the output folder of a method; files are recognised by name.
+"""Scoring of the output folder of a method, in which files are recognised by their names.
 
     shape.{ply,stl,obj,glb}, voxels.{nrrd,npz}, points.{ply,xyz}, roots.rsml, traits.csv
 
-Any of them may be present, and each is scored separately; for a file that cannot be read, the reason is reported. The
-``result.json`` of a result of rhizotwin adds whether the volume is reliable.
+All files are optional and scored separately. If a file cannot be read, the reason is reported. If the folder is a
+result of rhizotwin, ``result.json`` states whether the volume is reliable.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ KINDS: dict[str, tuple[tuple[str, ...], Score]] = {
 
 
 def score_outputs(output: Path, dataset: Path) -> tuple[dict[str, Any], list[str]]:
-    """Score every file with a known name in the output of a method.
+    """Score each file with a known name in the output folder of a method.
 
     Parameters
     ----------
     output : path
         Output folder of the method.
     dataset : path
-        Simulated dataset with its ground truth.
+        Simulated dataset with ground truth.
 
     Returns
     -------
     scores : dict
-        Scores by kind: mesh, voxels, points, rsml, traits, as JSON values; ``trusted`` if a result contains it.
+        Scores by type of file (mesh, voxels, points, rsml, traits) as JSON values, and ``trusted`` for a result of
+        rhizotwin.
     sentences : list of str
-        Reasons for files that could not be scored.
+        Reasons why files could not be scored.
     """
     names, scores, sentences = contents(output) if output.is_dir() else [], dict[str, Any](), list[str]()
     for kind, (known, score) in KINDS.items():
@@ -54,7 +55,7 @@ def score_outputs(output: Path, dataset: Path) -> tuple[dict[str, Any], list[str
             scores[kind] = score(output / file, dataset).to_dict() | {"file": file}
         except UserError as error:
             sentences.append(str(error))
-        except Exception as error:  # noqa: BLE001 - a stranger's file must not end the others
+        except Exception as error:  # noqa: BLE001 - an unexpected file must not prevent the scoring of other files
             sentences.append(f"{file} could not be scored ({type(error).__name__}: {error})")
     if "result.json" in names:
         try:

@@ -1,4 +1,4 @@
-"""Benchmark results: reading, tables of several methods, and comparison with a baseline."""
+"""Benchmark results: file reader, tables of several methods, and comparison with a baseline."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable
 
 
 _LARGEST = sys.float_info.max
-"""JSON allows integers beyond the range of a float."""
+"""Largest accepted number, because JSON integers may exceed the range of a float."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity in a row of results, with its tolerance in comparisons with a baseline."""
+    """Quantity in the results of a case, with its tolerance in comparisons with a baseline."""
 
     name: str
     heading: str
     places: tuple[tuple[str, ...], ...]
-    """Paths of the value in a row; the first one present is used."""
+    """Alternative paths of the value in the nested dictionary of a row; the first existing path is used."""
     scale: float
-    """Factor from the value to the unit of the heading."""
+    """Factor that converts the value to the unit in the heading."""
     digits: int
+    """Number of decimal places in tables."""
     larger_is_better: bool = False
     relative: float = 0.0
-    """Relative tolerance."""
+    """Tolerance relative to the baseline, added to the absolute tolerance."""
     absolute: float = 0.0
-    """Absolute tolerance."""
+    """Absolute tolerance, in the unit of the stored value."""
 
 
 QUANTITIES = (
@@ -66,7 +67,7 @@ QUANTITIES = (
     Quantity("cpu_s", "processor, s", (("cpu_s",),), 1, 1, relative=0.5, absolute=5.0),
     Quantity("memory_mib", "memory, MiB", (("memory_mib",),), 1, 0, relative=0.2, absolute=100.0),
 )  # fmt: skip
-"""Quantities in tables and comparisons. Tolerances are about twice the scatter of repeated runs of rhizotwin."""
+"""Quantities in tables and comparisons. The tolerances are about twice the scatter of repeated runs of rhizotwin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +78,12 @@ class Results:
     method: str
     cameras: str | None
     rows: dict[str, dict[str, Any]]
-    """Rows by case, as JSON values."""
+    """Results of each case by its name, as JSON values."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Comparison of one number with the baseline."""
+    """Comparison of one quantity of a case with the baseline."""
 
     case: str
     quantity: str
@@ -93,17 +94,20 @@ class Finding:
 
 
 def read(path: Path) -> Results:
-    """Read a file of results, which may come from an untrusted source.
+    """Read and validate a file of benchmark results, which may be from an untrusted source.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged, or of another version.
+        If the file is missing, damaged, or has another format version.
     """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
         if stored["schema_version"] != SCHEMA:
-            raise UserError(f"{path} has the format version {stored['schema_version']!r}, but this program reads version {SCHEMA}")
+            raise UserError(
+                f"{path} has the format version {stored['schema_version']!r}, but this program reads version {SCHEMA}; "
+                "run the benchmark again"
+            )
         rows = {str(row["case"]): dict(row) for row in stored["rows"]}
         for row in rows.values():
             if row["state"] not in STATES or not isinstance(row["scores"], dict):
@@ -119,7 +123,7 @@ def read(path: Path) -> Results:
 
 
 def value(row: dict[str, Any], quantity: Quantity) -> float | None:
-    """Return a number of a row; None if missing."""
+    """Return the value of a quantity in a row; None if it is missing."""
     for place in quantity.places:
         found: Any = row if len(place) == 1 else row["scores"]
         for name in place:
@@ -130,7 +134,7 @@ def value(row: dict[str, Any], quantity: Quantity) -> float | None:
 
 
 def interval_holds(row: dict[str, Any]) -> bool | None:
-    """Return whether the interval of the volume contains the true value; None without an interval."""
+    """Return whether the 90 % interval of the volume contains the true volume; None if the row has no interval."""
     try:
         holds = row["scores"]["traits"]["traits"]["volume"]["holds"]
     except (KeyError, TypeError):
@@ -139,7 +143,7 @@ def interval_holds(row: dict[str, Any]) -> bool | None:
 
 
 def text(row: dict[str, Any], quantity: Quantity) -> str:
-    """Format a number for a table."""
+    """Format the value of a quantity in a row for a table; empty if it is missing."""
     found = value(row, quantity)
     if found is None:
         return ""
@@ -148,7 +152,7 @@ def text(row: dict[str, Any], quantity: Quantity) -> str:
 
 
 def markdown(several: Sequence[Results]) -> str:
-    """Format a Markdown table with one row per case and method."""
+    """Return a Markdown table with one row per case and method."""
     shown = [quantity for quantity in QUANTITIES if any(text(row, quantity) for one in several for row in one.rows.values())]
     head = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), ""]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -159,34 +163,37 @@ def markdown(several: Sequence[Results]) -> str:
 
 
 def ordered(several: Sequence[Results]) -> list[tuple[Results, dict[str, Any]]]:
-    """Return all rows ordered by case."""
+    """Return all rows with their results, sorted by benchmark and case."""
     pairs = [(one, row) for one in several for row in one.rows.values()]
     place = {(one.benchmark, case): number for one in reversed(several) for number, case in enumerate(one.rows)}
     return sorted(pairs, key=lambda pair: (pair[0].benchmark, place[pair[0].benchmark, pair[1]["case"]]))
 
 
 def held(row: dict[str, Any]) -> str:
-    """Return whether the interval of the volume contains the true value, as a word."""
+    """Return "holds" if the 90 % interval of the volume contains the true volume, "misses" if not, "" if unknown."""
     return {True: "holds", False: "misses", None: ""}[interval_holds(row)]
 
 
 def remark(row: dict[str, Any]) -> str:
-    """Return a remark on a row: why it has no numbers, or that its method marks the volume as not reliable."""
+    """Return the reason why a row has no scores, or a remark that its volume is not reliable; otherwise ""."""
     if row["state"] != "done":
         return f"{row['state']}: {row.get('sentence', '')}"
     return "volume marked as not reliable" if row["scores"].get("trusted") is False else ""
 
 
 def compare(found: Results, baseline: Results) -> list[Finding]:
-    """Compare results with a baseline; a case that is missing or no longer completed counts as worse.
+    """Compare results with a baseline; a case that is missing or has failed is a deterioration.
 
     Raises
     ------
     UserError
-        If the results belong to different benchmarks.
+        If results and baseline are from different benchmarks.
     """
     if found.benchmark != baseline.benchmark:
-        raise UserError(f"the results belong to the benchmark {found.benchmark}, the baseline to {baseline.benchmark}")
+        raise UserError(
+            f"the results are from the benchmark {found.benchmark}, but the baseline is from {baseline.benchmark}; "
+            "give two files of the same benchmark"
+        )
     findings = []
     for case, before in baseline.rows.items():
         row = found.rows.get(case)
@@ -214,7 +221,7 @@ def _finding(case: str, quantity: Quantity, row: dict[str, Any], before: dict[st
 
 
 def junit(findings: Sequence[Finding], name: str) -> bytes:
-    """Format findings as a JUnit file, one test case per number."""
+    """Return the comparison with a baseline as a JUnit file, with one test case per quantity."""
     worse = sum(one.worse for one in findings)
     suite = ET.Element("testsuite", name=printable(name), tests=str(len(findings)), failures=str(worse), errors="0")
     for one in findings:

@@ -1,4 +1,4 @@
-"""HTML page of benchmark results with columns that can be sorted."""
+"""HTML page with a sortable table of benchmark results."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ for (const button of document.querySelectorAll("th button")) button.addEventList
 
 
 def page(several: Sequence[Results]) -> str:
-    """Return results as a self-contained HTML page.
+    """Return a self-contained HTML page with a sortable table of results.
 
     Parameters
     ----------
     several : sequence of Results
-        Results of methods on one or more benchmarks.
+        Results of one or more methods on one or more benchmarks.
     """
     shown = [quantity for quantity in QUANTITIES if any(text(row, quantity) for one in several for row in one.rows.values())]
     heads = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), "remarks"]
@@ -61,8 +61,9 @@ def page(several: Sequence[Results]) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Benchmark results</title><style>{_STYLE}</style></head><body><h1>Benchmark results</h1>"
-        "<p>Errors are estimate / true - 1 and are sorted by absolute value. The interval is the 90 % interval of the volume as reported "
-        "by the method. Its score is the width plus a penalty for misses, relative to the true volume; smaller is better.</p>"
+        "<p>Errors are estimated / true value - 1, and are sorted by absolute value. The interval is the 90 % interval of the volume "
+        "that the method reports. The interval score is the width of the interval plus a penalty if the interval misses the true "
+        "volume, relative to the true volume; smaller scores are better.</p>"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
         f"<script>{_SCRIPT}</script></body></html>\n"
     )

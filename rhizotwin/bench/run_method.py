@@ -1,4 +1,4 @@
-"""Execution of a method on each case of a benchmark, and scoring of its output."""
+"""Execution of a reconstruction method on each case of a benchmark, and scoring of its output."""
 
 from __future__ import annotations
 
@@ -46,35 +46,38 @@ except ImportError:
 with open(sys.argv[1], "w", encoding="utf-8") as file:
     json.dump(measured, file)
 """
-"""Helper process that starts the method, because Linux includes the parent in the peak memory of a process."""
+"""Code of a small helper process that starts the method and measures it, because Linux includes the memory of the
+parent process in the peak memory of a child process."""
 _LAST_WORDS = 400
-"""Maximum length of the quoted last error line of a failed method."""
+"""Maximum number of characters quoted from the last output line of a failed method."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Outcome of one case."""
+    """Outcome of a method on one case."""
 
     case: str
     state: State
-    """``nothing``: no file with a known name was written; ``unreadable``: none of them could be scored."""
+    """``done``, ``failed``, ``timeout``, ``nothing`` (no file with a known name was written) or ``unreadable`` (no file
+    could be scored)."""
     sentence: str = ""
+    """Reason for a state other than ``done``, or for files that could not be scored."""
     exit_code: int | None = None
     wall_s: float | None = None
     cpu_s: float | None = None
-    """CPU time of all finished processes; None on systems that do not report it."""
+    """Total CPU time of all finished processes; None if the operating system does not report CPU time."""
     memory_mib: float | None = None
-    """Peak memory of the largest process."""
+    """Peak memory of the largest process; None if the operating system does not report it."""
     scores: dict[str, Any] = field(default_factory=dict)
 
 
 def command_of(method: str) -> str:
-    """Return the command line of a built-in method, or the given one.
+    """Return the command line for a method, which is the name of a built-in method or already a command line.
 
     Raises
     ------
     UserError
-        If a command has no ``{output}``, or is not a built-in method.
+        If ``method`` is neither a built-in method nor contains ``{output}``.
     """
     if method in BUILT_IN:
         return f"{shlex.quote(sys.executable)} -m rhizotwin reconstruct {{dataset}} -o {{output}} --method {method} --quiet"
@@ -97,41 +100,43 @@ def run(
     finished: Mapping[str, Row] = MappingProxyType({}),
     say: Callable[[Row], None] = lambda _: None,
 ) -> list[Row]:
-    """Run a method on each case, in a folder without ground truth; failures are recorded in the rows.
+    """Run a method on each case of a benchmark in a folder without ground truth, and score the output.
+
+    A failure of the method is recorded in the row of the case.
 
     Parameters
     ----------
     benchmark : Benchmark
         Benchmark to run.
     folder : path
-        Rendered datasets.
+        Folder of the rendered datasets.
     method : str
-        Command line as in `command_of`; ``{dataset}`` and ``{output}`` are replaced by paths.
+        Built-in method, or command line in which ``{dataset}`` and ``{output}`` are replaced by paths.
     cameras : {"estimated", "true"}
-        As in `offer`.
+        Cameras in the method's input, see `offer`.
     timeout_s : float
-        Time limit after which a case is stopped, including its child processes.
+        Timeout for one case, after which the method and its child processes are killed.
     keep : path, optional
-        Folder in which the output of the method is kept, one subfolder per case.
+        Folder in which the output of the method is stored, with one subfolder per case.
     finished : mapping from str to Row
-        Rows of an earlier run by case, which are reused.
+        Rows of an interrupted run by case, which are reused.
     say : callable
-        Receives each row.
+        Function that is called with each row.
 
     Returns
     -------
     list of Row
-        Rows in the order of the cases.
+        One row per case.
 
     Raises
     ------
     UserError
-        If a folder to be kept already exists.
+        If an output subfolder already exists in ``keep``.
     """
     command, rows = command_of(method), []
     for case in benchmark.cases:
         if keep is not None and case.name not in finished and (keep / case.name).exists():
-            raise UserError(f"{keep / case.name} already exists; remove it, or choose another folder for --keep")
+            raise UserError(f"the folder {keep / case.name} already exists; remove the folder, or choose another folder for --keep")
     for case in benchmark.cases:
         row = finished.get(case.name) or _run_case(case.name, folder / case.name, command, cameras, timeout_s, keep)
         rows.append(row)
@@ -140,18 +145,23 @@ def run(
 
 
 def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[Row], None] = lambda _: None) -> list[Row]:
-    """Score output that was written elsewhere, without times and memory.
+    """Score output folders that another program has written; times and memory are unknown.
 
     Parameters
     ----------
     benchmark : Benchmark
-        Benchmark of the output.
+        Benchmark on which the output was computed.
     folder : path
-        Rendered datasets.
+        Folder of the rendered datasets.
     outputs : path
-        Folder with one subfolder per case.
+        Folder of the outputs, with one subfolder per case.
     say : callable
-        Receives each row.
+        Function that is called with each row.
+
+    Returns
+    -------
+    list of Row
+        One row per case.
     """
     rows = []
     for case in benchmark.cases:
@@ -163,18 +173,18 @@ def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[R
 
 
 def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, cameras: CameraSource | None) -> dict[str, Any]:
-    """Return rows as JSON values, with the information needed to compare them with other results.
+    """Convert rows to the JSON values of a results file, with versions, computer and options of the run.
 
     Parameters
     ----------
     benchmark : Benchmark
         Benchmark of the rows.
     method, name : str
-        Command line, and name of the method in tables.
+        Command line of the method, and its name in tables.
     rows : list of Row
         Rows from `run` or `score`.
     cameras : str or None
-        Cameras given to the method; None: unknown.
+        Cameras in the method's input; None if unknown.
     """
     return {
         "schema_version": SCHEMA,
@@ -189,22 +199,22 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
 
 
 def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
-    """Return the scored rows of an interrupted run of the same command.
+    """Return the rows of the finished cases of an interrupted run with the same command.
 
     Parameters
     ----------
     path : path
-        Results of the run.
+        Results file of the interrupted run.
     benchmark : Benchmark
         Benchmark to run.
     method, cameras : str
-        As in `run`.
+        Arguments of the run, see `run`.
 
     Returns
     -------
     dict of Row
-        Rows by case; empty without an interrupted run. A completed run is repeated, because the program behind the
-        command may have changed.
+        Rows by case. The dictionary is empty if there is no such file or its run is complete. A complete run is
+        repeated, because the method may have changed.
     """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
@@ -219,14 +229,14 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
 
 
 def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
-    """Run a method on a case and score its output, which is moved to ``keep`` when complete."""
+    """Run a method on one case, score its output, and then move the output to ``keep``."""
     with tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True) as temporary:
         working = Path(temporary)
         offered, output = working / "dataset", working / "output"
         try:
             offer(dataset, offered, cameras=cameras)
         except UserError as error:
-            return Row(case=case, state="failed", sentence=f"the method was not run: {error}")
+            return Row(case=case, state="failed", sentence=f"the method was not run, because its input could not be written: {error}")
         words = [word.replace("{dataset}", str(offered)).replace("{output}", str(output)) for word in shlex.split(command)]
         row = _scored(_run_once(case, words, working, timeout_s), output, dataset)
         if keep is not None and output.is_dir():
@@ -236,7 +246,7 @@ def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, tim
 
 
 def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> Row:
-    """Run a command in its own process group and measure it."""
+    """Run a command in a separate process group, and measure its time and memory."""
     used, began = working / "used.json", time.perf_counter()
     with (working / "errors.txt").open("w+b") as errors:
         child = subprocess.Popen(
@@ -253,7 +263,7 @@ def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> R
                 case=case, state="timeout", sentence=f"stopped at the time limit of {timeout_s:g} s", wall_s=time.perf_counter() - began
             )
         finally:
-            _end(child)  # with its child processes
+            _end(child)  # also ends the child processes of the method
             child.wait()
         errors.seek(0)
         last = errors.read().decode(errors="replace").strip().splitlines()
@@ -272,7 +282,7 @@ def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> R
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """Terminate a process and its group."""
+    """Kill a process and all processes of its group."""
     try:
         if hasattr(os, "killpg"):
             os.killpg(child.pid, signal.SIGKILL)
@@ -283,11 +293,11 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def _scored(row: Row, output: Path, dataset: Path) -> Row:
-    """Return a row with the scores of the output."""
+    """Score the output of a case, and return a copy of the row with the scores."""
     if row.state != "done":
         return row
     scores, sentences = score_outputs(output, dataset)
     sentences = [sentence.replace(f"{output}{os.sep}", "") for sentence in sentences]
     state: State = "done" if scores else "unreadable" if sentences else "nothing"
-    sentence = "; ".join(sentences) or ("" if scores else "no output file with a known name (see docs/benchmark.md)")
+    sentence = "; ".join(sentences) or ("" if scores else "the method wrote no output file with a known name (see docs/benchmark.md)")
     return replace(row, state=state, sentence=sentence, scores=scores)

@@ -1,1 +1,1 @@
-"""Printed parts of a rig, with drawings and wiring diagrams."""
+"""Parts of a rig for 3D printing, with drawings and wiring diagrams."""

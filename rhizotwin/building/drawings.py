@@ -1,4 +1,4 @@
-"""Dimensioned drawings of parts and of the complete rig, as pages with the scale stated."""
+"""Dimensioned drawings of printed parts and of the complete rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.shading import Side
 
 PAGE_MM = (297.0, 210.0)
-"""A4, landscape."""
+"""Width and height of a page (A4 landscape)."""
 MARGIN_MM = 8.0
 TABLE_WIDE_MM = 92.0
-"""Width of the table at the right."""
+"""Width of the table of parameters on the right of a page."""
 SCALES = (2.0, 1.0, 0.5, 0.4, 0.25, 0.2, 0.1, 0.05, 0.025, 0.02, 0.01)
-"""Standard drawing scales, drawing over object."""
+"""Standard drawing scales, as ratios of drawing to object."""
 ROOM_MM = 15.0
-"""Margin around each view for its dimensions."""
+"""Margin around each view, which contains the dimension lines."""
 ROW_MM = 4.2
-"""Distance between dimension lines, and between the rows of the table."""
+"""Spacing of dimension lines, and of the rows of the table."""
 HEAVY_MM, LIGHT_MM = 0.25, 0.1
 ARROW_MM = 1.6
 LETTER_MM = 1.7
@@ -32,7 +32,7 @@ LETTER_MM = 1.7
 
 @dataclass(frozen=True, kw_only=True)
 class _View:
-    """View on the page: page = corner + (right, -up) * scale."""
+    """View of a part on the page, with page position = corner + scale * (right, -up)."""
 
     side: Side
     drawn: Drawn
@@ -40,19 +40,16 @@ class _View:
     corner_mm: Array
 
     def at(self, point_mm: Array) -> Array:
-        """Return the page position of a point (3,) of the part."""
+        """Return the page position (2,) of a point (3,) of the part."""
         return self.on_page((self.side.axes @ point_mm)[:2])
 
     def on_page(self, points_mm: Array) -> Array:
-        """Return the page positions of points (..., 2) along right and up."""
+        """Return the page positions (..., 2) of points (..., 2) in the right and up coordinates of the view."""
         return np.asarray(self.corner_mm + self.scale * (points_mm - self.drawn.low_mm) * np.array([1.0, -1.0]))
 
 
 def part_page(part: Part, *, title: str) -> Page:
-    """Draw a part.
-
-    The page shows views from the front, the right, above and a corner, with dimensions and the table of parameters.
-    """
+    """Draw a part on a page, with views from the front, the right, above and a corner, dimensions and parameters."""
     drawn = {side.name: draw(part.solid, side) for side in (FRONT, RIGHT, TOP, CORNER)}
     cell = (np.array(PAGE_MM) - [TABLE_WIDE_MM + MARGIN_MM, 2.0 * MARGIN_MM]) / 2.0
     largest = np.max([one.size_mm for one in drawn.values()], axis=0)
@@ -101,9 +98,9 @@ def _length(dimension: Dimension) -> float:
 
 
 def _way(dimension: Dimension, side: Side) -> str | None:
-    """Return the orientation of a dimension in a view.
+    """Return the orientation ("across" or "up") of a dimension in a view, or None if the view does not show it.
 
-    Each dimension is drawn once, in the first view (front, right, above) that shows its true length.
+    Each dimension is drawn once, in the first view (front, right, above) that shows the true length.
     """
     for one in (FRONT, RIGHT, TOP):
         along = one.axes @ np.subtract(dimension.to_mm, dimension.from_mm)
@@ -114,7 +111,7 @@ def _way(dimension: Dimension, side: Side) -> str | None:
 
 
 def _across(x0: float, x1: float, y: float, *, from_y: tuple[float, float], value: float, name: str = "") -> list[Ink]:
-    """Draw a horizontal dimension with extension lines."""
+    """Draw a horizontal dimension line with extension lines, arrows and value."""
     parts: list[Ink] = [_line((x, start), (x, y + np.sign(y - start) * 1.0)) for x, start in zip((x0, x1), from_y, strict=True)]
     parts += [_line((x0, y), (x1, y)), *_arrows((x0, y), (x1, y))]
     text = f"{name} {value:.2f}".strip()
@@ -122,7 +119,7 @@ def _across(x0: float, x1: float, y: float, *, from_y: tuple[float, float], valu
 
 
 def _up(y0: float, y1: float, x: float, *, from_x: tuple[float, float], value: float, name: str = "") -> list[Ink]:
-    """Draw a vertical dimension with extension lines."""
+    """Draw a vertical dimension line with extension lines, arrows and value."""
     parts: list[Ink] = [_line((start, y), (x + np.sign(x - start) * 1.0, y)) for y, start in zip((y0, y1), from_x, strict=True)]
     parts += [_line((x, y0), (x, y1)), *_arrows((x, y0), (x, y1))]
     text = f"{name} {value:.2f}".strip()
@@ -149,7 +146,7 @@ def _arrows(a: tuple[float, float], b: tuple[float, float]) -> list[Ink]:
 
 
 def _table(part: Part, *, title: str, scale: float) -> list[Ink]:
-    """Draw title, purpose, and parameters with their sources."""
+    """Draw the title and purpose of a part, and the table of its parameters with their sources."""
     left = PAGE_MM[0] - TABLE_WIDE_MM
     wide, deep, high = part.size_mm
     lines = [
@@ -185,7 +182,7 @@ def _scale_text(scale: float) -> str:
 
 
 def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> Page:
-    """Draw the assembled rig from three sides, with overall dimensions."""
+    """Draw the assembled rig on a page, with views from three sides and overall dimensions."""
     whole = Manifold.compose([solid for part in parts for solid in part.placed()] + [one.solid for one in bought])
     drawn = {side.name: draw(whole, side) for side in (FRONT, RIGHT, TOP)}
     cell = (np.array(PAGE_MM) - 2.0 * MARGIN_MM) / 2.0
@@ -215,7 +212,7 @@ def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> 
 
 
 def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str, list[Manifold]]]:
-    """Return the name and the displaced solids of each object."""
+    """Return the name of each object on the rig, and its solids displaced for the exploded view."""
     things = [(part.name, [solid.translate(part.apart_mm) for solid in part.placed()]) for part in parts if part.rig_from_part]
     for one in bought:
         things.append((one.name, [one.solid.translate(one.apart_mm)]))
@@ -223,7 +220,7 @@ def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str,
 
 
 def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> Page:
-    """Draw the exploded view from a corner, with the name of each part."""
+    """Draw the exploded view of the rig from a corner, with the name of each part."""
     things = exploded(parts, bought)
     drawn = draw(Manifold.compose([solid for _, solids in things for solid in solids]), CORNER)
     room = np.array(PAGE_MM) - 2.0 * MARGIN_MM - [70.0, 8.0]
@@ -248,10 +245,7 @@ def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str
 
 
 def _middle(solid: Manifold) -> Array:
-    """Return a central vertex among those that face the viewer.
-
-    A leader line to it ends on the object.
-    """
+    """Return a central vertex (3,) on the side that faces the viewer, as the end point of a leader line."""
     vertices, _ = surface(solid)
     view = vertices @ CORNER.axes.T
     front = view[:, 2] > np.median(view[:, 2])

@@ -1,4 +1,7 @@
-"""Lightbox of the panel (E.1): clips on the frame, holders, and walls around the space between LEDs and diffuser."""
+"""Lightbox of the panel: clips on the frame, holders, and walls around the space between LEDs and diffuser.
+
+The design follows appendix E.1 of the thesis.
+"""
 
 from itertools import pairwise
 
@@ -20,13 +23,13 @@ HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
 HOLDER_TAB_MM = 40.0
 """Length of the tab that is screwed to the clip."""
 HOLDER_EVERY_MM = 250.0
-"""Distance between holders along the upper and lower edge of the panel."""
+"""Maximum spacing of the holders along the upper and lower edge of the panel."""
 WALL_LONG_MM = 200.0
 """Maximum length of a wall piece of the lightbox."""
 
 
 def _clip_outline(measures: Measures) -> CrossSection:
-    """Return the outline of a clip: a C around a profile at the origin, open towards -y, its back towards +y."""
+    """Return the C-shaped outline of a clip around a profile at the origin, open towards -y with its back at +y."""
     half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
     gap = half + fit
     nose = measures.slot_mm / 2.0 - fit
@@ -48,7 +51,7 @@ def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
 
 
 def lightbox_clip(scene: Scene, measures: Measures) -> Part:
-    """Create the clip that snaps onto a profile and carries a panel holder; the profile runs along its z axis."""
+    """Create the clip that snaps onto a profile along its z axis, and to which a panel holder is screwed."""
     back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
     thick = CLIP_WALL_MM + 2.0
     drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
@@ -79,7 +82,7 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
 
 def _holder_back_mm(measures: Measures) -> float:
-    """Return the distance from the back of the holder to the front of the diffuser, centred in its clearance."""
+    """Return the distance from the back of the holder to the front of a diffuser that is centred in its slot."""
     return _slots(measures)[1][1] - measures.fit_mm / 2.0
 
 
@@ -89,15 +92,12 @@ def _bar_x_mm(scene: Scene, measures: Measures) -> float:
 
 
 def _bar_beyond_mm() -> float:
-    """Return the distance of the profile's centre from the edge of the panel.
-
-    The two screws of the holder are centred on the profile.
-    """
+    """Return the distance from the edge of the panel to the centre of the profile, at which the holder is screwed."""
     return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
 
 
 def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of the slots for LED board and diffuser, measured from the back of the channel."""
+    """Return the start and end of the slots for LED board and diffuser, measured from the back of the channel, mm."""
     wall, fit = HOLDER_WALL_MM, measures.fit_mm
     board = (wall, wall + measures.panel_board_mm + fit)
     bright = board[1] + measures.diffuser_gap_mm
@@ -105,7 +105,10 @@ def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]
 
 
 def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
-    """Return the outline of the channel at an edge of the panel: floor below y = 0, fins beside the slots above."""
+    """Return the outline of the channel at an edge of the panel.
+
+    The floor of the channel is below y = 0. Above it, fins on both sides of each slot guide LED board and diffuser.
+    """
     wall = HOLDER_WALL_MM
     slots = _slots(measures)
     floor = rectangle((0.0, -wall), (slots[1][1] + wall, 0.0))
@@ -116,7 +119,7 @@ def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
 def panel_holder(scene: Scene, measures: Measures) -> Part:
     """Create the channel that holds LED board and diffuser at one edge of the panel.
 
-    Its back is at x = 0, the floor of the edge at y = 0.
+    The back of the channel is at x = 0, and the edge of the panel at y = 0.
     """
     wall, deep, tab = HOLDER_WALL_MM, HOLDER_DEEP_MM, HOLDER_TAB_MM
     board, diffuser = _slots(measures)
@@ -150,14 +153,17 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
 
 
 def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -> Array:
-    """Return the pose (4, 4) of a piece at the upper (``up`` is -1) or lower edge, from its position along the edge."""
+    """Return the pose (4, 4) in the rig frame of a piece with its middle at a point on an edge of the panel.
+
+    ``up`` is the direction in which the channel opens: -1 at the upper edge, 1 at the lower edge.
+    """
     x, y, z = middle_mm
     axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     return np.asarray(frames.translation(x, y + up * long_mm / 2.0, z) @ axes)
 
 
 def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
-    """Create the pieces that close the lightbox between the holders and at its sides."""
+    """Create the wall pieces that close the lightbox between the holders and at both sides."""
     wide = scene.lights.backlight_wh_mm[0]
     centres = sorted({y for y, _ in clip_places_mm(scene)})
     half = HOLDER_LONG_MM / 2.0
@@ -172,7 +178,7 @@ def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
 
 
 def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, middles_mm: list[float]) -> Part:
-    """Create a piece of the upper and lower walls."""
+    """Create a wall piece for the upper and lower edge of the lightbox."""
     z, high = scene.lights.backlight_z_mm, scene.lights.backlight_wh_mm[1]
     x, cut = _panel_x_mm(scene, measures), long_mm - measures.fit_mm
     places = []
@@ -191,7 +197,7 @@ def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, m
 
 
 def _side_piece(scene: Scene, measures: Measures) -> Part:
-    """Create a piece of the left and right walls; its fins end before the corners, to clear those of the edges."""
+    """Create a wall piece for the sides of the lightbox, whose fins do not touch the upper and lower walls."""
     wide, high = scene.lights.backlight_wh_mm
     count = int(np.ceil(high / WALL_LONG_MM))
     long = high / count - measures.fit_mm
@@ -218,5 +224,5 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
 
 
 def _panel_x_mm(scene: Scene, measures: Measures) -> float:
-    """Return x of the back of the channels in the rig frame."""
+    """Return the x coordinate of the back of the channels in the rig frame."""
     return -scene.lights.backlight_distance_mm - _holder_back_mm(measures)

@@ -1,4 +1,4 @@
-"""Line drawings of solids: silhouettes and sharp edges as seen from one side, with hidden lines removed."""
+"""Line drawings of solids with silhouettes and sharp edges, and with hidden lines removed."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.shading import Side, rasterise
 
 SHARP_DEG = 25.0
-"""Edges with a larger angle between their faces are drawn; the faces of a round wall with 240 sides differ by 1.5
-degrees."""
+"""Minimum angle between the normals of adjacent faces at a drawn edge. The angle is 1.5 degrees on a round wall with
+240 sides, whose edges are not drawn."""
 PIXELS = 700
-"""Size of the depth image for the hidden-line test, along its longer side."""
+"""Number of pixels along the longer side of the depth image for the hidden-line test."""
 NEAR_PX = 2.5
-"""Tolerance of the hidden-line test in pixels, for edges that lie on the visible surface."""
+"""Depth tolerance of the hidden-line test for edges on the visible surface, in pixels of the depth image."""
 
 TOP = Side(name="from above", right=(1.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), right_label="x (mm)")
 FRONT = Side(name="from the front", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), right_label="x (mm)")
@@ -30,32 +30,32 @@ CORNER = Side(
     up=(float(-np.sin(_SLOPE) * np.cos(_TURN)), float(-np.sin(_SLOPE) * np.sin(_TURN)), float(np.cos(_SLOPE))),
     right_label="",
 )
-"""From above, between the camera (+x) and -y."""
+"""Axonometric view from above, between the directions of the camera (+x) and -y."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """Visible lines of a solid as seen from one side."""
+    """Visible lines of a solid in one view."""
 
     strokes_mm: list[Array]
-    """Lines (N, 2) along right and up."""
+    """Polylines (N, 2) in the right and up coordinates of the view."""
     low_mm: Array
-    """(2,) lower left corner of the solid along right and up."""
+    """Lower left corner (2,) of the solid's bounding box in the view."""
     high_mm: Array
 
     @property
     def size_mm(self) -> Array:
-        """Width and height (2,)."""
+        """Width and height (2,) of the solid in the view."""
         return self.high_mm - self.low_mm
 
 
 def draw(solid: Manifold, side: Side) -> Drawn:
-    """Compute the visible edges of a solid.
+    """Compute the visible sharp edges and silhouette edges of a solid.
 
     Notes
     -----
-    Sharp edges and silhouette edges are drawn. Each edge is divided into pieces of one pixel of a depth image, and
-    pieces behind the depth image are removed.
+    Each edge is divided into pieces of one pixel of a depth image, and pieces behind the surface in the depth image are
+    removed.
     """
     vertices, faces = surface(solid)
     view = vertices @ side.axes.T
@@ -74,13 +74,13 @@ def draw(solid: Manifold, side: Side) -> Drawn:
 
 
 def _nearest(mesh: Mesh, side: Side, box: tuple[float, float, float, float], px_mm: float) -> Array:
-    """Compute the depth image (H, W) towards the viewer, -inf where it is empty."""
+    """Compute the depth image (H, W) of a mesh, with coordinates towards the viewer and -inf for empty pixels."""
     raster = rasterise(mesh, side, box_mm=box, px_mm=px_mm)
     return np.where(raster.hit, raster.depth_mm, -np.inf)
 
 
 def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the edges (E, 2) of a closed surface that are drawn."""
+    """Return the sharp edges and silhouette edges of a closed surface as vertex indices (E, 2)."""
     a, b, c = (view[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -97,7 +97,7 @@ def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], px_mm: float) -> NDArray[np.bool_]:
-    """Return which points (N, 3) are visible: compared with the farthest surface in the pixels around each."""
+    """Return a mask (N,) of visible points, which are not behind the farthest surface in the adjacent pixels."""
     column = (points[:, 0] - box[0]) / px_mm - 0.5
     row = (box[3] - points[:, 1]) / px_mm - 0.5
     x = np.clip(np.rint(column).astype(int), 0, depth.shape[1] - 1)
@@ -106,9 +106,9 @@ def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], p
 
 
 def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> list[Array]:
-    """Return the ends (2, 2) of the visible parts of straight edges.
+    """Return the end points (2, 2) of each visible part of straight edges.
 
-    ``edge`` (N,) is the index of the edge of each point.
+    ``edge`` (N,) is the index of the edge on which each point lies.
     """
     same = np.concatenate([[False], (edge[1:] == edge[:-1]) & seen[1:] & seen[:-1], [False]])
     change = np.flatnonzero(np.diff(same.astype(np.int8)))
@@ -116,9 +116,9 @@ def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> li
 
 
 def _chained(strokes: list[Array]) -> list[Array]:
-    """Join consecutive strokes to polylines, which makes the file smaller and does not change the drawing."""
+    """Join consecutive strokes to polylines, which reduces the size of the file without changing the drawing."""
     kept: dict[tuple[int, ...], Array] = {}
-    for stroke in strokes:  # an edge and the one behind it may be drawn twice
+    for stroke in strokes:  # two edges may coincide in the view
         key = tuple(np.rint(stroke * 100.0).astype(int).ravel())
         kept.setdefault(min(key, key[2:] + key[:2]), stroke)
     ends: dict[tuple[int, int], list[int]] = {}

@@ -1,4 +1,4 @@
-"""Mounts of arm, camera, panel and calibration board on a frame of aluminium profiles."""
+"""Mounts for arm, camera and calibration board on a frame of aluminium profiles."""
 
 import numpy as np
 from manifold3d import CrossSection
@@ -14,13 +14,13 @@ from rhizotwin.scenes.model import Scene
 PLATE_MM = 4.0
 POST_MM = 7.0
 TAP_M25_MM = 2.1
-"""Hole in plastic for a self-tapping M2.5 screw."""
+"""Diameter of a hole in plastic for a self-tapping M2.5 screw."""
 M3_MM, M4_MM, M5_MM = 3.4, 4.5, 5.5
-"""Clearance holes (ISO 273, medium)."""
+"""Diameters of clearance holes for M3, M4 and M5 screws (ISO 273, medium)."""
 LEAST_POST_MM = 8.0
-"""Minimum height of the posts, for the ribbon cable behind the camera board."""
+"""Minimum height of the posts, which leaves space for the ribbon cable behind the camera board."""
 DRIVER_MM = 10.0
-"""Diameter of the passage for the head of an M5 screw and its driver."""
+"""Diameter of the passage for the head of an M5 screw and a screwdriver."""
 MOUNT_WALL_MM, MOUNT_TOP_MM, MOUNT_FOOT_MM = 5.0, 6.0, 6.0
 STAND_LEAN_DEG = 15.0
 """Backward inclination of the calibration board in its stand."""
@@ -28,20 +28,20 @@ STAND_DEEP_MM, STAND_WIDE_MM = 12.0, 24.0
 
 
 def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
-    """Create the plate on the roll servo of the arm, with four posts for the camera board.
+    """Create the plate on the arm's roll servo, with four posts for the camera board.
 
-    The horn is at z = 0, the lens looks along +z.
+    The horn (mounting disc) of the servo is at z = 0, and the lens points along +z.
 
     Raises
     ------
     UserError
-        If the last link of the arm is too short.
+        If the last link of the arm is too short for the bracket.
     """
     deep = arm.links_mm[3] - measures.roll_face_mm - measures.camera_centre_mm
     if deep < PLATE_MM + LEAST_POST_MM:
         raise UserError(
-            f"arm.links_mm leaves {deep:.1f} mm between the horn of the roll servo and the camera board, but "
-            f"{PLATE_MM + LEAST_POST_MM:g} mm are required: its last value must be at least "
+            f"the last value of arm.links_mm leaves {deep:.1f} mm between the mounting disc of the roll servo and the camera board, "
+            f"but {PLATE_MM + LEAST_POST_MM:g} mm are needed; set it to at least "
             f"{measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM:.1f}"
         )
     low, high = measures.horn_holes_mm[0] / 2.0, measures.horn_holes_mm[1] / 2.0
@@ -64,7 +64,7 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
     )
     return Part(
         name="camera_bracket",
-        about="Carries the camera board on the horn of the arm's roll servo, at the distance given by the last link in the rig file.",
+        about="Holds the camera board on the horn of the arm's roll servo, at the distance given by the last link in the rig file.",
         solid=joined([raised(plate, 0.0, PLATE_MM), *posts]),
         rig_from_part=(place,),
         apart_mm=(40.0, 0.0, 0.0),
@@ -80,18 +80,18 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
 
 
 def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
-    """Create the block that carries the arm's base above two profiles of the frame; its top is at z = 0.
+    """Create the block that supports the arm's base above two profiles of the frame, with its top at z = 0.
 
     Raises
     ------
     UserError
-        If the arm is too low.
+        If the base of the arm is too close to the floor.
     """
     high = arm.position_mm[2] - floor_mm
     if high < 30.0:
         raise UserError(
-            f"arm.position_mm places the base of the arm {high:.0f} mm above clearance.floor_z_mm, but the printed mount needs 30 mm; "
-            "screw the arm to the frame instead"
+            f"the base of the arm (arm.position_mm) is {high:.0f} mm above the floor (clearance.floor_z_mm), but the printed mount "
+            "needs 30 mm; screw the arm directly to the frame"
         )
     along, across = measures.arm_base_mm
     wide, foot, wall = across + 2.0 * 12.0, measures.profile_mm, MOUNT_WALL_MM
@@ -122,7 +122,7 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
     x, y, z = arm.position_mm
     return Part(
         name="arm_mount",
-        about="Carries the base of the arm at the height given in the rig file; M5 screws pass through it into T-nuts of two profiles.",
+        about="Supports the base of the arm at the height given in the rig file; M5 screws pass through it into T-nuts of two profiles.",
         solid=solid,
         bed_from_part=FLIPPED,
         rig_from_part=(moved(x, y, z),),
@@ -141,38 +141,38 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
 
 
 def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm: float) -> Part:
-    """Create one leg of the stand of the calibration board.
+    """Create one of the two legs of the calibration board's stand.
 
     The stand holds the centre of the board at the height of the camera in the first ring.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the first ring.
+        Scene whose first ring determines the height of the board.
     board : CharucoBoard
         Calibration board.
     measures : Measures
-        Dimensions of paper and screws, and clearances.
+        Thickness of the plate under the board, and clearances.
     floor_mm : float
-        Height of the floor.
+        Height of the floor in the rig frame.
 
     Returns
     -------
     Part
-        One of the two legs.
+        Leg of the stand.
 
     Raises
     ------
     UserError
-        If the camera is too low.
+        If the camera is too low for the board.
     """
     lean = np.deg2rad(STAND_LEAN_DEG)
     middle = scene.plan.rings[0].height_mm - floor_mm
     edge = middle - board.size_mm[1] / 2.0 * np.cos(lean)
     if edge < 20.0:
         raise UserError(
-            f"the lower edge of the calibration board would be {edge:.0f} mm above clearance.floor_z_mm, but the stand needs "
-            "20 mm: use a smaller board, or raise the stand"
+            f"the lower edge of the calibration board would be {edge:.0f} mm above the floor (clearance.floor_z_mm), but the stand "
+            "needs 20 mm; use a smaller board, or raise the stand"
         )
     thick = measures.stand_board_mm + measures.fit_mm
     foot = max(60.0, 0.8 * middle)

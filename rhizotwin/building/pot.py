@@ -1,4 +1,4 @@
-"""Net pot with its grid, and the ring that centres the canister on the turntable."""
+"""Net pot with its grid, holder of the wire phantom, and ring that centres the canister on the turntable."""
 
 import numpy as np
 
@@ -10,43 +10,45 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 LEAST_WALL_MM = 1.2
-"""Three lines of a 0.4 mm nozzle: thinner walls leak and bend."""
+"""Minimum wall thickness, which is three lines of a 0.4 mm nozzle; thinner walls leak and bend."""
 SEAT_MM = 3.0
-"""Width of the conical seat of the grid."""
+"""Width of the conical seat of the grid in the net pot."""
 GRID_MM = 2.4
+"""Thickness of the grid."""
 RIM_MM = 3.0
 """Width of the solid rim of the grid, which rests on the seat."""
 NOTCH_MM = 1.5
-"""Depth of the notch in the upper edge that marks the seam of the marker strip."""
+"""Depth of the notch in the upper edge of the net pot, at which the ends of the marker strip meet."""
 RING_WIDE_MM = 8.0
-"""Width of the canister ring: room for the head of an M3 screw beside the canister."""
+"""Radial width of the canister ring, which leaves space for the head of an M3 screw beside the canister."""
 RING_SCREWS = 3
+"""Number of screws of the canister ring."""
 WIRE_HOLE_MM = 1.2
-"""A printer's smallest sure hole, wide enough for a wire of 0.8 mm."""
+"""Diameter of the holes for wires of 0.8 mm, the smallest hole that a printer produces reliably."""
 WIRES_AT_MM = ((14.0, 4.0), (-5.0, 13.0), (-13.0, -6.0), (4.0, -15.0))
-"""Places of the wires, as in the scene wire_phantom: none hides another one in more than a few views."""
+"""Positions (x, y) of the wires, as in the scene wire_phantom; a wire occludes another wire in only a few views."""
 M3_MM = 3.4
-"""Clearance hole of an M3 screw (ISO 273, medium)."""
+"""Diameter of the clearance hole for an M3 screw (ISO 273, medium)."""
 
 
 def strip_seat_radius_mm(scene: Scene, measures: Measures) -> float:
-    """Return the radius below the paper; the radius in the scene is that of the paper's outer face."""
+    """Return the radius of the net pot under the marker strip; the scene has the radius of the paper's outer face."""
     return scene.net_pot.outer_radius_mm - measures.paper_mm
 
 
 def _refuse_pot(scene: Scene, measures: Measures, *, skirt_mm: float, funnel_mm: float) -> None:
-    """Reject a net pot with walls that are too thin or too short."""
+    """Raise UserError if the walls of the net pot would be too thin, or if its heights cannot be printed."""
     pot = scene.net_pot
     if skirt_mm < LEAST_WALL_MM:
         least_mm = scene.canister.outer_radius_mm + measures.fit_mm + measures.paper_mm + LEAST_WALL_MM
         raise UserError(
-            f"the skirt of the net pot would be {max(skirt_mm, 0.0):.2f} mm thick, but at least {LEAST_WALL_MM:g} mm are required: "
-            f"net_pot.outer_radius_mm must be at least {least_mm:.2f} for this canister and these dimensions"
+            f"the outer wall of the net pot would be {max(skirt_mm, 0.0):.2f} mm thick, but at least {LEAST_WALL_MM:g} mm are needed; "
+            f"set net_pot.outer_radius_mm to at least {least_mm:.2f} for this canister and these dimensions"
         )
     if pot.grid_z_mm > -SEAT_MM or pot.top_mm < funnel_mm + NOTCH_MM or pot.skirt_bottom_mm >= 0.0:
         raise UserError(
-            f"the net pot cannot be printed: net_pot.grid_z_mm must be {-SEAT_MM:g} or lower, top_mm above {funnel_mm + NOTCH_MM:.1f}, "
-            "and skirt_bottom_mm below 0"
+            f"the net pot of the scene cannot be printed; net_pot.grid_z_mm must be {-SEAT_MM:g} or lower, net_pot.top_mm at least "
+            f"{funnel_mm + NOTCH_MM:.1f}, and net_pot.skirt_bottom_mm below 0"
         )
 
 
@@ -56,7 +58,7 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
     Raises
     ------
     UserError
-        If the walls would be too thin.
+        If the walls would be too thin, or the heights in the scene cannot be printed.
     """
     pot, can, fit = scene.net_pot, scene.canister, measures.fit_mm
     seat = strip_seat_radius_mm(scene, measures)
@@ -110,9 +112,14 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
 
 
 def net_pot_grid(scene: Scene, measures: Measures) -> Part:
-    """Create the grid, a disc that rests on the conical seat of the pot.
+    """Create the grid of the net pot, a disc that rests on the conical seat of the pot.
 
-    Its lower face is at ``grid_z_mm`` of the scene.
+    The lower face of the grid is at ``net_pot.grid_z_mm`` of the scene.
+
+    Raises
+    ------
+    UserError
+        If the open centre is too large.
     """
     low = scene.canister.inner_radius_mm - measures.fit_mm - measures.wall_mm - SEAT_MM
     z = scene.net_pot.grid_z_mm
@@ -125,7 +132,7 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
     ) ^ circle(reach)
     middle = measures.mesh_middle_mm / 2.0
     if not 0.0 <= middle < reach - RIM_MM:
-        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} is too large for the grid: give 0 to {2.0 * (reach - RIM_MM):.0f}")
+        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} is too large for the grid; give 0 to {2.0 * (reach - RIM_MM):.0f}")
     if middle > 0.0:  # without the opening, roots were constricted and had to be cut out (thesis, section 3.1)
         openings = openings - circle(middle + RIM_MM) + circle(middle)
     return Part(
@@ -147,9 +154,9 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
 
 
 def wire_holder(scene: Scene, measures: Measures) -> Part:
-    """Return the holder of the wire phantom: a closed disc that lies in the pot in place of the grid.
+    """Create the holder of the wire phantom, a disc that replaces the grid of the net pot.
 
-    Each wire hangs through a hole and is bent over on top.
+    Each wire hangs through a hole of the disc and is bent at its upper end.
     """
     low = scene.canister.inner_radius_mm - measures.fit_mm - measures.wall_mm - SEAT_MM
     z = scene.net_pot.grid_z_mm
@@ -157,7 +164,7 @@ def wire_holder(scene: Scene, measures: Measures) -> Part:
     holes = union(hole(WIRE_HOLE_MM, at) for at in WIRES_AT_MM)
     return Part(
         name="wire_holder",
-        about="In place of the grid, for the wire phantom: each wire hangs through a hole and is bent over on top.",
+        about="Replaces the grid for the wire phantom; each wire hangs through a hole and is bent at its upper end.",
         solid=disc - raised(holes, z - 1.0, z + GRID_MM + 1.0),
         dimensions=(Dimension(name="underside", from_mm=(-low, 0.0, z), to_mm=(low, 0.0, z)),),
         numbers=(
@@ -169,12 +176,12 @@ def wire_holder(scene: Scene, measures: Measures) -> Part:
 
 
 def ring_outer_radius_mm(scene: Scene, measures: Measures) -> float:
-    """Return the outer radius of the canister ring."""
+    """Return the outer radius of the ring that centres the canister."""
     return scene.canister.outer_radius_mm + measures.fit_mm + RING_WIDE_MM
 
 
 def ring_screws_mm(scene: Scene, measures: Measures) -> list[tuple[float, float]]:
-    """Return the positions of the screws of the ring."""
+    """Return the positions (x, y) of the screws of the canister ring."""
     radius = scene.canister.outer_radius_mm + measures.fit_mm + RING_WIDE_MM / 2.0
     turn = 2.0 * np.pi * np.arange(RING_SCREWS) / RING_SCREWS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
@@ -183,7 +190,7 @@ def ring_screws_mm(scene: Scene, measures: Measures) -> list[tuple[float, float]
 def canister_ring(scene: Scene, measures: Measures) -> Part:
     """Create the ring that centres the canister on the turntable.
 
-    It is as high as the base of the canister, so that it does not occlude the water.
+    The height of the ring equals the thickness of the canister's base, so that the ring does not occlude the water.
     """
     can = scene.canister
     inner, outer = can.outer_radius_mm + measures.fit_mm, ring_outer_radius_mm(scene, measures)

@@ -1,4 +1,4 @@
-"""All printed and purchased parts of a rig and their positions."""
+"""Printed and purchased parts of a rig with their positions, and detection of collisions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.model import Scene
 
 BAR_END_MM = 20.0
-"""Distance from the panel to the end of the two profiles below the turntable."""
+"""Distance from the panel to the ends of the two profiles below the turntable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class Bought:
     solid: Manifold
     """Solid in the rig frame."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Displacement in the exploded view, as in `Part`."""
+    """Displacement in the exploded view, rig frame."""
 
 
 def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBoard) -> list[Part]:
@@ -35,18 +35,23 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
     Parameters
     ----------
     scene : Scene
-        Canister, net pot, marker strip, panel and first ring.
+        Scene with canister, net pot, marker strip, panel and first ring.
     rig : RigFile
-        Positions of arm and floor; without an arm there are no bracket and no mount.
+        Rig with the positions of arm and floor. Without an arm, camera bracket and arm mount are omitted.
     measures : Measures
         Dimensions of purchased parts.
     board : CharucoBoard
         Calibration board.
 
+    Returns
+    -------
+    list of Part
+        Printed parts.
+
     Raises
     ------
     UserError
-        If there is not enough room for a part.
+        If there is not enough space for a part.
     """
     floor_mm, under = rig.clearance.floor_z_mm, tank.below(scene)
     parts = [
@@ -69,7 +74,7 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
 
 
 def thesis_rig(scene: Scene | None = None) -> RigFile:
-    """Return the default rig file with an arm; the floor is lowered for the tank of the scene, if any."""
+    """Return the default rig with an arm; if the scene has a tank, the floor is lowered accordingly."""
     rig = RigFile(arm=ArmPart())
     if scene is None or scene.tank is None:
         return rig
@@ -77,7 +82,7 @@ def thesis_rig(scene: Scene | None = None) -> RigFile:
 
 
 def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
-    """Create canister, motor, frame profiles, LED board and diffuser at their positions."""
+    """Create the canister, motor, tank, frame profiles, LED board and diffuser at their positions on the rig."""
     can, floor_mm = scene.canister, rig.clearance.floor_z_mm
     under = tank.below(scene)
     drive = table.drive_of(scene, measures)
@@ -118,7 +123,7 @@ def _shaft(measures: Measures) -> CrossSection:
 
 
 def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) -> Manifold:
-    """Create a profile along x: a square with a slot in the middle of each side, up to the depth at which it widens."""
+    """Create a profile along x, whose slots are simplified to a constant width and end where real slots widen."""
     side, slot, deep = measures.profile_mm, measures.slot_mm, 3.0 * measures.slot_lip_mm
     slots = union(
         CrossSection.square((slot, 2.0 * deep), center=True).translate((0.0, side / 2.0)).rotate(turn) for turn in (0.0, 90.0, 180.0, 270.0)
@@ -129,9 +134,9 @@ def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) 
 
 
 def collisions(parts: Sequence[Part], bought: Sequence[Bought], *, least_mm3: float = 1e-2) -> list[tuple[str, str, float]]:
-    """Return the pairs of overlapping parts on the rig, with the volume of the overlap in mm3.
+    """Return the names of each pair of overlapping parts on the rig, and the volume of the overlap, mm3.
 
-    Parts that only touch are not included.
+    Overlaps of at most ``least_mm3`` are ignored, so that parts may touch.
     """
     things = [(part.name, solid) for part in parts for solid in part.placed()] + [(one.name, one.solid) for one in bought]
     found = []

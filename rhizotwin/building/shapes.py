@@ -1,4 +1,4 @@
-"""Outlines and solids of parts, using manifold3d. Units are millimetres, z is up."""
+"""Outlines and solids of parts, computed with manifold3d in millimetres with z up."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.frames import Array
 
 SIDES = 240
-"""Number of sides of a circle unless it is small; with a radius of 80 mm the deviation is 7 um."""
+"""Number of sides of the polygon that approximates a circle; at a radius of 80 mm the deviation is 7 um."""
 PRESSURE_RAD = np.deg2rad(20.0)
 """Pressure angle of the gears (ISO 53)."""
 FLANK_POINTS = 6
-"""Points along the flank of a tooth; for the pinion, the involute is within 5 um of the chords."""
+"""Number of points along the flank of a tooth; for the pinion, the chords are within 5 um of the involute."""
 
 Outline: TypeAlias = Sequence[tuple[float, float]]
 
 
 def polygon(points: Outline | Array) -> CrossSection:
-    """Return the outline with vertices (N, 2), in either direction."""
+    """Return the polygon with vertices (N, 2), which may be clockwise or counter-clockwise."""
     corners = np.asarray(points, dtype=np.float64)
     x, y = corners.T
     turn = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
@@ -28,26 +28,23 @@ def polygon(points: Outline | Array) -> CrossSection:
 
 
 def circle(radius: float, at: tuple[float, float] = (0.0, 0.0), *, sides: int = SIDES) -> CrossSection:
-    """Return a circle as a polygon with its vertices on the circle."""
+    """Return a regular polygon with its vertices on a circle."""
     return CrossSection.circle(radius, sides).translate(at)
 
 
 def hole(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return the hole of a screw; its sides lie on the circle, so that the screw fits."""
+    """Return a regular polygon circumscribed about a circle, so that a screw of this diameter fits."""
     sides = 32
     return CrossSection.circle(diameter / 2.0 / np.cos(np.pi / sides), sides).translate(at)
 
 
 def slot(diameter: float, start: tuple[float, float], end: tuple[float, float]) -> CrossSection:
-    """Return a slotted hole between two centres."""
+    """Return a slotted hole between the centres of its round ends."""
     return CrossSection.batch_hull([hole(diameter, start), hole(diameter, end)])
 
 
 def teardrop(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a horizontal hole that can be printed without support.
-
-    It is a circle with a 45 degree roof towards +y.
-    """
+    """Return a teardrop-shaped hole, whose 45 degree roof towards +y can be printed without support."""
     radius = diameter / 2.0
     return CrossSection.batch_hull([circle(radius, sides=32), polygon([(-0.1, 0.0), (0.1, 0.0), (0.0, np.sqrt(2.0) * radius)])]).translate(
         at
@@ -55,7 +52,7 @@ def teardrop(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSect
 
 
 def rectangle(low: tuple[float, float], high: tuple[float, float]) -> CrossSection:
-    """Return the rectangle between two corners."""
+    """Return the rectangle between its lower left and upper right corner."""
     return CrossSection.square((high[0] - low[0], high[1] - low[1])).translate(low)
 
 
@@ -81,7 +78,7 @@ def raised(outline: CrossSection, low: float, high: float) -> Manifold:
 
 
 def turned(points: Outline, *, sides: int = SIDES) -> Manifold:
-    """Revolve an outline of (radius, z) vertices about the z axis."""
+    """Revolve an outline with vertices (radius, z) about the z axis."""
     return polygon(points).revolve(sides)
 
 
@@ -91,9 +88,10 @@ def gear(teeth: int, module_mm: float, *, backlash_mm: float) -> CrossSection:
     Parameters
     ----------
     teeth : int
-        Number of teeth; at least 17, to avoid undercut flanks.
+        Number of teeth, at least 17 to avoid undercut flanks.
     module_mm : float
-        Pitch diameter over number of teeth; a tooth is 1 module above the pitch circle and 1.25 below it (ISO 53).
+        Pitch diameter divided by the number of teeth. A tooth extends 1 module above and 1.25 modules below the pitch
+        circle (ISO 53).
     backlash_mm : float
         Reduction of the tooth thickness along the pitch circle.
     """

@@ -1,8 +1,8 @@
-"""Turntable: plate with a ring gear on loose balls, base, feet on the frame, and the pinion of the motor.
+"""Parts of the turntable: plate with a ring gear, base, feet on the frame, and pinion of the motor.
 
-The top of the plate is the lower face of the canister. A bolt through the centre of the plate runs in a ball bearing in
-the base and centres the plate; the balls carry the weight. The motor is mounted below the base, beside the plate, out
-of the camera's view.
+The canister stands on top of the plate. A bolt through the centre of the plate runs in a ball bearing in the base and
+centres the plate, and loose balls between plate and base support the weight. The motor is mounted below the base,
+beside the plate, out of the camera's view.
 """
 
 from dataclasses import dataclass
@@ -18,33 +18,34 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 MODULE_MM = 1.0
-"""Module of the gears: the smallest with clean flanks from a 0.4 mm nozzle."""
+"""Module of the gears, the smallest that a 0.4 mm nozzle prints with clean flanks."""
 PINION_TEETH = 18
-"""Smallest round number without undercut at 20 degrees (17)."""
+"""Number of teeth of the pinion; at a pressure angle of 20 degrees, at least 17 are required to avoid undercut."""
 BACKLASH_MM = 0.15
-"""Reduction of the tooth thickness; a scan always approaches its angles from the same side."""
+"""Reduction of the tooth thickness. Backlash does not affect a scan, which approaches all angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
 PLATE_GAP_MM = 2.0
-"""Gap between plate and base: they do not touch even if the ball grooves are 0.5 mm off."""
+"""Gap between plate and base, which do not touch even if the ball grooves are 0.5 mm too deep."""
 TAP_M3_MM, TAP_M4_MM = 2.6, 3.4
-"""Holes in plastic for self-tapping screws."""
+"""Diameters of holes in plastic for self-tapping M3 and M4 screws."""
 M4_MM = 4.5
-"""Clearance holes (ISO 273, medium)."""
+"""Diameter of the clearance hole for an M4 screw (ISO 273, medium)."""
 COUNTERSINK_M4_MM = 9.4
-"""Diameter of the countersink of an M4 screw (ISO 10642: at most 8.96); the plate rotates 2 mm above it."""
+"""Diameter of the countersink for the head of an M4 screw (ISO 10642: at most 8.96), above which the plate rotates."""
 HEX_M8_MM, HEX_M8_HIGH_MM = 13.3, 5.6
-"""Pocket for the head of an M8 bolt (ISO 4017: width 13, height 5.3)."""
+"""Width across flats and depth of the pocket for the head of an M8 bolt (ISO 4017: width 13, height 5.3)."""
 SLIDE_MM = 1.5
-"""Range of the motor's slots in each direction, for adjusting the backlash."""
+"""Adjustment range of the motor in each direction, with which the backlash is set."""
 FOOT_MM = 24.0
+"""Length of a foot along the profile."""
 HUB_MM = 6.0
-"""Height of the pinion's hub, for a grub screw."""
+"""Height of the pinion's hub, which contains a grub screw."""
 TONGUE_MM = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """Layout of the turntable drive."""
+    """Gears and ball track of the turntable drive."""
 
     teeth: int
     """Number of teeth of the ring gear."""
@@ -53,7 +54,7 @@ class Drive:
 
     @property
     def ratio(self) -> float:
-        """Gear ratio: turns of the motor per turn of the turntable."""
+        """Gear ratio, as turns of the motor per turn of the turntable."""
         return self.teeth / PINION_TEETH
 
     @property
@@ -68,40 +69,51 @@ class Drive:
 
 
 def drive_of(scene: Scene, measures: Measures) -> Drive:
-    """Return the smallest integer gear ratio for which the plate carries the canister ring."""
+    """Return the drive with the smallest integer gear ratio for which the canister ring fits on the plate."""
     needed = 2.0 * (ring_outer_radius_mm(scene, measures) + 1.0 + 1.25 * MODULE_MM) / MODULE_MM
     teeth = PINION_TEETH * int(np.ceil(needed / PINION_TEETH))
     return Drive(teeth=teeth, race_radius_mm=round(0.7 * scene.canister.outer_radius_mm))
 
 
 def top_mm(scene: Scene) -> float:
-    """Return the height of the plate's top in the rig frame."""
+    """Return the height of the turntable plate's upper face in the rig frame."""
     return -scene.canister.height_mm
 
 
 def base_top_mm(scene: Scene) -> float:
-    """Return the height of the base's top in the rig frame."""
+    """Return the height of the base's upper face in the rig frame."""
     return top_mm(scene) - PLATE_MM - PLATE_GAP_MM
 
 
 def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
-    """Return the positions of the feet: two rows along x, each on one profile of the frame."""
+    """Return the positions (x, y) of the feet, which form a row along x on each of the two frame profiles."""
     reach = round(drive.race_radius_mm * 0.83)
     return [(x, y) for x in (-reach, reach) for y in (-reach, reach)]
 
 
 def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tuple[float, float]]:
-    """Return the vertices of the V-shaped ball groove in a face at ``z``; ``into`` is -1 for a face that points up."""
+    """Return the outline (radius, z) of the V-shaped ball groove in a face at height ``z``.
+
+    ``into`` is the vertical direction into the material: -1 for a face that points up, 1 for a face that points down.
+    """
     deep = measures.ball_mm / np.sqrt(2.0) - PLATE_GAP_MM / 2.0
     r, past = drive.race_radius_mm, 0.5
     return [(r - deep - past, z - into * past), (r, z + into * deep), (r + deep + past, z - into * past)]
 
 
 def table_plate(scene: Scene, measures: Measures) -> Part:
-    """Create the plate with its ring gear; its top is at z = 0."""
+    """Create the turntable plate with its ring gear, with the upper face at z = 0.
+
+    Raises
+    ------
+    UserError
+        If the balls are too small.
+    """
     drive = drive_of(scene, measures)
     if measures.ball_mm / np.sqrt(2.0) <= PLATE_GAP_MM / 2.0 + 0.5:
-        raise UserError(f"ball_mm {measures.ball_mm:g} is too small for the gap of {PLATE_GAP_MM:g} mm between plate and base")
+        raise UserError(
+            f"ball_mm {measures.ball_mm:g} is too small for the gap of {PLATE_GAP_MM:g} mm between plate and base; use larger balls"
+        )
     outline = gear(drive.teeth, MODULE_MM, backlash_mm=BACKLASH_MM) - union(hole(TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     body = raised(outline - hole(measures.bearing_mm[0] + 0.4), -PLATE_MM, 0.0)
     head = CrossSection.circle(HEX_M8_MM / np.sqrt(3.0), 6)
@@ -110,7 +122,7 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
     step_deg = 1.8 / drive.ratio
     return Part(
         name="table_plate",
-        about="Carries the canister; its ring gear is driven by the pinion of the motor, and it runs on loose balls.",
+        about="Supports the canister; its ring gear is driven by the pinion of the motor, and it runs on loose balls.",
         solid=solid,
         rig_from_part=(moved(0.0, 0.0, top_mm(scene)),),
         apart_mm=(0.0, 0.0, -80.0),
@@ -131,7 +143,7 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion(scene: Scene, measures: Measures) -> Part:
-    """Create the pinion of the motor, with the teeth below and the hub above; the teeth start at z = 0."""
+    """Create the pinion of the motor, whose teeth start at z = 0 with the hub above them."""
     shaft = circle(measures.shaft_mm / 2.0 + 0.1, sides=48) ^ rectangle(
         (-measures.shaft_mm, -measures.shaft_mm), (measures.shaft_flat_mm - measures.shaft_mm / 2.0 + 0.1, measures.shaft_mm)
     )
@@ -162,14 +174,20 @@ def pinion(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion_turn_deg(drive: Drive) -> float:
-    """Return the rotation of the pinion at -y for which its gap faces a tooth of the ring, or vice versa."""
+    """Return the rotation angle at which the pinion, located at -y, meshes with the ring gear."""
     pitch_ring, pitch = 360.0 / drive.teeth, 360.0 / PINION_TEETH
     ring_phase = (-90.0 / pitch_ring) % 1.0  # angle of the ring's teeth at -y, from a tooth
     return 90.0 + pitch * (0.5 + ring_phase)
 
 
 def table_base(scene: Scene, measures: Measures) -> Part:
-    """Create the base below the plate; its top is at z = 0."""
+    """Create the base below the turntable plate, with its upper face at z = 0.
+
+    Raises
+    ------
+    UserError
+        If the bearing is too wide for the base.
+    """
     drive = drive_of(scene, measures)
     centre, bearing = drive.centres_mm, measures.bearing_mm
     disc = circle(drive.race_radius_mm + measures.ball_mm + 8.0)
@@ -183,16 +201,19 @@ def table_base(scene: Scene, measures: Measures) -> Part:
         [*slots, boss, hole(bearing[1] - 4.0), *(hole(M4_MM, at) for at in foot_places_mm(drive))]
     )
     if bearing[2] > BASE_MM - 1.0:
-        raise UserError(f"bearing_mm: a bearing of {bearing[2]:g} mm is wider than the base ({BASE_MM:g} mm) allows; use a 608")
+        raise UserError(
+            f"bearing_mm: a bearing with a width of {bearing[2]:g} mm does not fit the base, which is {BASE_MM:g} mm thick; "
+            "use a 608 ball bearing"
+        )
     pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0)
     sunk, small = COUNTERSINK_M4_MM / 2.0, M4_MM / 2.0
-    # rotated, so that it shares no vertex with the hole: an edge would have four faces
+    # rotated, so that no vertex coincides with the hole, which would create an edge with four faces
     head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48).rotate((0.0, 0.0, 1.9))
     heads = joined(head.translate((x, y, 0.0)) for x, y in foot_places_mm(drive))
     solid = raised(outline, -BASE_MM, 0.0) - pocket - heads - turned(_groove(drive, measures, 0.0, -1.0))
     return Part(
         name="table_base",
-        about="Carries the balls, the bearing and the motor below it; the slots of the motor allow the backlash to be adjusted.",
+        about="Holds the balls, the bearing and the motor below it; the slots of the motor allow the backlash to be adjusted.",
         solid=solid,
         rig_from_part=(moved(0.0, 0.0, base_top_mm(scene)),),
         apart_mm=(0.0, 0.0, -110.0),
@@ -209,7 +230,7 @@ def table_base(scene: Scene, measures: Measures) -> Part:
 
 
 def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
-    """Create a foot; its top is at z = 0, and its tongue fits the groove of the profile below.
+    """Create a foot of the base, whose upper face is at z = 0 and whose tongue fits the slot of the profile below.
 
     Raises
     ------
@@ -220,17 +241,17 @@ def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
     high = base_top_mm(scene) - BASE_MM - floor_mm
     if high < 10.0:
         raise UserError(
-            f"clearance.floor_z_mm {floor_mm:g} leaves {high:.1f} mm for the feet of the turntable, but 10 mm are required: set it to "
+            f"clearance.floor_z_mm {floor_mm:g} leaves {high:.1f} mm for the feet of the turntable, but 10 mm are needed; set it to "
             f"{base_top_mm(scene) - BASE_MM - 10.0:.0f} or lower"
         )
     if measures.motor_length_mm > high + measures.profile_mm:
         raise UserError(
-            f"a motor of {measures.motor_length_mm:g} mm reaches below the frame: feet and profile have a height of "
-            f"{high + measures.profile_mm:.0f} mm; "
+            f"the motor with a length of {measures.motor_length_mm:g} mm extends below the frame, because feet and profile have a "
+            f"height of only {high + measures.profile_mm:.0f} mm; "
             "use a shorter motor (motor_length_mm), or a lower clearance.floor_z_mm"
         )
     wide = measures.slot_mm - 2.0 * 0.15
-    # it ends inside the foot and narrows slightly below it, so that no edge lies in another face
+    # the tongue starts inside the foot and narrows slightly below it, so that no edge lies in a face of the foot
     tongue = [
         (-wide / 2.0, -high + 1.0),
         (wide / 2.0, -high + 1.0),
@@ -247,7 +268,7 @@ def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
     solid = joined([body, polygon(tongue).extrude(long).transform(along_x)]) - screw
     return Part(
         name="table_foot",
-        about="Four of them carry the base on two profiles of the frame; each is fastened by an M4 screw from above.",
+        about="Four feet support the base on two profiles of the frame; each is fastened by an M4 screw from above.",
         solid=solid,
         bed_from_part=FLIPPED,
         rig_from_part=tuple(moved(x, y, base_top_mm(scene) - BASE_MM) for x, y in foot_places_mm(drive)),

@@ -1,8 +1,8 @@
-"""Parts of the tank: posts that carry it, and a carrier that rotates the canister in it by magnets.
+"""Parts of a tank: posts that support the tank, and a magnetically driven carrier for the canister in the tank.
 
-No shaft passes through the floor of the tank: magnets in the plate of the turntable below the floor drive those in the
-carrier above it. Slip of the carrier is detected from the markers, like slip of the turntable. Motor and turntable stay
-dry.
+No shaft passes through the floor of the tank, so motor and turntable stay dry. Magnets in the turntable plate below the
+floor drive magnets in the carrier above the floor. Slip of the carrier is detected from the markers, like slip of the
+turntable.
 """
 
 from dataclasses import replace
@@ -20,21 +20,23 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene, Tank
 
 CARRIER_MM, GLIDE_MM, PLAY_MM = 8.0, 1.0, 1.0
-"""Thickness of the carrier, height of its sliding ring, and air gap between the magnets below and the tank."""
+"""Thickness of the carrier, height of its sliding ring, and air gap between the lower magnets and the tank."""
 PAD_MM = table.HUB_MM
-"""Height of the ring on the plate that raises the magnets above the hub of the pinion."""
+"""Height of the ring on the turntable plate, which raises the magnets above the hub of the pinion."""
 PAD_WIDE_MM = 16.0
 GLIDE_WIDE_MM = 3.0
 MAGNETS = 6
 PIN_MM, PIN_HIGH_MM, FOOT_MM, FOOT_HIGH_MM = 8.0, 6.0, 30.0, 0.8
-"""Pivot, glued to the floor of the tank."""
+"""Diameter and height of the pin, and diameter and height of the foot, of the pivot on the floor of the tank."""
 POST_MM, LIP_MM, LIP_HIGH_MM = 40.0, 4.0, 10.0
+"""Side length of a post, and thickness and height of the lip that surrounds the corner of the tank."""
 LEAST_DRY_MM = 3.9
-"""Height of the meniscus on a wetted wall: sqrt(2) times the capillary length of water, 2.7 mm at 20 degrees C."""
+"""Minimum height of the marker strip above the water in the tank, which is the height of the meniscus on a wetted wall:
+sqrt(2) times the capillary length of water (2.7 mm at 20 degrees C)."""
 
 
 def drop_mm(tank: Tank) -> float:
-    """Return how much lower the turntable is than without a tank."""
+    """Return the distance by which the tank lowers the turntable."""
     return CARRIER_MM + GLIDE_MM + tank.wall_mm + PLAY_MM + PAD_MM
 
 
@@ -44,7 +46,7 @@ def floor_mm(scene: Scene, tank: Tank) -> float:
 
 
 def below(scene: Scene) -> Scene:
-    """Return the scene for the parts of the turntable: with a tank, the canister is lowered by `drop_mm`."""
+    """Return a copy of the scene for the parts of the turntable, with the canister lowered by `drop_mm` for a tank."""
     if scene.tank is None:
         return scene
     lower = replace(scene.canister, height_mm=scene.canister.height_mm + drop_mm(scene.tank))
@@ -52,24 +54,24 @@ def below(scene: Scene) -> Scene:
 
 
 def magnet_radius_mm(scene: Scene) -> float:
-    """Return the radius of the magnets."""
+    """Return the radius of the circle on which the magnets are placed."""
     return 0.5 * scene.canister.outer_radius_mm
 
 
 def magnet_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return the positions of the magnets in plate and carrier."""
+    """Return the positions (x, y) of the magnets in turntable plate and carrier."""
     radius, turn = magnet_radius_mm(scene), 2.0 * np.pi * np.arange(MAGNETS) / MAGNETS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
 
 
 def pockets(scene: Scene, measures: Measures, top_mm: float) -> Manifold:
-    """Return the pockets of the magnets, which are flush with ``top_mm``."""
+    """Return the pockets for the magnets, whose upper faces are at the height ``top_mm``."""
     wide, high = measures.magnet_mm
     return joined(raised(hole(wide + 0.2, at), top_mm - high - 0.2, top_mm + 1.0) for at in magnet_places_mm(scene))
 
 
 def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
-    """Return the plate of the turntable with a ring that holds magnets; the plate itself without a tank."""
+    """Return the turntable plate with a ring that contains the magnets, or the unchanged plate without a tank."""
     if scene.tank is None:
         return plate
     radius, half = magnet_radius_mm(scene), PAD_WIDE_MM / 2.0
@@ -78,16 +80,21 @@ def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
 
 
 def parts(scene: Scene, measures: Measures, ground_mm: float) -> list[Part]:
-    """Create carrier, pivot and posts; empty without a tank.
+    """Create the carrier, pivot and posts of the tank.
 
     Parameters
     ----------
     scene : Scene
-        Canister, tank and marker strip.
+        Scene with canister, tank and marker strip.
     measures : Measures
         Dimensions of purchased parts.
     ground_mm : float
-        z of the floor below the rig.
+        Height of the floor below the rig, rig frame.
+
+    Returns
+    -------
+    list of Part
+        Printed parts; empty if the scene has no tank.
 
     Raises
     ------
@@ -99,14 +106,15 @@ def parts(scene: Scene, measures: Measures, ground_mm: float) -> list[Part]:
     dry = scene.strip.bottom_mm - scene.tank.level_mm
     if scene.strip.rows and dry < LEAST_DRY_MM:
         raise UserError(
-            f"strip.bottom_mm is {dry:.1f} mm above tank.level_mm, but the meniscus on a wetted wall reaches {LEAST_DRY_MM:g} mm: "
-            f"reduce tank.level_mm to {scene.strip.bottom_mm - LEAST_DRY_MM:.1f} or less, or glue the strip higher"
+            f"the marker strip (strip.bottom_mm) is only {dry:.1f} mm above the water of the tank (tank.level_mm), which rises by "
+            f"{LEAST_DRY_MM:g} mm at a wall; reduce tank.level_mm to {scene.strip.bottom_mm - LEAST_DRY_MM:.1f} or less, or glue the "
+            "strip higher"
         )
     return [_carrier(scene, measures, dry), _pivot(scene, scene.tank), _post(scene, scene.tank, ground_mm)]
 
 
 def solid(scene: Scene, tank: Tank) -> Manifold:
-    """Create the tank itself, in the rig frame."""
+    """Create the solid of the tank in the rig frame."""
     low = floor_mm(scene, tank)
     outside = rectangle((-tank.front_mm, -tank.half_width_mm), (tank.front_mm, tank.half_width_mm))
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
@@ -115,7 +123,7 @@ def solid(scene: Scene, tank: Tank) -> Manifold:
 
 
 def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
-    """Create the disc below the canister; its top is at z = 0."""
+    """Create the carrier, a disc below the canister with its upper face at z = 0."""
     outer, glide = ring_outer_radius_mm(scene, measures), 0.7 * scene.canister.outer_radius_mm
     screws = union(hole(table.TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     disc = raised(circle(outer) - screws, -CARRIER_MM, 0.0)
@@ -125,7 +133,7 @@ def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
     body = joined([disc, raised(ring, -CARRIER_MM - GLIDE_MM, -CARRIER_MM + 1.0)]) - under - pin
     return Part(
         name="tank_carrier",
-        about="Carries the canister ring in the tank; its magnets follow those in the plate of the turntable below the tank.",
+        about="Supports the canister in the tank; its magnets follow the magnets in the turntable plate below the tank.",
         solid=body,
         bed_from_part=FLIPPED,
         rig_from_part=(moved(0.0, 0.0, -scene.canister.height_mm),),
@@ -140,7 +148,7 @@ def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
 
 
 def _pivot(scene: Scene, tank: Tank) -> Part:
-    """Create the pin on the floor of the tank; its lower face is at z = 0."""
+    """Create the pivot of the carrier, a pin on the floor of the tank with its lower face at z = 0."""
     pin = raised(circle(PIN_MM / 2.0, sides=96), 0.0, FOOT_HIGH_MM + PIN_HIGH_MM)
     return Part(
         name="tank_pivot",
@@ -153,17 +161,17 @@ def _pivot(scene: Scene, tank: Tank) -> Part:
 
 
 def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
-    """Create a post below a corner of the tank; the lower face of the tank is at z = 0, its corner at the origin.
+    """Create a post below a corner of the tank, with the lower corner of the tank at the origin.
 
     Raises
     ------
     UserError
-        If there is not enough room.
+        If there is not enough space between floor and tank.
     """
     high = floor_mm(scene, tank) - ground_mm
     if high < 10.0:
         raise UserError(
-            f"clearance.floor_z_mm {ground_mm:g} leaves {high:.1f} mm for the posts of the tank, but 10 mm are required: set it to "
+            f"clearance.floor_z_mm {ground_mm:g} leaves {high:.1f} mm for the posts of the tank, but 10 mm are needed; set it to "
             f"{floor_mm(scene, tank) - 10.0:.0f} or lower"
         )
     edge = LIP_MM + 0.2
@@ -174,7 +182,7 @@ def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
     corners = [(x, y, 0.0), (-x, y, 90.0), (-x, -y, 180.0), (x, -y, 270.0)]
     return Part(
         name="tank_post",
-        about="Four of them carry the corners of the tank above the turntable.",
+        about="Four posts support the corners of the tank above the turntable.",
         solid=column - corner,
         rig_from_part=tuple(turned @ moved(a, b, floor_mm(scene, tank), turn_deg=turn) for a, b, turn in corners),
         apart_mm=(0.0, 0.0, -150.0),

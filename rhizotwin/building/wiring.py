@@ -1,6 +1,6 @@
-"""Wiring of the electronics: a table of connections and a diagram for each of the two controllers.
+"""Wiring diagrams of the electronics, with a list of connections for each of the two controllers.
 
-Supplies are drawn as labels at a pin, as usual in circuit diagrams; every other connection is a line.
+Power supplies are drawn as labels at the pins, as is usual in circuit diagrams. Other connections are lines.
 """
 
 from collections.abc import Sequence
@@ -15,32 +15,34 @@ from rhizotwin.rig.rig_file import HatPart
 
 PAGE_WIDE_MM = 297.0
 PIN_MM = 5.4
-"""Distance between the pins of a box."""
+"""Vertical distance between the pins of a box."""
 LETTER_MM = 1.8
 BOX_WIDE_MM = 62.0
 COLUMNS_MM = (14.0, 168.0)
-"""Left edges of the two columns of boxes."""
+"""Positions of the left edges of both columns of boxes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wire:
-    """Connection between a pin of the controller side and a pin of a device, or between a supply label and a pin."""
+    """Electrical connection between two pins, or between a power supply and a pin."""
 
     start: tuple[str, str]
-    """Box and pin; for a supply, the box is ``""`` and the pin is the label."""
+    """Box and pin at the first end; for a power supply, "" and the label of the supply."""
     end: tuple[str, str]
+    """Box and pin at the second end."""
     note: str = ""
-    """Component in the line, or a remark."""
+    """Component in the connection, such as a resistor, or a remark."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diagram:
-    """Wiring diagram of a rig."""
+    """Wiring diagram of a rig's electronics."""
 
     title: str
     left: tuple[str, ...]
-    """Boxes of the left column, from top to bottom."""
+    """Names of the boxes in the left column, from top to bottom."""
     right: tuple[str, ...]
+    """Names of the boxes in the right column, from top to bottom."""
     wires: tuple[Wire, ...]
     notes: tuple[str, ...]
 
@@ -49,7 +51,7 @@ SHIFTER, PANEL, FRONT_LAMP, MOTOR = "74AHCT125 level shifter", "panel, WS2812B",
 
 
 def marlin_diagram() -> Diagram:
-    """Return the wiring with a Marlin board."""
+    """Return the wiring diagram of a rig with a Marlin controller board."""
     board, computer, adapter, arm = "Marlin board", "computer", "LX bus adapter", "arm, LX servos"
     return Diagram(
         title="Marlin board, arm on its own bus adapter",
@@ -82,7 +84,10 @@ def marlin_diagram() -> Diagram:
 
 
 def hat_diagram(part: HatPart) -> Diagram:
-    """Return the wiring of the thesis's hat (section 3.4): a Raspberry Pi with a DRV8825 and NeoPixels on its pins."""
+    """Return the wiring diagram of the thesis's rig (section 3.4).
+
+    A Raspberry Pi with an expansion board (hat) controls a DRV8825 motor driver and NeoPixel LEDs.
+    """
     pi, driver, adapter, arm = "Raspberry Pi", "DRV8825", "LX bus adapter", "arm, LX servos"
     return Diagram(
         title="Raspberry Pi with the thesis's hat: DRV8825 and NeoPixels on GPIO",
@@ -127,12 +132,12 @@ def _lamps() -> tuple[Wire, ...]:
 
 
 def wiring_pages() -> dict[str, Page]:
-    """Return the diagrams by controller: ``marlin`` and ``hat``."""
+    """Return the wiring diagram of each controller, with the keys ``marlin`` and ``hat``."""
     return {"marlin": page_of(marlin_diagram()), "hat": page_of(hat_diagram(HatPart()))}
 
 
 def page_of(diagram: Diagram) -> Page:
-    """Draw a diagram: boxes in two columns, a line per connection, a label per supply."""
+    """Draw a diagram with boxes in two columns, lines for connections and labels for power supplies."""
     pins = {name: _pins(diagram, name) for name in (*diagram.left, *diagram.right)}
     ink: list[Ink] = [Text(at_mm=(14.0, 12.0), text=diagram.title, height_mm=2.8)]
     places: dict[tuple[str, str], tuple[float, float]] = {}
@@ -162,7 +167,7 @@ def page_of(diagram: Diagram) -> Page:
 
 
 def _pins(diagram: Diagram, name: str) -> list[str]:
-    """Return the pins of a device in the order of the wiring list."""
+    """Return the pins of a box in the order of the list of connections."""
     ends = [end for wire in diagram.wires for end in (wire.start, wire.end) if end[0] == name]
     return list(dict.fromkeys(pin for _, pin in ends))
 
@@ -177,7 +182,7 @@ def _lines(wires: Sequence[Wire], places: dict[tuple[str, str], tuple[float, flo
         if wire in across:
             lane = gap[0] + 26.0 + (gap[1] - gap[0] - 52.0) * (across.index(wire) + 0.5) / len(across)
             path, note = [[x0, y0], [lane, y0], [lane, y1], [x1, y1]], (lane + 1.0, y1 - 0.8)
-        else:  # both in one column: routed around its outer side
+        else:  # both ends are in one column, so the line is routed along its outer side
             edge = outer[wire.start]
             side = -1.0 if edge < x0 else 1.0
             lane = edge + side * (3.0 + 1.6 * [w for w in drawn if w not in across].index(wire))
@@ -192,7 +197,7 @@ def _lines(wires: Sequence[Wire], places: dict[tuple[str, str], tuple[float, flo
 
 
 def _supply(wire: Wire, at: tuple[float, float], *, left: bool) -> list[Ink]:
-    """Draw the label of a supply at a pin."""
+    """Draw the label of a power supply at a pin."""
     way = 1.0 if left else -1.0
     end = at[0] + way * 4.0
     text = f"{wire.start[1]}  ({wire.note})" if wire.note else wire.start[1]

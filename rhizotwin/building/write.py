@@ -1,4 +1,4 @@
-"""Writing of the printed parts of a rig: meshes, drawings, pictures and the table of parameters."""
+"""Output of the printed parts of a rig as meshes, drawings, pictures and tables of parameters."""
 
 import csv
 import io
@@ -28,7 +28,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.shading import rasterise, shade
 
 PICTURE_PX = 1100
-"""Longer side of the pictures before downsampling by two for smooth edges."""
+"""Longer side of the pictures before they are downsampled by two, which smooths the edges."""
 COLOURS = {
     "canister": (0.75, 0.85, 0.95),
     "tank": (0.80, 0.88, 0.92),
@@ -50,19 +50,19 @@ def write_parts(
     bed_mm: tuple[float, float, float],
     names: Sequence[str] = (),
 ) -> list[Part]:
-    """Write a folder with all files for printing and assembling the parts.
+    """Write a folder with all files that are needed to print and assemble the parts.
 
-    With ``names``, only these parts are written, without the drawings, pictures and wiring of the whole rig. Collisions
-    between parts are checked in any case.
+    If ``names`` are given, only these parts are written, without drawings, pictures and wiring of the complete rig. All
+    parts are checked for collisions in any case.
 
     Parameters
     ----------
     scene : Scene
-        Scene that the parts must fit.
+        Scene for which the parts are made.
     folder : Path
-        New or empty folder.
+        New or empty output folder.
     rig : RigFile
-        Positions of arm and floor.
+        Rig with the positions of arm and floor.
     measures : Measures
         Dimensions of purchased parts.
     board : CharucoBoard
@@ -70,7 +70,7 @@ def write_parts(
     bed_mm : tuple of float
         Build volume of the printer: width, depth and height.
     names : sequence of str
-        Names of the parts to write; empty: all.
+        Names of the parts to write; if empty, all parts are written.
 
     Returns
     -------
@@ -80,8 +80,8 @@ def write_parts(
     Raises
     ------
     UserError
-        If a name is unknown, a part is impossible, does not fit the build volume or collides with another part, or the
-        folder is not empty.
+        If a name is unknown, a part cannot be built, does not fit the build volume or collides with another part, or
+        the folder is not empty.
     """
     parts = parts_of(scene, rig=rig, measures=measures, board=board)
     wanted = _wanted(parts, names)
@@ -89,7 +89,7 @@ def write_parts(
         check_bed(part, bed_mm)
     bought = bought_of(scene, rig=rig, measures=measures)
     for one, other, mm3 in collisions(parts, bought):
-        raise UserError(f"{one} and {other} overlap by {mm3:.1f} mm3: change the scene, the rig file or the dimensions")
+        raise UserError(f"the parts {one} and {other} overlap by {mm3:.1f} mm3; change the scene, the rig file or the dimensions")
     with new_folder(folder) as inside:
         for part in tqdm(wanted, desc="parts", unit="part", leave=False):
             write_bytes(inside / f"{part.name}.stl", stl_bytes(part.printed))
@@ -102,15 +102,15 @@ def write_parts(
 
 
 def _wanted(parts: Sequence[Part], names: Sequence[str]) -> list[Part]:
-    """Return the parts with the given names, or all."""
+    """Return the parts with the given names, or all parts if ``names`` is empty."""
     unknown = [name for name in names if name not in {part.name for part in parts}]
     if unknown:
-        raise UserError(f"unknown part {unknown[0]!r}; available: {', '.join(part.name for part in parts)}")
+        raise UserError(f"the part {unknown[0]!r} is unknown; choose from {', '.join(part.name for part in parts)}")
     return [part for part in parts if part.name in names or not names]
 
 
 def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> None:
-    """Write the files that show all parts together."""
+    """Write the drawings and pictures of the complete rig, and the wiring diagrams."""
     drawings = folder / "drawings"
     write_pages([rig_page(parts, bought, title=title)], drawings / "rig.svg", title=f"rig of {title}")
     write_pages([exploded_page(parts, bought, title=title)], drawings / "exploded.svg", title=f"parts of {title}")
@@ -120,7 +120,7 @@ def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], 
 
 
 def stl_bytes(solid: Manifold) -> bytes:
-    """Return a solid as a binary STL in mm."""
+    """Return the content of a binary STL file of a solid, mm."""
     vertices, faces = surface(solid)
     return bytes(trimesh.Trimesh(vertices=vertices, faces=faces, process=False).export(file_type="stl"))
 
@@ -162,7 +162,7 @@ def _numbers(part: Part) -> list[tuple[str, float, str]]:
 
 
 def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """Render the exploded view of the rig (H, W, 3), with printed parts in orange."""
+    """Render the exploded view of the rig as a picture (H, W, 3), with printed parts in orange."""
     things = [(COLOURS.get(name, PRINTED), surface(solid)) for name, solids in exploded(parts, bought) for solid in solids]
     view = np.concatenate([vertices @ CORNER.axes.T for _, (vertices, _) in things])
     low, high = view.min(axis=0)[:2] - 10.0, view.max(axis=0)[:2] + 10.0
@@ -181,7 +181,7 @@ def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndar
         picture[front] = rgba[front][:, :3]
         nearest[front] = depth[front]
     if picture is None:
-        raise UserError("there are no parts to show")
+        raise UserError("the exploded view has no parts")
     half = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
     half = half.reshape(half.shape[0] // 2, 2, half.shape[1] // 2, 2, 3).mean(axis=(1, 3))
     return np.asarray(np.rint(255.0 * half), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Catalogue of an experiment: plants, scans, results, edits and masses in one SQLite file.
+"""Catalogue of an experiment: an SQLite file that lists plants, scans, results, corrections and masses.
 
-The datasets, results and tables stay plain files; the catalogue lists them with their paths and SHA-256.
+Datasets, results and tables remain separate files, whose paths and SHA-256 are stored in the catalogue.
 """

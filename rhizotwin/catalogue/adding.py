@@ -1,4 +1,4 @@
-"""Add datasets, results and tables of masses to a catalogue."""
+"""Import of datasets, results and mass tables into a catalogue."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,25 +20,25 @@ EDITS = "edits.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Added:
-    """Outcome of adding many files and folders."""
+    """Files and folders that were added to a catalogue, and failures."""
 
     scans: tuple[Path, ...]
     results: tuple[Path, ...]
     tables: tuple[Path, ...]
     failed: tuple[str, ...]
-    """A sentence for each dataset, result or table that could not be added."""
+    """Message for each dataset, result or table that could not be added."""
 
 
 def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
-    """Add datasets, results, tables of masses (.csv), and folders that contain any of these, at any depth.
+    """Add datasets, results, mass tables (.csv), and all of these in folders and their subfolders.
 
-    Datasets are added first, so that results have the panel's level in their scan. An entry that exists is updated. A
-    damaged one does not prevent the others from being added.
+    Existing entries are updated. A damaged file does not prevent other files from being added. Datasets are added
+    before results, because the brightness of the panel in a scan is stored with the result.
 
     Raises
     ------
     UserError
-        If a source is missing, or nothing is found in it.
+        If a source is missing, or contains nothing that can be added.
     """
     found = [_find(source) for source in sources]
     done: list[list[Path]] = [[], [], []]
@@ -54,23 +54,23 @@ def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
 
 
 def add_scan(catalogue: Catalogue, folder: Path) -> None:
-    """Add a dataset with its plants, or update its entry.
+    """Add a dataset and its plants to a catalogue, or update the existing entry.
 
     Raises
     ------
     UserError
-        If the dataset is damaged, or contradicts the catalogue.
+        If the dataset is damaged, or inconsistent with the catalogue.
     """
     _insert_scan(catalogue, load_dataset(folder))
 
 
 def add_result(catalogue: Catalogue, folder: Path) -> None:
-    """Add a result with its traits, rig numbers and log of corrections, or update its entry.
+    """Add a result with its traits, rig parameters and log of corrections, or update the existing entry.
 
     Raises
     ------
     UserError
-        If the result is damaged, or contradicts the catalogue.
+        If the result is damaged, or inconsistent with the catalogue.
     """
     digest = file_sha256(folder / "result.json")
     summary = result_files.read_summary(folder)
@@ -104,12 +104,12 @@ def add_result(catalogue: Catalogue, folder: Path) -> None:
 
 
 def add_masses(catalogue: Catalogue, table: Path) -> None:
-    """Add a table of masses, or replace the masses that were read from it before.
+    """Add a mass table, or replace the masses that were imported earlier from the same table.
 
     Raises
     ------
     UserError
-        If the table is damaged, or a mass is also in another table.
+        If the table is damaged, or another table contains the same mass.
     """
     weighed = read_masses(table, balance_g=BALANCE_G)
     with catalogue.writing() as connection:
@@ -129,21 +129,21 @@ def add_masses(catalogue: Catalogue, table: Path) -> None:
                 )
                 if before:
                     raise UserError(
-                        f"{one.where}: the mass {kind} of plant {one.subject.plant} is also in {before[0][0]}; remove one of them"
+                        f"{one.where}: the mass {kind} of plant {one.subject.plant} is also in {before[0][0]}; remove it from one table"
                     )
                 values = (plant, one.subject.day, kind, grams, source)
                 connection.execute("INSERT INTO masses (plant, day, kind, grams, source) VALUES (?, ?, ?, ?, ?)", values)
 
 
 def set_tags(catalogue: Catalogue) -> list[str]:
-    """Take over the tags of plants without one from the strips of their scans.
+    """Set the missing tags of plants from the marker strips in their scans.
 
-    A strip that was used for several plants identifies none of them.
+    A strip that was used for several plants is ignored.
 
     Returns
     -------
     list of str
-        Names of the plants that have got a tag.
+        Names of the plants whose tag was set.
     """
     used: dict[Tag, set[str]] = {}
     for scan in catalogue.scans():
@@ -164,24 +164,24 @@ def set_tags(catalogue: Catalogue) -> list[str]:
 
 
 def is_sketch(dataset: Dataset) -> bool:
-    """Return whether the pictures are sketches of the emulated rig, which show no roots."""
+    """Return whether the pictures of a dataset are sketches of the emulated rig, which show no roots."""
     settings = dataset.origin.get("settings")
     twin = settings.get("twin") if isinstance(settings, dict) else None
     return isinstance(twin, dict) and twin.get("fidelity") == "sketch"
 
 
 def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
-    """Return the datasets, results and tables of masses that a path is or holds."""
+    """Return the datasets, results and mass tables at a path and in its subfolders."""
     if source.suffix.lower() == ".csv":
         return [], [], [source]
     if not source.is_dir():
-        raise UserError(f"{source}: there is no such folder or table (.csv)")
+        raise UserError(f"{source}: the folder or table (.csv) does not exist")
     heads = sorted(path for name in ("dataset.json", "result.json") for path in source.rglob(name) if not _is_hidden(path, source))
     tables = sorted(path for path in source.rglob("*.csv") if not _is_hidden(path, source) and _is_of_masses(path))
     scans = [path.parent for path in heads if path.name == "dataset.json"]
     results = [path.parent for path in heads if path.name == "result.json"]
     if not (scans or results or tables):
-        raise UserError(f"{source}: holds no dataset, no result and no table of masses")
+        raise UserError(f"{source}: the folder contains no dataset, no result and no mass table")
     return scans, results, tables
 
 
@@ -224,7 +224,7 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
 
 
 def _add_subject(catalogue: Catalogue, one: Subject) -> None:
-    """Add the plant of a dataset, result or mass, or complete its entry."""
+    """Add the plant of a dataset, result or mass, or add missing data to its entry."""
     if one.plant:
         catalogue.add_plant(Plant(name=one.plant, species=one.species, treatment=one.treatment, replicate=one.replicate))
 
@@ -243,7 +243,7 @@ def _insert_traits(catalogue: Catalogue, result: int | None, one: measured.Measu
 
 
 def _panel_level(scan: Path) -> dict[str, float]:
-    """Return the panel's level in the pictures of a scan, if they can be read."""
+    """Return the brightness of the panel in the pictures of a scan, or {} if the pictures cannot be read."""
     try:
         level = drift.panel_level(load_dataset(scan))
     except UserError:

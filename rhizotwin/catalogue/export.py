@@ -1,4 +1,4 @@
-"""Tables of a catalogue as CSV, and read-only queries."""
+"""Export of a catalogue's tables as CSV, and read-only SQL queries."""
 
 import sqlite3
 import time
@@ -31,17 +31,18 @@ VIEWS = {
     "visits": "SELECT p.name AS plant, v.due_utc, v.state, v.began_utc, v.ended_utc, coalesce(s.path, '') AS scan, v.note"
     " FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan ORDER BY v.due_utc, v.id",
 }
-"""Statement of each table for people, with names in place of row numbers; the first column is a plant or a result."""
+"""SQL statement of each exported table, in which names replace row numbers. The first column is a plant or a result."""
 ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE})
-"""Actions that a query may take: no change, no other file, no setting."""
+"""SQLite actions permitted in a user's query, which exclude changes, access to other files, and settings."""
 MOST_ROWS = 100_000
+"""Maximum number of rows that a query may return."""
 MOST_BYTES = 100_000_000
-"""A query that returns more text is interrupted before it fills the memory."""
+"""Maximum amount of text that a query may return, bytes, which limits the memory."""
 LIMITS = {sqlite3.SQLITE_LIMIT_LENGTH: 1_000_000, sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 1000}
-"""Longest value, bytes, and longest pattern of LIKE in a query: one comparison, whose time is proportional to the
-product of both, cannot be interrupted."""
+"""Maximum length of a value and of a LIKE pattern in a query, bytes. A LIKE comparison cannot be interrupted, and its
+duration is proportional to the product of both lengths."""
 MOST_S = 60.0
-"""A query that takes longer, such as a recursion without an end, is interrupted."""
+"""Timeout of a query, s, for example with an infinite recursion."""
 _STEPS = 10_000
 
 
@@ -53,21 +54,22 @@ class Table:
     rows: tuple[tuple[Any, ...], ...]
 
     def csv(self) -> str:
-        """Return the table as CSV; missing values are empty cells."""
+        """Return the table as CSV text, with empty cells for missing values."""
         return csv_text([list(self.head), *([_cell(value) for value in row] for row in self.rows)])
 
 
 def table(catalogue: Catalogue, name: str, *, plant: str | None = None) -> Table:
-    """Return one of the tables of `VIEWS`.
+    """Return a table of a catalogue.
 
     Parameters
     ----------
     catalogue : Catalogue
-        The catalogue.
+        Open catalogue.
     name : str
-        Key of `VIEWS`.
+        Name of the table, a key of `VIEWS`.
     plant : str or None
-        Rows of this plant only; of ``results`` and ``rig_numbers``, those of results with traits of this plant.
+        Name of a plant to which the rows are restricted. The tables ``results`` and ``rig_numbers`` are restricted to
+        results that have traits of the plant.
     """
     head, rows = catalogue.select(VIEWS[name])
     if plant is not None and "plant" in head:
@@ -79,33 +81,33 @@ def table(catalogue: Catalogue, name: str, *, plant: str | None = None) -> Table
 
 
 def query(catalogue: Catalogue, sql: str, values: Sequence[Any] = ()) -> Table:
-    """Run a SELECT statement of a person.
+    """Run a user's SELECT statement, which can neither change the catalogue nor open other files.
 
     Parameters
     ----------
     catalogue : Catalogue
-        Nothing in it can be changed by the statement, and no other file can be opened.
+        Open catalogue.
     sql : str
-        One statement.
+        Single SQL statement.
     values : sequence
-        Bound to the question marks of the statement.
+        Values that are bound to the question marks in the statement.
 
     Raises
     ------
     UserError
-        If the statement is wrong, does more than read, takes too long, or returns too much.
+        If the statement is invalid, is not read-only, takes too long, or returns too much data.
     """
     with catalogue.lock:
         return _guarded(catalogue.connection, sql, values)
 
 
 def export(catalogue: Catalogue, folder: Path) -> list[Path]:
-    """Write every table as a CSV file into a new folder; return the files.
+    """Write each table as a CSV file to a new folder, and return the paths of the files.
 
     Raises
     ------
     UserError
-        If the folder holds anything, or cannot be written.
+        If the folder is not empty or cannot be written.
     """
     with new_folder(folder) as building:
         for name in VIEWS:
@@ -114,7 +116,7 @@ def export(catalogue: Catalogue, folder: Path) -> list[Path]:
 
 
 def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> Table:
-    """Run a statement under an authorizer and limits of time and size."""
+    """Run a statement with restricted permissions and limits of time and size."""
     begin = time.monotonic()
     before = {limit: connection.setlimit(limit, most) for limit, most in LIMITS.items()}
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)
@@ -126,17 +128,17 @@ def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) ->
             rows.append(tuple(row))
             size += sum(len(value) for value in row if isinstance(value, str | bytes))
             if len(rows) > MOST_ROWS or size > MOST_BYTES:
-                raise UserError(f"the query returns more than {MOST_ROWS} rows or {MOST_BYTES // 10**6} MB; select less")
+                raise UserError(f"the query returns more than {MOST_ROWS} rows or {MOST_BYTES // 10**6} MB; select less data")
         return Table(head=tuple(column[0] for column in cursor.description or ()), rows=tuple(rows))
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", None)
         if code == sqlite3.SQLITE_AUTH or str(error) == "not authorized":  # load_extension has the error code of a wrong statement
-            raise UserError("the query does more than read the catalogue; use a SELECT statement") from None
+            raise UserError("the query must only read the catalogue; use a SELECT statement") from None
         if code == sqlite3.SQLITE_INTERRUPT:
-            raise UserError(f"the query takes more than {MOST_S:g} s; select less") from None
-        raise UserError(f"the query cannot be run: {error}") from None
+            raise UserError(f"the query was stopped after {MOST_S:g} s; select less data") from None
+        raise UserError(f"the query is invalid: {error}") from None
     except (ValueError, OverflowError, sqlite3.Warning) as error:
-        raise UserError(f"the query cannot be run: {error}") from None
+        raise UserError(f"the query is invalid: {error}") from None
     finally:
         connection.set_authorizer(None)
         connection.set_progress_handler(None, 0)

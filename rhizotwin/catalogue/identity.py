@@ -1,6 +1,6 @@
-"""Identity of the plant on the table, by the markers of the strip on its pot.
+"""Identification of the plant on the turntable from the marker strip on its net pot.
 
-Each pot has a strip with marker numbers of its own, so that every picture of a scan shows which plant it is.
+Each net pot has a strip with unique marker numbers, so the plant can be identified in every picture of a scan.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,20 +13,23 @@ from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_MARKERS = 4
-"""Markers of one strip that a picture must show; a misread marker has any number, but four do not agree by accident."""
+"""Minimum number of markers of a strip that must be detected to identify it. Misread markers have random numbers, and
+four of them are unlikely to be from the same strip."""
 
 
 class WrongPlantError(UserError):
-    """Another plant than expected is on the table, or none that is known."""
+    """Error raised if the turntable has a plant other than the expected one, or no known plant."""
 
     def __init__(self, text: str, *, found: str = "") -> None:
         super().__init__(text)
         self.found = found
-        """Name of the plant on the table; empty: not known."""
+        """Name of the plant on the turntable; empty if unknown."""
 
 
 def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
-    """Return the strip of a numbered canister: canister 1 has the strip as given, the next one the numbers after it.
+    """Return the marker strip of a numbered canister.
+
+    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers.
 
     Raises
     ------
@@ -35,32 +38,33 @@ def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
     """
     count = strip.rows * strip.columns
     if not count:
-        raise UserError(f"canister {canister}: a scene without a marker strip (strip.rows = 0) cannot identify plants")
+        raise UserError(f"canister {canister}: the scene has no marker strip (strip.rows = 0) by which plants could be identified")
     first = strip.first_id + (canister - 1) * count
     capacity = len(get_dictionary(strip.dictionary).bytesList)
     most = (capacity - strip.first_id) // count
     if not 1 <= canister <= most:
         raise UserError(
-            f"canister {canister}: {strip.dictionary} has {capacity} markers, enough for {most} strips of {count}; "
-            "use a larger dictionary such as 6X6_1000 in [strip]"
+            f"canister {canister}: the marker dictionary {strip.dictionary} has {capacity} markers, enough for {most} strips of "
+            f"{count} markers; use a larger dictionary in [strip], such as 6X6_1000"
         )
     return replace(strip, first_id=first)
 
 
 def tag_in(ids: Iterable[int], tags: Sequence[Tag]) -> Tag | None:
-    """Return the tag that the markers in a picture belong to.
+    """Return the tag that matches the markers detected in a picture.
 
     Parameters
     ----------
     ids : iterable of int
-        Marker numbers of one dictionary.
+        Numbers of detected markers from one dictionary.
     tags : sequence of Tag
-        The tags of that dictionary.
+        Candidate tags with the same dictionary.
 
     Returns
     -------
     Tag or None
-        None if fewer than `LEAST_MARKERS` belong to one tag, or no fewer belong to another strip.
+        Tag whose range includes most markers; None if the range includes fewer than `LEAST_MARKERS` markers or at most
+        half of all detected markers.
     """
     numbers = set(ids)
     counts = {tag: sum(tag.first_id <= one <= tag.last_id for one in numbers) for tag in tags}
@@ -71,21 +75,21 @@ def tag_in(ids: Iterable[int], tags: Sequence[Tag]) -> Tag | None:
 
 
 def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
-    """Return the plant whose strip a picture shows.
+    """Return the plant whose marker strip is visible in a picture.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        Picture of the canister on the table.
+        Picture of the canister on the turntable.
     plants : sequence of Plant
-        The plants of the catalogue.
+        Plants of the catalogue.
     strip : MarkerStrip
-        Strip of the rig's scene; its dictionary is read first.
+        Strip of the rig's scene, whose marker dictionary is searched first.
 
     Raises
     ------
     WrongPlantError
-        If no strip can be read, or it is that of no plant.
+        If no strip can be read, or no plant has this strip.
     """
     from rhizotwin.rig.scanning.markers import read_ids
 
@@ -98,33 +102,36 @@ def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
     dictionary, ids = max(found.items(), key=lambda item: len(item[1]))
     if len(ids) < LEAST_MARKERS:
         raise WrongPlantError(
-            "the strip of the canister on the table cannot be read: put a canister on the table, and see that its strip is lit, "
-            "in the picture and in focus"
+            "the markers on the canister could not be read; put a canister on the turntable, and check that its marker strip is "
+            "lit, inside the picture and in focus"
         )
     raise WrongPlantError(
-        f"the canister on the table is that of no plant in the catalogue ({dictionary} markers {ids[0]} to {ids[-1]}): "
-        "put the right canister on the table, or add the plant with its canister's number"
+        f"the canister on the turntable ({dictionary} markers {ids[0]} to {ids[-1]}) matches no plant in the catalogue; "
+        "put the right canister on the turntable, or add the plant with the number of its canister"
     )
 
 
 def check_plant(expected: Plant, plants: Sequence[Plant], strip: MarkerStrip) -> Callable[[Grey], None]:
-    """Return the check of a scan's first picture, for `rig.scanning.observers.Observers.identify`.
+    """Return a function that checks the identity of the plant in the first picture of a scan.
+
+    The function is used as `rig.scanning.observers.Observers.identify`. It raises WrongPlantError if the picture does
+    not show the expected plant.
 
     Parameters
     ----------
     expected : Plant
-        Plant that is to be scanned.
+        Plant to be scanned.
     plants : sequence of Plant
-        The plants of the catalogue.
+        Plants of the catalogue.
     strip : MarkerStrip
-        Strip of the rig's scene.
+        Marker strip of the rig's scene.
     """
 
     def check(image: Grey) -> None:
         found = identify(image, plants, strip)
         if found.name != expected.name:
             raise WrongPlantError(
-                f"the canister on the table is that of plant {found.name}, not {expected.name}: put {expected.name} on the table",
+                f"the plant on the turntable is {found.name} instead of {expected.name}; put {expected.name} on the turntable",
                 found=found.name,
             )
 

@@ -1,4 +1,4 @@
-"""Plants as rows of a catalogue: read, completed, and checked against each other."""
+"""Conversion of catalogue rows to plants, merging of plant data, and detection of conflicts."""
 
 import json
 import sqlite3
@@ -12,21 +12,22 @@ from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.solution import Solution, check_solution
 
 KEPT = ("notes", "solution")
-"""Fields that may differ: notes are replaced, and the first nutrient solution is kept (each scan has its own)."""
+"""Fields that may differ between an existing and a new entry of a plant. New notes replace existing ones, and the first
+nutrient solution is retained, because each scan stores its own solution."""
 
 
 def solution_text(solution: Solution) -> str:
-    """Return a nutrient solution as it is stored; empty if nothing is known."""
+    """Return a nutrient solution as JSON text for storage; empty for an unknown solution."""
     return json.dumps(to_plain(solution), sort_keys=True) if solution.known else ""
 
 
 def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
-    """Return the plant of a row; ``where`` is the catalogue, for messages.
+    """Convert a database row to a plant; ``where`` names the catalogue in messages.
 
     Raises
     ------
     UserError
-        If its nutrient solution is damaged.
+        If the stored nutrient solution is damaged.
     """
     place = Place(f"{where}, plant {row['name']!r}").at("solution")
     solution = Solution()
@@ -34,7 +35,7 @@ def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
         try:
             plain = json.loads(row["content"])
         except (ValueError, RecursionError):
-            raise place.error("is no readable JSON") from None
+            raise place.error("must be valid JSON") from None
         solution = from_plain(Solution, plain, place)
         check_solution(solution, place)
     tag = None
@@ -54,12 +55,12 @@ def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
 
 
 def merge(before: Plant, now: Plant, *, where: str) -> Plant:
-    """Return a plant with what either entry knows; ``where`` is the catalogue, for messages.
+    """Merge the existing and the new entry of a plant; ``where`` names the catalogue in messages.
 
     Raises
     ------
     UserError
-        If the two contradict each other.
+        If the values of a field differ.
     """
     changed: dict[str, Any] = {}
     for field in fields(Plant):
@@ -68,37 +69,39 @@ def merge(before: Plant, now: Plant, *, where: str) -> Plant:
         if not has_new or new == old:
             continue
         if has_old and field.name not in KEPT:
-            raise UserError(f"{where}: plant {now.name} has the {field.name} {old}, not {new}; correct one of them")
+            raise UserError(
+                f"{where}: the {field.name} of plant {now.name} is {old} in the catalogue, but {new} in the new entry; correct one value"
+            )
         if not has_old or field.name == "notes":
             changed[field.name] = new
     return replace(before, **changed)
 
 
 def refuse_tag(plant: Plant, others: Sequence[Plant], *, where: str) -> None:
-    """Reject a strip that shares markers with that of another plant.
+    """Check that the marker strip of a plant has no marker in common with the strip of another plant.
 
     Parameters
     ----------
     plant : Plant
-        The plant that is added.
+        Plant to be added.
     others : sequence of Plant
-        The plants of the catalogue.
+        Plants of the catalogue.
     where : str
-        The catalogue, for messages.
+        Name of the catalogue in messages.
 
     Raises
     ------
     UserError
-        With both strips.
+        If two strips have a common marker.
     """
     for other in others:
         if plant.tag is not None and other.tag is not None and other.name != plant.name and plant.tag.overlaps(other.tag):
             raise UserError(
-                f"{where}: the strip of plant {plant.name} ({plant.tag}) shares markers with that of {other.name} ({other.tag}); "
-                "print a strip with other numbers with `rhizotwin markers SCENE --labels N`"
+                f"{where}: the marker strips of the plants {plant.name} ({plant.tag}) and {other.name} ({other.tag}) have common markers; "
+                "print strips with different numbers with `rhizotwin markers SCENE --labels N`"
             )
 
 
 def _is_known(value: Any) -> bool:
-    """Return whether the value of a field states anything; replicate 0 does."""
+    """Return whether a field has a value; the replicate 0 is a value."""
     return value.known if isinstance(value, Solution) else not (value is None or value is False or value == "")

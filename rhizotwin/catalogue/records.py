@@ -1,4 +1,4 @@
-"""Entries of a catalogue as frozen values."""
+"""Entries of a catalogue as frozen dataclasses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,22 +9,22 @@ from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.solution import Solution
 
 State = Literal["due", "scanning", "scanned", "missed"]
-"""State of a visit: due (not begun), scanning (begun, perhaps interrupted), scanned, missed."""
+"""State of a planned scan: due (not started), scanning (started, possibly interrupted), scanned, or missed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tag:
-    """Range of marker numbers that identifies the strip of a pot, and with it the plant."""
+    """Range of marker numbers that identifies the marker strip of a net pot, and thus its plant."""
 
     dictionary: str
-    """Dictionary of the markers as OpenCV names it."""
+    """OpenCV's name of the marker dictionary."""
     first_id: int
     markers: int
-    """Number of markers on the strip; their ids are ``first_id`` to ``first_id + markers - 1``."""
+    """Number of markers on the strip, whose numbers are ``first_id`` to ``first_id + markers - 1``."""
 
     @classmethod
     def of_strip(cls, strip: MarkerStrip) -> "Tag | None":
-        """Return the tag of a strip; None if the scene has no strip."""
+        """Return the tag of a marker strip; None if the strip has no markers."""
         count = strip.rows * strip.columns
         return cls(dictionary=strip.dictionary, first_id=strip.first_id, markers=count) if count else None
 
@@ -34,110 +34,113 @@ class Tag:
         return self.first_id + self.markers - 1
 
     def overlaps(self, other: "Tag") -> bool:
-        """Return whether two strips share a marker."""
+        """Return whether two tags have a common marker."""
         same = self.dictionary == other.dictionary
         return same and self.first_id <= other.last_id and other.first_id <= self.last_id
 
     def __str__(self) -> str:
-        """Return dictionary and numbers in words."""
+        """Return a text with the dictionary and the range of marker numbers."""
         return f"{self.dictionary} markers {self.first_id} to {self.last_id}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """A plant of the experiment."""
+    """Plant of the experiment."""
 
     name: str
     species: str = ""
     treatment: str = ""
     replicate: int | None = None
     sown: str = ""
-    """Date of sowing as 2022-10-06; empty: not known."""
+    """Date of sowing, such as 2022-10-06; empty if unknown."""
     notes: str = ""
     solution: Solution = field(default_factory=Solution)
     tag: Tag | None = None
-    """Tag of the strip on its pot; None: not known."""
+    """Tag of the plant's marker strip; None if unknown."""
     phantom: bool = False
-    """Whether it is a phantom of known shape, which is left out of growth and biomass."""
+    """Whether the entry is a phantom of known shape, which is excluded from growth curves and biomass."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """A dataset of the experiment."""
+    """Scan of the experiment, stored as a dataset."""
 
     path: Path
     """Folder of the dataset."""
     sha256: str
-    """SHA-256 of dataset.json, which holds those of the pictures."""
+    """SHA-256 of dataset.json, which contains the SHA-256 of each picture."""
     plants: tuple[str, ...]
-    """Plants in the canister; empty: the dataset names none."""
+    """Names of the plants in the canister; empty if the dataset does not specify them."""
     scene: str
+    """Name of the scene."""
     day: float | None
-    """Days since sowing."""
+    """Age of the plant at the scan, in days since sowing."""
     date: str
+    """Date of the scan."""
     pictures: int
+    """Number of pictures."""
     complete: bool
-    """False: an interrupted scan."""
+    """Whether the scan is complete; False for an interrupted scan."""
     sketch: bool
-    """The pictures are sketches of the emulated rig, which show the strip but no roots."""
+    """Whether the pictures are sketches of the emulated rig, which show the marker strip but no roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredResult:
-    """A reconstruction of the experiment."""
+    """Reconstruction of a scan of the experiment."""
 
     path: Path
     """Folder of the result."""
     sha256: str
     """SHA-256 of result.json."""
     scan: Path | None
-    """Dataset that it was reconstructed from; None: not in the catalogue."""
+    """Folder of the dataset from which the result was reconstructed; None if it is not in the catalogue."""
     plants: tuple[str, ...]
     day: float | None
     trusted: bool
     """Whether the volume is reliable."""
     verdict: str
     corrected: bool
-    """Edited by hand."""
+    """Whether the result was corrected manually."""
     edits: Path | None
-    """Log of corrections; None: there is none."""
+    """File of the log of corrections; None for an uncorrected result."""
     rig_numbers: Mapping[str, float]
-    """See `experiment.drift.RIG_NUMBERS`."""
+    """Measured rig parameters by name, see `experiment.drift.RIG_NUMBERS`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mass:
-    """A weighed mass of a plant."""
+    """Weighed mass of a plant."""
 
     plant: str
     day: float | None
     kind: str
-    """Organ and state as in `experiment.masses.KINDS`."""
+    """Type of mass (organ, fresh or dry), see `experiment.masses.KINDS`."""
     grams: float
     source: Path
-    """Table that it was read from."""
+    """Table from which the mass was read."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Visit:
-    """A planned scan of a plant in a time-lapse experiment."""
+    """Planned scan of a plant in a time-lapse experiment."""
 
     plant: str
     due_utc: str
-    """Time at which it is due, UTC as ISO 8601."""
+    """Planned time of the scan, UTC (ISO 8601)."""
     state: State
     began_utc: str = ""
     ended_utc: str = ""
     scan: Path | None = None
     note: str = ""
-    """Reason why it was missed, or the last interruption."""
+    """Reason why the scan was missed, or message of the last failed attempt."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """A difference between the catalogue and the files that it lists."""
+    """Difference between the catalogue and a file that it lists."""
 
     path: Path
     kind: Literal["missing", "changed", "damaged", "incomplete", "unlisted"]
     text: str
-    """Description for people."""
+    """Description of the difference, for the user."""

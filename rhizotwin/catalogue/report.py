@@ -1,4 +1,4 @@
-"""The page of a catalogue: plants, scans that were missed, and control charts of the rig."""
+"""HTML report of a catalogue: plants, missed scans, and control charts of rig parameters."""
 
 import base64
 import html
@@ -26,18 +26,20 @@ _STYLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class DriftPoint:
-    """A number of the rig on one scan."""
+    """Value of a rig parameter in one scan."""
 
     result: str
+    """Path of the result, as stored in the catalogue."""
     day: float
-    """Since the first scan."""
+    """Time since the first scan in days, or age of the plant if a scan has no date."""
     value: float
 
 
 def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
-    """Return the numbers of the rig over time, by name; the time is the scan's date, or the plant's age without one.
+    """Return the time series of each rig parameter by name.
 
-    Each scan has one point, that of the uncorrected result added last: repeated values would narrow the control limits.
+    The time is the date of the scan, or the age of the plant if a scan has no date. Each scan contributes only the most
+    recently added uncorrected result, because repeated values would narrow the control limits.
 
     Raises
     ------
@@ -63,21 +65,21 @@ def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
 
 
 def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) -> dict[str, list[DriftPoint]]:
-    """Return the measured section of each wire of a phantom over time, relative to the known one.
+    """Return the time series of the measured cross-section of each wire of a phantom, relative to the true value.
 
     Parameters
     ----------
     catalogue : Catalogue
-        The catalogue.
+        Open catalogue.
     phantom : str
-        Name of the phantom, which is listed as a plant.
+        Name of the phantom in the list of plants.
     wires_mm : sequence of float
-        Diameters of its wires.
+        True diameters of the wires.
 
     Raises
     ------
     UserError
-        If the catalogue has no such plant, or a result of it is missing.
+        If the catalogue has no such plant, or the folder of a result is missing.
     """
     catalogue.plant(phantom)
     found: dict[str, list[DriftPoint]] = {}
@@ -85,46 +87,51 @@ def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) 
         for wire in measure_wires(result.path, wires_mm):
             if result.day is not None and wire.length_mm >= LEAST_MM:
                 point = DriftPoint(result=catalogue.stored_path(result.path), day=result.day, value=1.0 + wire.error)
-                found.setdefault(f"section of the {wire.diameter_mm:g} mm wire, relative to the known one", []).append(point)
+                found.setdefault(f"cross-section of the {wire.diameter_mm:g} mm wire, measured / true", []).append(point)
     return found
 
 
 def charts(history: Mapping[str, Sequence[DriftPoint]]) -> dict[str, Chart]:
-    """Return the control chart of each number."""
+    """Return the control chart of each time series, by its name."""
     return {name: chart_of([one.day for one in points], [one.value for one in points]) for name, points in history.items()}
 
 
 def sentences(drawn: Mapping[str, Chart]) -> list[str]:
-    """Return a sentence for each number that has a point beyond its limits, or a trend."""
+    """Return a message for each control chart with points outside the control limits, and for each trend."""
     found = []
     for heading, chart in _ordered(drawn):
         if chart.limits is not None and chart.outside:
             days = ", ".join(f"{chart.times[i]:g}" for i in chart.outside)
             low, high = chart.limits
-            found.append(f"{heading}: beyond its limits ({low:.4g} to {high:.4g}) on day {days}")
+            found.append(f"{heading}: outside the control limits ({low:.4g} to {high:.4g}) on day {days}")
         if chart.has_trend:
-            found.append(f"{heading}: changes by {chart.slope_per_day:+.3g} a day (p = {chart.slope_p:.2g})")
+            found.append(f"{heading}: changes by {chart.slope_per_day:+.3g} per day (p = {chart.slope_p:.2g})")
     return found
 
 
 def write(catalogue: Catalogue, output: Path, *, phantom: str | None = None, wires_mm: Sequence[float] = ()) -> list[str]:
-    """Write the page and the table of the rig's numbers into a new folder; return the findings, a sentence each.
+    """Write the HTML report and the table of rig parameters to a new folder.
 
     Parameters
     ----------
     catalogue : Catalogue
-        The catalogue.
+        Open catalogue.
     output : Path
-        Folder to make.
+        New folder.
     phantom : str or None
-        Name of a phantom whose wires are charted as well.
+        Name of a phantom whose wires are included in the control charts.
     wires_mm : sequence of float
-        Diameters of its wires.
+        True diameters of the phantom's wires.
+
+    Returns
+    -------
+    list of str
+        Messages about points outside the control limits and about trends.
 
     Raises
     ------
     UserError
-        If the folder holds anything, or cannot be written, or there is no such phantom.
+        If the folder is not empty or cannot be written, or the phantom is unknown.
     """
     history = rig_history(catalogue)
     if phantom is not None:
@@ -134,20 +141,22 @@ def write(catalogue: Catalogue, output: Path, *, phantom: str | None = None, wir
     with new_folder(output) as building:
         atomic.write_text(building / PAGE, page(catalogue, drawn, found))
         atomic.write_text(building / TABLE, _csv(history, drawn))
-    return found or ["no number of the rig is beyond its limits or has a trend" if drawn else "no result has numbers of the rig yet"]
+    return found or [
+        "all rig parameters are within their control limits and without a trend" if drawn else "no result has rig parameters yet"
+    ]
 
 
 def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str]) -> str:
-    """Return the page as HTML.
+    """Return the HTML report of a catalogue.
 
     Parameters
     ----------
     catalogue : Catalogue
-        The catalogue.
+        Open catalogue.
     drawn : mapping of Chart
-        As `charts` returns them.
+        Control charts from `charts`.
     found : sequence of str
-        As `sentences` returns them.
+        Messages from `sentences`.
     """
     title = html.escape(catalogue.path.stem)
     parts = [f"<h1>{title}</h1>", f"<p>{_counts(catalogue)}</p>", "<h2>Plants</h2>", _plants(catalogue)]
@@ -158,12 +167,13 @@ def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str])
     if drawn:
         picture = base64.b64encode(draw(drawn)).decode()
         parts.append(
-            f'<img alt="control charts" src="data:image/png;base64,{picture}"><p>One point for each scan. Solid line: mean; dashed lines: '
-            f"{SIGMAS:g} standard deviations by the mean moving range (individuals control chart). Points beyond them are red.</p>"
+            f'<img alt="control charts" src="data:image/png;base64,{picture}"><p>Each point is a scan. The solid line is the mean, and the '
+            f"dashed lines are control limits at {SIGMAS:g} standard deviations, estimated from the mean moving range (individuals control "
+            "chart). Points outside the limits are red.</p>"
         )
         parts.append("<ul>" + "".join(f'<li class="out">{html.escape(one)}</li>' for one in found) + "</ul>")
     else:
-        parts.append("<p>No result has numbers of the rig yet.</p>")
+        parts.append("<p>No result has rig parameters yet.</p>")
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{title}</title><style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
@@ -171,7 +181,7 @@ def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str])
 
 
 def draw(drawn: Mapping[str, Chart]) -> bytes:
-    """Return the control charts as PNG."""
+    """Draw the control charts, and return the picture as PNG."""
     shown = _ordered(drawn)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
@@ -191,7 +201,7 @@ def draw(drawn: Mapping[str, Chart]) -> bytes:
 
 
 def _ordered(drawn: Mapping[str, Chart]) -> list[tuple[str, Chart]]:
-    """Return heading and chart of each number, those of the rig first."""
+    """Return the heading and control chart of each time series, with rig parameters before wires."""
     headings = {number.name: number.heading for number in RIG_NUMBERS}
     names = [*(name for name in headings if name in drawn), *(name for name in drawn if name not in headings)]
     return [(headings.get(name, name), drawn[name]) for name in names]

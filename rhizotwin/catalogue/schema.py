@@ -1,8 +1,7 @@
-"""Tables of a catalogue file, and how such a file is created and opened.
+"""Tables of a catalogue file, and functions that create, open and validate the file.
 
-SQLite is used through the standard library. The file carries an application id and the version of its tables. It may
-come from anybody: a file whose tables are not exactly those of this program is rejected, so that it has no triggers or
-views of its own.
+The file is an SQLite database with an application id and a version of its tables. A file from an untrusted source could
+contain triggers or views, so a file is rejected unless its tables are exactly those of this program.
 """
 
 import re
@@ -14,13 +13,13 @@ from pathlib import Path
 from rhizotwin.scenes.errors import UserError
 
 APPLICATION_ID = 0x52485A54
-"""``RHZT``, stored in the header of the file."""
+"""SQLite application id (``RHZT``), stored in the header of the file."""
 VERSION = 1
 SUFFIX = ".rhizotwin"
 BUSY_S = 30.0
-"""Time to wait for another process that writes to the same file."""
+"""Timeout for access to a file that another process is writing, s."""
 OLDEST_SQLITE = (3, 37, 0)
-"""STRICT tables were added in this version (https://www.sqlite.org/stricttables.html)."""
+"""Minimum version of SQLite, in which STRICT tables were introduced (https://www.sqlite.org/stricttables.html)."""
 
 TABLES = """
 CREATE TABLE treatments (
@@ -126,36 +125,46 @@ CREATE TABLE visits (
     UNIQUE (plant, due_utc)
 ) STRICT;
 """
-"""Tables of version 1. Paths are relative to the folder of the catalogue if the file or folder is below it, with
-forward slashes, and absolute otherwise. Times are UTC as ISO 8601. ``tables`` holds the CSV files of masses, and
-``visits`` the scans that a time-lapse experiment plans."""
+"""SQL definition of the tables, version 1.
+
+A path below the folder of the catalogue is stored relative to this folder with forward slashes, and any other path as
+an absolute path. Times are UTC (ISO 8601). The table ``tables`` lists the CSV files of masses, and ``visits`` the
+planned scans of a time-lapse experiment.
+"""
 _STATEMENTS = [statement for statement in TABLES.split(";") if statement.strip()]
 
 
 def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
-    """Create a catalogue file with empty tables; a file that a killed run left empty is completed.
+    """Create a catalogue file with empty tables, and connect to it.
+
+    An empty file, which remains if an earlier call was killed, is replaced.
 
     Parameters
     ----------
     path : Path
-        The file.
+        File to create.
     exist_ok : bool
-        Whether a catalogue that exists is opened.
+        Open the file if it is an existing catalogue.
+
+    Returns
+    -------
+    sqlite3.Connection
+        Connection to the file.
 
     Raises
     ------
     UserError
-        If the file holds anything (with ``exist_ok``, anything but a catalogue), its name does not end in
-        ``.rhizotwin``, or it cannot be written.
+        If the file already exists (with ``exist_ok``, if it is not a catalogue), the name does not end in
+        ``.rhizotwin``, or the file cannot be written.
     """
     if path.exists() and not is_empty(path):
         if exist_ok:
             return open_file(path)
         raise UserError(f"{path} already exists; choose another name")
     if path.suffix != SUFFIX:
-        raise UserError(f"{path}: the name of a catalogue must end in {SUFFIX}")
+        raise UserError(f"{path}: the name of a catalogue must end with {SUFFIX}")
     if not path.parent.is_dir():
-        raise UserError(f"{path.parent}: there is no such folder; create it first")
+        raise UserError(f"{path.parent}: the folder does not exist; create the folder first")
     with _connecting(path) as connection:
         connection.execute("BEGIN IMMEDIATE")
         if not _has_tables(connection):
@@ -169,7 +178,7 @@ def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
 
 
 def is_empty(path: Path) -> bool:
-    """Return whether a file is a database without tables, as a run leaves it that was killed while it created one."""
+    """Return whether a file is a database without tables, which remains if a run is killed during its creation."""
     try:
         with closing(_connect(path)) as connection:
             return not _has_tables(connection)
@@ -178,22 +187,27 @@ def is_empty(path: Path) -> bool:
 
 
 def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
-    """Open a catalogue file and check that its tables are those of this program.
+    """Connect to an existing catalogue file, and check that its tables are those of this program.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Catalogue file.
     read_only : bool
-        Nothing can be written through the connection.
+        Reject changes through the connection.
+
+    Returns
+    -------
+    sqlite3.Connection
+        Connection to the file.
 
     Raises
     ------
     UserError
-        If there is no such file, it is not a catalogue, is damaged, or was written by another version.
+        If the file does not exist, is not a catalogue, is damaged, or was written by another version of the program.
     """
     if not path.is_file():
-        raise UserError(f"{path}: there is no such file; create a catalogue with `rhizotwin catalogue add`")
+        raise UserError(f"{path}: the file does not exist; create a catalogue with `rhizotwin catalogue add`")
     with _connecting(path) as connection:
         _check(connection, path)
         _use_write_ahead_log(connection)
@@ -203,19 +217,19 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
 
 
 def explained(error: sqlite3.Error, path: Path) -> UserError:
-    """Return a message for an error of SQLite."""
+    """Convert an SQLite error to a UserError with advice."""
     if "malformed" in str(error) or "not a database" in str(error):
         return damaged(path, error)
     if "locked" in str(error):
-        return UserError(f"{path}: another program is writing to it for more than {BUSY_S:g} s; end that program and try again")
+        return UserError(f"{path}: another program has been writing to the file for more than {BUSY_S:g} s; end that program and try again")
     if "no space" in str(error) or "disk is full" in str(error):
         return UserError(f"{path}: the disk is full; free some space and try again")
-    return UserError(f"{path}: cannot be used as a catalogue ({error})")
+    return UserError(f"{path}: the file cannot be used as a catalogue ({error})")
 
 
 @contextmanager
 def _connecting(path: Path) -> Iterator[sqlite3.Connection]:
-    """Connect to a file; the connection stays open unless an exception leaves the block."""
+    """Connect to a file, and close the connection only if the block raises an exception."""
     try:
         connection = _connect(path)
         try:
@@ -228,15 +242,17 @@ def _connecting(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def damaged(path: Path, reason: object) -> UserError:
-    """Return a message for a file that is damaged."""
-    return UserError(f"{path}: is damaged or no catalogue ({reason}); create it again with `rhizotwin catalogue rebuild`")
+    """Return a UserError for a damaged catalogue file."""
+    return UserError(f"{path}: the file is damaged or not a catalogue ({reason}); create it again with `rhizotwin catalogue rebuild`")
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Connect without a change of the file; each commit is flushed to the disk so that it survives a power cut."""
+    """Connect to a file without changing it; commits are flushed to the disk, so that they survive a power failure."""
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         oldest = ".".join(str(part) for part in OLDEST_SQLITE)
-        raise UserError(f"a catalogue needs SQLite {oldest} or newer, this Python has {sqlite3.sqlite_version}; use another Python")
+        raise UserError(
+            f"a catalogue needs SQLite {oldest} or newer, but this Python has version {sqlite3.sqlite_version}; use a newer Python"
+        )
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "foreign_keys = ON", "synchronous = FULL"):
         connection.execute(f"PRAGMA {pragma}")
@@ -245,7 +261,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
-    """Set the mode, which the file keeps; if another process is using a new file, the next opening sets it."""
+    """Set the journal mode of the file to WAL; the mode is left unchanged if another process is using the file."""
     with suppress(sqlite3.OperationalError):
         connection.execute("PRAGMA journal_mode = WAL")
 
@@ -255,17 +271,20 @@ def _has_tables(connection: sqlite3.Connection) -> bool:
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
-    """Reject a file of another program, another version, or with other tables."""
+    """Raise UserError if a file was not written by this version of the program, or has different tables."""
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-        raise UserError(f"{path}: is a SQLite file, but not a catalogue of rhizotwin")
+        raise UserError(f"{path}: the file is an SQLite database, but not a catalogue of rhizotwin; give another file")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION:
         raise UserError(
-            f"{path}: has the tables of version {version}, this program reads version {VERSION}; rebuild it or update rhizotwin"
+            f"{path}: the catalogue has version {version}, but this program reads version {VERSION}; "
+            "update rhizotwin, or create the catalogue again with `rhizotwin catalogue rebuild`"
         )
     found = {_normal(row[0]) for row in connection.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL")}
     if found != {_normal(statement) for statement in _STATEMENTS}:
-        raise UserError(f"{path}: has other tables than a catalogue of version {VERSION}; rebuild it with `rhizotwin catalogue rebuild`")
+        raise UserError(
+            f"{path}: the tables differ from those of a catalogue of version {VERSION}; create it again with `rhizotwin catalogue rebuild`"
+        )
 
 
 def _normal(statement: str) -> str:

@@ -1,4 +1,4 @@
-"""A catalogue in place of folders: the datasets, results and tables of masses that it lists."""
+"""Expansion of catalogues in the arguments of commands to the datasets, results and mass tables that they list."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,12 +9,12 @@ from rhizotwin.scenes.errors import UserError
 
 
 def is_catalogue(path: Path | str) -> bool:
-    """Return whether a path is named like a catalogue and is no folder."""
+    """Return whether a path has the suffix of a catalogue and is not a folder or an address."""
     return str(path).endswith(SUFFIX) and "://" not in str(path) and not Path(path).is_dir()
 
 
 def expand_scans(sources: Sequence[str]) -> list[str]:
-    """Return the sources of a batch with each catalogue replaced by its complete scans; sketches are left out.
+    """Return the sources of a batch, with each catalogue replaced by its complete scans except sketches.
 
     Raises
     ------
@@ -29,27 +29,27 @@ def expand_scans(sources: Sequence[str]) -> list[str]:
         with Catalogue.open(source, read_only=True) as catalogue:
             scans = [str(one.path) for one in catalogue.scans() if one.complete and not one.sketch]
         if not scans:
-            raise UserError(f"{source}: has no complete scan that can be reconstructed")
+            raise UserError(f"{source}: the catalogue has no complete scan that can be reconstructed")
         found += scans
     return found
 
 
 def expand_results(sources: Sequence[Path], *, masses: bool = False, phantoms: bool = True) -> list[Path]:
-    """Return sources with each catalogue replaced by its results.
+    """Return the sources with each catalogue replaced by its results.
 
     Parameters
     ----------
     sources : sequence of Path
         Results, folders of results, tables and catalogues.
     masses : bool
-        Whether the tables of masses are added.
+        Include the mass tables of catalogues.
     phantoms : bool
-        Whether results of phantoms are among them.
+        Include the results of phantoms.
 
     Raises
     ------
     UserError
-        If a catalogue has no results, or, with ``masses``, no tables of masses either.
+        If a catalogue has neither results nor requested mass tables.
     """
     found: list[Path] = []
     for source in sources:
@@ -61,21 +61,23 @@ def expand_results(sources: Sequence[Path], *, masses: bool = False, phantoms: b
             own = [one.path for one in catalogue.chosen_results() if not hidden.intersection(one.plants)]
             own += catalogue.mass_tables() if masses else []
         if not own:
-            raise UserError(f"{source}: has no results{' and no masses' if masses else ''}; add some with `rhizotwin catalogue add`")
+            raise UserError(
+                f"{source}: the catalogue has no results{' and no masses' if masses else ''}; add them with `rhizotwin catalogue add`"
+            )
         found += own
     return found
 
 
 def mass_tables(source: Path) -> list[Path]:
-    """Return the tables of masses of a catalogue.
+    """Return the paths of the mass tables of a catalogue.
 
     Raises
     ------
     UserError
-        If it has none.
+        If the catalogue has no mass table.
     """
     with Catalogue.open(source, read_only=True) as catalogue:
         found = catalogue.mass_tables()
     if not found:
-        raise UserError(f"{source}: has no masses; add a table with `rhizotwin catalogue add`")
+        raise UserError(f"{source}: the catalogue has no masses; add a mass table with `rhizotwin catalogue add`")
     return found

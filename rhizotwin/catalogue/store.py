@@ -1,4 +1,4 @@
-"""A catalogue file: its entries are added in transactions and read as frozen values."""
+"""Access to a catalogue file: entries are written in transactions, and read as frozen dataclasses."""
 
 import sqlite3
 import threading
@@ -21,28 +21,29 @@ MOST_LISTED = 5
 
 
 class Catalogue:
-    """An open catalogue; every method that writes is one transaction, which is on the disk when the method returns.
+    """Open catalogue, for use as a context manager or until `close` is called.
 
-    It can be used from several threads, and the file from several processes. Use it as a context manager, or call
-    `close`.
+    Each method that writes is a transaction, which is stored on the disk when the method returns. An instance can be
+    used by several threads, and a file by several processes.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path.resolve() if path.is_symlink() else path
-        """Path of the catalogue file; stored paths are relative to the folder that holds the file itself."""
+        """Path of the catalogue file, with links resolved; stored paths are relative to the folder of this file."""
         self.connection = connection
-        """Connection to the file; write through the methods only."""
+        """Connection to the file, which only the methods of this class should use for writing."""
         self.lock = threading.RLock()
-        """Held while the connection is used."""
+        """Lock that a thread must acquire while it uses the connection."""
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> "Catalogue":
-        """Open a catalogue.
+        """Open an existing catalogue.
 
         Raises
         ------
         UserError
-            If there is no such file, it is not a catalogue, is damaged, or was written by another version.
+            If the file does not exist, is not a catalogue, is damaged, or was written by another version of the
+            program.
         """
         path = Path(path)
         return cls(path, schema.open_file(path, read_only=read_only))
@@ -54,19 +55,19 @@ class Catalogue:
         Raises
         ------
         UserError
-            If the file already exists, its name does not end in ``.rhizotwin``, or it cannot be written.
+            If the file already exists, the name does not end with ``.rhizotwin``, or the file cannot be written.
         """
         path = Path(path)
         return cls(path, schema.create(path))
 
     @classmethod
     def open_or_create(cls, path: Path | str) -> "Catalogue":
-        """Open a catalogue, and create it if there is none."""
+        """Open a catalogue, or create an empty one if the file does not exist."""
         path = Path(path)
         return cls(path, schema.create(path, exist_ok=True))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the catalogue file."""
         self.connection.close()
 
     def __enter__(self) -> "Catalogue":
@@ -77,7 +78,7 @@ class Catalogue:
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """Open a transaction, which is undone if an exception leaves it.
+        """Provide the connection in a transaction, which is rolled back if the block raises an exception.
 
         Raises
         ------
@@ -100,7 +101,7 @@ class Catalogue:
                 raise
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
-        """Return the rows of a statement; its values are bound, never formatted into the text.
+        """Return the rows of a SELECT statement with bound values.
 
         Raises
         ------
@@ -110,7 +111,7 @@ class Catalogue:
         return self.select(sql, values)[1]
 
     def select(self, sql: str, values: Sequence[Any] = ()) -> tuple[tuple[str, ...], list[sqlite3.Row]]:
-        """Return the column names and, as `rows`, the rows of a statement."""
+        """Return the column names and the rows of a SELECT statement with bound values."""
         with self.lock:
             try:
                 cursor = self.connection.execute(sql, values)
@@ -119,17 +120,20 @@ class Catalogue:
                 raise schema.explained(error, self.path) from error
 
     def stored_path(self, path: Path | str) -> str:
-        """Return a path as it is stored: relative to the catalogue's folder if it is below it, with forward slashes."""
+        """Convert a path for storage.
+
+        Paths below the catalogue's folder are stored relative to it with forward slashes, and other paths as absolute.
+        """
         whole, base = Path(path).resolve(), self.path.parent.resolve()
         return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()
 
     def full_path(self, stored: str) -> Path:
-        """Return a stored path relative to the working folder of this process, as the catalogue's own path is.
+        """Convert a stored path to a path relative to the working folder of this process.
 
         Raises
         ------
         UserError
-            If it contains a null character, which no path of a file does.
+            If the stored path contains a null character.
         """
         if "\0" in stored:
             raise schema.damaged(self.path, f"invalid path {stored!r}")
@@ -138,17 +142,17 @@ class Catalogue:
     # plants
 
     def add_plant(self, plant: Plant) -> None:
-        """Add a plant, or complete what is known of it.
+        """Add a plant, or add missing data to the existing entry.
 
         Raises
         ------
         UserError
-            If the name is empty, a value differs from that in the catalogue, or its tag overlaps that of another plant.
+            If the name is empty, a value differs from the existing entry, or the tag overlaps with another plant's tag.
         """
         check_subject(Subject(plant=plant.name, species=plant.species, treatment=plant.treatment, notes=plant.notes), self._place(plant))
         check_subject(Subject(date=plant.sown), self._place(plant))
         if not plant.name:
-            raise UserError(f"{self.path}: a plant needs a name")
+            raise UserError(f"{self.path}: the name of a plant must not be empty")
         with self.writing():
             known = self.plants()
             before = next((one for one in known if one.name == plant.name), None)
@@ -174,7 +178,7 @@ class Catalogue:
             )
 
     def plants(self) -> list[Plant]:
-        """Return all plants by name."""
+        """Return all plants, sorted by name."""
         found = self.rows(
             "SELECT p.*, t.name AS treated, s.content FROM plants p LEFT JOIN treatments t ON t.id = p.treatment"
             " LEFT JOIN solutions s ON s.id = p.solution ORDER BY p.name"
@@ -182,28 +186,28 @@ class Catalogue:
         return [plant_rows.plant_of(row, where=str(self.path)) for row in found]
 
     def plant(self, name: str) -> Plant:
-        """Return a plant.
+        """Return the plant with the given name.
 
         Raises
         ------
         UserError
-            If there is none of this name.
+            If the catalogue has no plant with this name.
         """
         known = self.plants()
         for one in known:
             if one.name == name:
                 return one
         names = ", ".join(one.name for one in known[:MOST_LISTED]) or "none"
-        raise UserError(f"{self.path}: has no plant {name!r}; its plants are {names}{', ...' if len(known) > MOST_LISTED else ''}")
+        raise UserError(f"{self.path}: no plant is named {name!r}; known plants: {names}{', ...' if len(known) > MOST_LISTED else ''}")
 
     def plant_with_tag(self, tag: Tag) -> Plant | None:
-        """Return the plant whose pot has the strip with this tag; None if no plant of the catalogue has it."""
+        """Return the plant with the given tag; None if the catalogue has no such plant."""
         return next((one for one in self.plants() if one.tag == tag), None)
 
     # scans, results, masses
 
     def scans(self, *, plant: str | None = None, treatment: str | None = None, day: float | None = None) -> list[Scan]:
-        """Return the scans by day and path, of all plants or of a selection."""
+        """Return the scans that match all given criteria, sorted by day and path."""
         where, values = _selection(plant, treatment, day, plants="SELECT plant FROM scan_plants WHERE scan = x.id")
         found = self.rows(f"SELECT * FROM scans x{where} ORDER BY x.day, x.path", values)
         named = self._names("SELECT sp.scan, p.name FROM scan_plants sp JOIN plants p ON p.id = sp.plant ORDER BY p.name")
@@ -223,7 +227,7 @@ class Catalogue:
         ]
 
     def results(self, *, plant: str | None = None, treatment: str | None = None, day: float | None = None) -> list[StoredResult]:
-        """Return the results by day and path, of all plants or of a selection."""
+        """Return the results that match all given criteria, sorted by day and path."""
         where, values = _selection(plant, treatment, day, plants="SELECT plant FROM traits WHERE result = x.id")
         found = self.rows(
             "SELECT x.*, s.path AS scanned, e.path AS edited FROM results x LEFT JOIN scans s ON s.id = x.scan"
@@ -251,7 +255,7 @@ class Catalogue:
         ]
 
     def chosen_results(self) -> list[StoredResult]:
-        """Return one result for each scan: a corrected one before others, and of these the one added last."""
+        """Return one result per scan: the most recently added corrected result, or otherwise the most recent result."""
         order = {self.full_path(row["path"]): row["id"] for row in self.rows("SELECT id, path FROM results")}
         found = self.results()
         by_rank = sorted(found, key=lambda one: (one.corrected, order[one.path]))
@@ -259,7 +263,7 @@ class Catalogue:
         return [one for one in found if chosen[one.scan or one.path] == one.path]
 
     def masses(self, *, plant: str | None = None) -> list[Mass]:
-        """Return the weighed masses by plant, day and kind."""
+        """Return the weighed masses of all plants or of one plant, sorted by plant, day and kind."""
         found = self.rows(
             "SELECT p.name, m.day, m.kind, m.grams, t.path FROM masses m JOIN plants p ON p.id = m.plant"
             " JOIN tables t ON t.id = m.source WHERE ?1 IS NULL OR p.name = ?1 ORDER BY p.name, m.day, m.kind",
@@ -268,13 +272,13 @@ class Catalogue:
         return [Mass(plant=name, day=day, kind=kind, grams=grams, source=self.full_path(path)) for name, day, kind, grams, path in found]
 
     def mass_tables(self) -> list[Path]:
-        """Return the tables that the masses were read from."""
+        """Return the paths of the tables from which the masses were read."""
         return [self.full_path(row["path"]) for row in self.rows("SELECT path FROM tables ORDER BY path")]
 
     # visits
 
     def plan_visits(self, visits: Sequence[tuple[str, str]]) -> None:
-        """Add planned visits, given as plant and due time (UTC, ISO 8601); those that are known stay as they are."""
+        """Add planned scans, given as plant and planned time (UTC, ISO 8601); existing entries are not changed."""
         with self.writing():
             for plant, due_utc in visits:
                 self.connection.execute(
@@ -283,7 +287,7 @@ class Catalogue:
                 )
 
     def visits(self, *, plant: str | None = None, state: State | None = None) -> list[Visit]:
-        """Return the visits by due time, then in the order in which they were planned."""
+        """Return the planned scans that match all given criteria, sorted by planned time and then by order of entry."""
         found = self.rows(
             "SELECT v.*, p.name, s.path FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan"
             " WHERE (?1 IS NULL OR p.name = ?1) AND (?2 IS NULL OR v.state = ?2) ORDER BY v.due_utc, v.id",
@@ -303,25 +307,25 @@ class Catalogue:
         ]
 
     def update_visit(self, visit: Visit, *, state: State, at_utc: str, scan: Path | None = None, note: str = "") -> Visit:
-        """Change the state of a visit.
+        """Change the state of a planned scan.
 
         Parameters
         ----------
         visit : Visit
-            As `visits` returns it.
+            Planned scan from `visits`.
         state : State
             New state.
         at_utc : str
-            Time of the change, UTC as ISO 8601.
+            Time of the change, UTC (ISO 8601).
         scan : Path or None
-            Dataset, which must have been added.
+            Folder of the finished dataset, which must be in the catalogue.
         note : str
-            Reason, for people.
+            Reason for the change, for the user.
 
         Returns
         -------
         Visit
-            The changed visit.
+            Changed entry.
 
         Raises
         ------
@@ -340,7 +344,7 @@ class Catalogue:
         return replace(visit, state=state, began_utc=began, ended_utc=ended, scan=scan, note=note)
 
     def scan_id(self, folder: Path) -> int:
-        """Return the number of a dataset's row.
+        """Return the row number of a dataset.
 
         Raises
         ------
@@ -349,20 +353,23 @@ class Catalogue:
         """
         found = self.rows("SELECT id FROM scans WHERE path = ?", (self.stored_path(folder),))
         if not found:
-            raise UserError(f"{folder}: is not in {self.path}; add it with `rhizotwin catalogue add`")
+            raise UserError(f"{folder}: the dataset is not in {self.path}; add it with `rhizotwin catalogue add`")
         return int(found[0][0])
 
     # helpers for `catalogue.adding`
 
     def solution_id(self, solution: Solution) -> int | None:
-        """Return the number of a nutrient solution's row, which is added if it is new; None if nothing is known."""
+        """Return the row number of a nutrient solution, and add a row if necessary; None for an unknown solution."""
         return self._id_of("solutions", "content", plant_rows.solution_text(solution))
 
     def _place(self, plant: Plant) -> Place:
         return Place(f"{self.path}, plant {plant.name!r}")
 
     def _id_of(self, table: str, column: str, value: str) -> int | None:
-        """Return the number of a row with a unique text; ``table`` and ``column`` are constants of this module."""
+        """Return the row number of a unique text, and add a row if necessary; None for an empty text.
+
+        ``table`` and ``column`` must be constants, because they are formatted into the SQL statement.
+        """
         if not value:
             return None
         self.connection.execute(f"INSERT INTO {table} ({column}) VALUES (?) ON CONFLICT DO NOTHING", (value,))
@@ -376,12 +383,15 @@ class Catalogue:
 
 
 def now_utc() -> str:
-    """Return the time as it is stored."""
+    """Return the current time in the format of the catalogue (UTC, ISO 8601, seconds)."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _selection(plant: str | None, treatment: str | None, day: float | None, *, plants: str) -> tuple[str, list[Any]]:
-    """Return the condition of a selection and its values; ``plants`` selects the plants of a row ``x``."""
+    """Return a WHERE clause that combines the given criteria, and its bound values.
+
+    ``plants`` is a SELECT statement for the plants of a row ``x``.
+    """
     conditions, values = [], list[Any]()
     if plant is not None:
         conditions.append(f"EXISTS (SELECT 1 FROM plants p WHERE p.id IN ({plants}) AND p.name = ?)")

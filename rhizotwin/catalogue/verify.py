@@ -1,4 +1,4 @@
-"""Compare a catalogue with the files that it lists."""
+"""Verification of a catalogue against the files that it lists."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,14 +10,19 @@ from rhizotwin.scenes.errors import UserError
 
 
 def check(catalogue: Catalogue, *, pictures: bool = True) -> list[Problem]:
-    """Return every difference between a catalogue and the files that it lists.
+    """Check the integrity of a catalogue, and compare it with the files that it lists.
 
     Parameters
     ----------
     catalogue : Catalogue
-        Its own pages and references are checked as well.
+        Open catalogue.
     pictures : bool
-        Whether every picture is read and compared with its SHA-256 in dataset.json; False: it must be there only.
+        Compare the SHA-256 of each picture with dataset.json; otherwise only check that the picture exists.
+
+    Returns
+    -------
+    list of Problem
+        Differences and damage.
     """
     return [*_internal(catalogue), *_scans(catalogue, pictures=pictures), *_files(catalogue), *_unlisted(catalogue)]
 
@@ -26,20 +31,22 @@ def _internal(catalogue: Catalogue) -> Iterator[Problem]:
     for (text,) in catalogue.rows("PRAGMA integrity_check"):
         if text != "ok":
             yield Problem(
-                path=catalogue.path, kind="damaged", text=f"SQLite reports: {text}; rebuild it with `rhizotwin catalogue rebuild`"
+                path=catalogue.path,
+                kind="damaged",
+                text=f"the catalogue is damaged ({text}); create it again with `rhizotwin catalogue rebuild`",
             )
     for row in catalogue.rows("PRAGMA foreign_key_check"):
-        yield Problem(path=catalogue.path, kind="damaged", text=f"row {row[1]} of {row[0]} refers to a row of {row[2]} that does not exist")
+        yield Problem(path=catalogue.path, kind="damaged", text=f"row {row[1]} of table {row[0]} refers to a missing row of table {row[2]}")
 
 
 def _scans(catalogue: Catalogue, *, pictures: bool) -> Iterator[Problem]:
     for scan in catalogue.scans():
         head = scan.path / "dataset.json"
         if not head.is_file():
-            yield Problem(path=scan.path, kind="missing", text="the dataset is not there")
+            yield Problem(path=scan.path, kind="missing", text="the dataset does not exist")
             continue
         if file_sha256(head) != scan.sha256:
-            yield Problem(path=head, kind="changed", text="differs from the one that was added; add it again if that is intended")
+            yield Problem(path=head, kind="changed", text="the file has changed since it was added; if this is intended, add it again")
         if not scan.complete:
             yield Problem(path=scan.path, kind="incomplete", text=f"the scan was interrupted after {scan.pictures} pictures")
         try:
@@ -50,13 +57,13 @@ def _scans(catalogue: Catalogue, *, pictures: bool) -> Iterator[Problem]:
         for frame in dataset.frames:
             path = scan.path / frame.file
             if not path.is_file():
-                yield Problem(path=path, kind="missing", text="the picture is not there")
+                yield Problem(path=path, kind="missing", text="the picture does not exist")
             elif pictures and frame.sha256 and file_sha256(path) != frame.sha256.lower():
-                yield Problem(path=path, kind="changed", text="is not the picture that was recorded")
+                yield Problem(path=path, kind="changed", text="the picture has changed since it was recorded")
 
 
 def _files(catalogue: Catalogue) -> Iterator[Problem]:
-    """Compare results, logs of corrections and tables of masses."""
+    """Yield missing or changed results, logs of corrections and mass tables."""
     listed = [
         *((catalogue.full_path(path) / "result.json", digest) for path, digest in catalogue.rows("SELECT path, sha256 FROM results")),
         *((catalogue.full_path(path), digest) for path, digest in catalogue.rows("SELECT path, sha256 FROM edits")),
@@ -64,13 +71,13 @@ def _files(catalogue: Catalogue) -> Iterator[Problem]:
     ]
     for path, digest in listed:
         if not path.is_file():
-            yield Problem(path=path, kind="missing", text="is not there")
+            yield Problem(path=path, kind="missing", text="the file does not exist")
         elif file_sha256(path) != digest:
-            yield Problem(path=path, kind="changed", text="differs from the one that was added; add it again if that is intended")
+            yield Problem(path=path, kind="changed", text="the file has changed since it was added; if this is intended, add it again")
 
 
 def _unlisted(catalogue: Catalogue) -> Iterator[Problem]:
-    """Find datasets and results beside those that are listed."""
+    """Yield datasets and results that are not listed, in the parent folders of listed ones."""
     listed = [*(one.path for one in catalogue.scans()), *(one.path for one in catalogue.results())]
     known, parents = {catalogue.stored_path(path) for path in listed}, {path.parent for path in listed}
     for parent in sorted(parents):

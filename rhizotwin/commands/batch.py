@@ -32,10 +32,10 @@ Cluster = Annotated[str, with_metavar("ADDRESS|slurm")]
 
 
 def read_treatment(text: str) -> tuple[str, float, Factors]:
-    """Read a treatment as NAME:GROWTH, or with factors of the nutrient solution NAME:GROWTH:ELEMENT=FACTOR:..."""
+    """Convert a treatment such as ``low N:0.85:N=0.5`` to its name, growth factor and factors of the elements."""
     name, *words = (word.strip() for word in text.split(":"))
     if not words or not name or not all("=" in word for word in words[1:]):
-        raise ValueError(f"{text!r} is not a treatment; write it as NAME:GROWTH or NAME:GROWTH:K=0.5, such as 'low N:0.85'")
+        raise ValueError(f"{text!r} is not a treatment; write name and growth factor, such as 'low N:0.85' or 'low K:0.9:K=0.5'")
     parts = (word.partition("=") for word in words[1:])
     factors = tuple((element.strip(), read_number(factor, (0.0, 100.0), f"times {element}", "times")) for element, _, factor in parts)
     return name, read_number(words[0], (0.1, 10.0), "times the scene's growth", "times"), factors
@@ -44,15 +44,15 @@ def read_treatment(text: str) -> tuple[str, float, Factors]:
 @Parameter(name="*", group="Computing")
 @dataclass(frozen=True, kw_only=True)
 class Workforce:
-    """Computing resources."""
+    """Options for the computing resources."""
 
     workers: Workers | None = None
-    """Maximum number of scans processed in parallel; default: one per processor, limited by memory."""
+    """Maximum number of scans processed in parallel; default: number of processors, limited by the memory."""
     cluster: Cluster | None = None
-    """Address of a Dask scheduler (tcp://host:8786), or slurm. The workers need this program and access to the same \
-folders."""
+    """Address of a Dask scheduler, such as tcp://host:8786, or slurm to start Slurm jobs. The workers need this \
+program and access to the same folders."""
     device: Device = "auto"
-    """Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
+    """Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
 
 
 def batch(
@@ -66,10 +66,10 @@ def batch(
 ) -> None:
     """Reconstruct many scans, locally or on a cluster.
 
-    Each dataset is reconstructed to a result folder of the same name. Finished results of the same dataset, settings
-    and program version are kept; after an interruption, run the same command again to continue. Failed scans are listed
-    at the end with the reason. The traits of all scans are written to traits.csv, and overview.html shows a row with a
-    picture for each scan.
+    Each dataset (folder with the pictures of a scan) is reconstructed to a result folder of the same name. Results that
+    an earlier run computed from the same dataset with the same settings and program version are kept, so that an
+    interrupted run can be continued with the same command. Failed scans are listed at the end with the reason. The
+    traits of all scans are written to traits.csv, and overview.html shows each scan with a picture.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def batch(
     output : str
         Folder or address for the results.
     voxel_mm : float, optional
-        Edge length of the smallest voxels, as in 'rhizotwin reconstruct'.
+        Edge length of the smallest voxels in mm, see 'rhizotwin reconstruct'.
     settings : Path, optional
-        TOML file with settings of the stages, as in 'rhizotwin reconstruct'.
+        TOML file with settings of the reconstruction, see 'rhizotwin reconstruct'.
     work : Workforce
         Computing resources.
 
@@ -116,20 +116,21 @@ def simulate(
     changes: SceneChanges = SceneChanges(),
     plants: Annotated[int, option(lambda text: read_integer(text, 1, 1000, "give 1 to 1000"), "N")] = 1,
     days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None,
-    treatments: Annotated[tuple[tuple[str, float, Factors], ...] | None, option(list_of(read_treatment), "NAME:GROWTH[:K=0.5],...")] = None,
+    treatments: Annotated[tuple[tuple[str, float, Factors], ...] | None, option(list_of(read_treatment), "LIST")] = None,
     seed: Seed = 0,
     work: Workforce = Workforce(),
 ) -> None:
-    """Render many scenes: plants, days, treatments, profiles and seeds.
+    """Render many scenes, optionally for several plants, ages and treatments.
 
-    Each scene is rendered to a dataset of the same name. Scenes with a simulated plant can be varied: several plants
-    (different growth seeds), several days of the same plant, and treatments that scale the growth rate of its roots.
-    Plant, day and treatment are stored in the datasets.
+    Each scene (description of canister, plant and rig) is rendered to a dataset of the same name. A scene with a
+    simulated plant can be rendered for several plants, which grow from different random seeds, for several ages of each
+    plant, and for several treatments, which change the growth rate of the roots. Plant, age and treatment are stored in
+    the datasets.
 
     Parameters
     ----------
     scenes : list of str
-        Names of scenes (listed by 'rhizotwin scenes') or scene files (TOML).
+        Names listed by 'rhizotwin scenes', or scene files (TOML).
     output : str
         Folder or address for the datasets.
     changes : SceneChanges
@@ -137,10 +138,10 @@ def simulate(
     plants : int
         Number of plants per scene and treatment.
     days : tuple of float, optional
-        Ages of each plant in days; default: as in the scene.
+        Ages of each plant in days, separated by commas; default: as in the scene.
     treatments : tuple of (str, float, Factors), optional
-        Treatments, each with a name and a factor of root growth and, if the scene has a [solution], factors of its
-        elements, such as control:1,low N:0.85:N=0.5.
+        Treatments, separated by commas, with name and factor of the growth rate, such as 'control:1,low N:0.85'. If the
+        scene has a nutrient solution, factors of its elements may follow, such as 'low N:0.85:N=0.5'.
     seed : int
         Random seed for all simulated errors and noise.
     work : Workforce
@@ -166,17 +167,17 @@ def simulate(
 
 
 def _print_outcome(made: "Batch", what: str) -> None:
-    """Print the outcome of a batch.
+    """Print the numbers of finished scans and the reasons of failures.
 
     Raises
     ------
     UserError
-        If a scan failed, after the outcome was printed.
+        If a scan failed; raised after the outcome was printed.
     """
     for job, sentence in made.failed:
         print(f"failed: {job.name}: {sentence}")
-    kept = f", {len(made.kept)} already finished" if made.kept else ""
-    print(f"{len(made.done)} scans {what}{kept}")
+    kept = f", and {len(made.kept)} were already finished" if made.kept else ""
+    print(f"{len(made.done)} scans were {what}{kept}")
     if made.failed:
         count = len(made.failed) + len(made.done) + len(made.kept)
         raise UserError(f"{len(made.failed)} of {count} scans failed; run the same command again to retry them")

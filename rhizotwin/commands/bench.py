@@ -1,7 +1,7 @@
 """Run reconstruction methods on standard benchmarks and compare them.
 
-A benchmark is a set of simulated scans with exact ground truth. A method is any program that reads a dataset and writes
-a mesh, voxels, points, centre lines or a table of traits.
+A benchmark is a set of simulated scans, called cases, whose true roots are known exactly. A method is any program that
+reads a dataset and writes a mesh, voxels, points, centre lines of the roots or a table of traits.
 
 Examples
 --------
@@ -31,7 +31,7 @@ BenchmarkFolder: TypeAlias = Annotated[Path, with_metavar("FOLDER")]
 
 
 def read_timeout_s(text: str) -> float:
-    """Read a time limit."""
+    """Convert text to a timeout in seconds."""
     return read_number(text, TIMEOUT_LIMITS_S, "s")
 
 
@@ -41,15 +41,15 @@ class RunOptions:
     """Options for running a method."""
 
     label: Annotated[str | None, with_metavar("TEXT")] = None
-    """Name of the method in tables; default: its command line."""
+    """Name of the method in tables; default: the command line of the method."""
     cases: Cases = ()
-    """Cases to run; default: all."""
+    """Names of the cases to run, separated by commas; default: all cases."""
     cameras: Literal["estimated", "true"] = "estimated"
-    """Cameras given to the method: estimated (from the markers) or true (as rendered)."""
+    """Cameras in the method's input: estimated (from the markers in the pictures) or true (as rendered)."""
     timeout_s: Annotated[float, option(read_timeout_s, "S")] = 3600.0
-    """Time limit per case in seconds."""
+    """Timeout per case in seconds, after which the method is stopped."""
     keep: Annotated[Path | None, with_metavar("FOLDER")] = None
-    """Folder in which to keep the output of the method, with one subfolder per case; default: the output is deleted."""
+    """Folder in which the output of the method is kept, with one subfolder per case; default: the output is deleted."""
 
 
 def list_() -> None:
@@ -79,19 +79,19 @@ def make(
 ) -> None:
     """Render a benchmark and verify its pictures.
 
-    One dataset is rendered for each case, and the pictures are compared with stored reference values, so that results
-    of different computers are comparable. If interrupted, run the same command again to continue.
+    A dataset (folder of pictures) is rendered for each case. The pictures are compared with stored reference values, so
+    that results from different computers are comparable. After an interruption, run the same command again to continue.
 
     Parameters
     ----------
     name : str
-        Name of the benchmark, as listed by 'rhizotwin bench list'.
+        Name of the benchmark, listed by 'rhizotwin bench list'.
     output : Path
-        Folder of the datasets.
+        Folder for the datasets.
     cases : tuple of str
-        Cases to render; default: all.
+        Names of the cases to render, separated by commas; default: all cases.
     device : str
-        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
         Progress output.
 
@@ -109,7 +109,9 @@ def make(
         found = render(benchmark, output, monitor=bar, say=print)
     wrong = [one.case for one in found if one.largest != float("inf") and not one.same]
     if wrong:
-        raise UserError(f"the pictures of {', '.join(wrong)} in {output} differ from the reference; results on them are not comparable")
+        raise UserError(
+            f"the pictures of {', '.join(wrong)} in {output} differ from the reference, so results on them cannot be compared with others"
+        )
     print(f'next: rhizotwin bench run {name} {output} --method "my_tool {{dataset}} {{output}}" -o results.json')
 
 
@@ -118,7 +120,7 @@ def run(
     folder: BenchmarkFolder,
     /,
     *,
-    method: str,
+    method: Annotated[str, with_metavar("METHOD")],
     output: OutputFile,
     options: RunOptions = RunOptions(),
     device: Device = "auto",
@@ -126,11 +128,11 @@ def run(
 ) -> None:
     """Run a method on each case of a benchmark, score its output, and measure time and memory.
 
-    The method receives a copy of the dataset without ground truth, with cameras for nerfstudio (transforms.json) and
-    COLMAP (colmap), binary masks (masks) and undistorted pictures (undistorted). Its output is recognised by file name:
-    shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz, roots.rsml, traits.csv. If a method crashes,
-    exceeds the time limit or writes nothing, this is recorded as its result. Results are saved after each case; if
-    interrupted, run the same command again to continue.
+    The method receives a copy of the dataset without the true roots, together with cameras for nerfstudio
+    (transforms.json) and COLMAP (colmap), silhouettes (masks) and pictures without lens distortion (undistorted). Its
+    output is recognised by file names: shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz,
+    roots.rsml, and traits.csv. If a method crashes, exceeds the timeout or writes no output, this is recorded as its
+    result. Results are saved after each case; after an interruption, run the same command again to continue.
 
     Parameters
     ----------
@@ -139,13 +141,14 @@ def run(
     folder : Path
         Folder written by 'rhizotwin bench make'.
     method : str
-        Command line of the method, in which {dataset} and {output} are replaced by folders; or ours, thesis, hull.
+        Command line of the method, in which {dataset} and {output} are replaced by folders; or a method of this
+        program: ours, thesis, regularised or hull (see 'rhizotwin reconstruct').
     output : Path
         JSON file of results to write.
     options : RunOptions
         Options for running the method.
     device : str
-        Compute device for cameras and masks: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for computing cameras and silhouettes: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
         Progress output.
 
@@ -168,7 +171,7 @@ def run(
 
 
 def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, options: RunOptions, progress: Progress) -> None:
-    """Run a method and write the results after each case."""
+    """Run a method on all cases, and write the results after each case."""
     from rhizotwin.bench import run_method
 
     finished = run_method.finished_rows(output, benchmark, method, cameras=options.cameras)
@@ -176,7 +179,7 @@ def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, 
     with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
 
         def record(row: run_method.Row) -> None:
-            earlier = ", from an earlier run" if row.case in finished else ""
+            earlier = " (from an earlier run)" if row.case in finished else ""
             print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}{earlier}", flush=True)
             rows.append(row)
             stored = run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras)
@@ -199,7 +202,7 @@ def score(
     label: Annotated[str, with_metavar("TEXT")],
     cases: Cases = (),
 ) -> None:
-    """Score output that a method wrote on another computer, such as a cluster.
+    """Score output that a method has written on another computer, such as a cluster.
 
     Parameters
     ----------
@@ -214,7 +217,7 @@ def score(
     label : str
         Name of the method in tables.
     cases : tuple of str
-        Cases to score; default: all.
+        Names of the cases to score, separated by commas; default: all cases.
 
     Examples
     --------
@@ -239,12 +242,12 @@ def table(
     *,
     output: OutputFile | None = None,
 ) -> None:
-    """Show the results of several methods side by side.
+    """Show the results of several methods in one table.
 
     Parameters
     ----------
     files : tuple of Path
-        Result files, written by 'rhizotwin bench run' or 'rhizotwin bench score'.
+        Files of results, written by 'rhizotwin bench run' or 'rhizotwin bench score'.
     output : Path, optional
         File to write: a page with sortable columns (.html) or a Markdown table (.md); default: print the table.
 
@@ -258,12 +261,12 @@ def table(
 
     several = [results.read(file) for file in files]
     if not several:
-        raise UserError("give at least one result file")
+        raise UserError("the table needs at least one file of results, written by 'rhizotwin bench run' or 'rhizotwin bench score'")
     if output is None:
         print(results.markdown(several))
         return
     if output.suffix.lower() not in (".html", ".md"):
-        raise UserError(f"{output} must end in .html or .md")
+        raise UserError(f"the suffix of {output} must be .html or .md")
     atomic.write_text(output, page(several) if output.suffix.lower() == ".html" else results.markdown(several) + "\n")
     print(f"wrote {output}")
 
@@ -272,19 +275,19 @@ def gate(
     file: Annotated[Path, with_metavar("RESULTS.json")],
     /,
     *,
-    baseline: Annotated[Path, with_metavar("FILE")],
+    baseline: Annotated[Path, with_metavar("BASELINE")],
     junit: Annotated[Path | None, with_metavar("FILE")] = None,
 ) -> int:
-    """Compare results with a baseline; the exit code is 1 if a number got worse.
+    """Compare results with a baseline; the exit code is 1 if a value is worse.
 
     Parameters
     ----------
     file : Path
-        Result file, written by 'rhizotwin bench run'.
+        File of results, written by 'rhizotwin bench run'.
     baseline : Path
-        Result file of an earlier version of the method.
+        File of results from an earlier version of the method.
     junit : Path, optional
-        JUnit file to write, with one test case per number.
+        JUnit file to write, with one test case per compared value.
 
     Examples
     --------
@@ -298,5 +301,5 @@ def gate(
     worse = [one for one in findings if one.worse]
     for one in worse:
         print(f"{one.case}, {one.quantity}: {one.sentence}")
-    print(f"{len(findings)} numbers compared, {len(worse)} worse")
+    print(f"{len(findings)} values were compared, and {len(worse)} are worse")
     return 1 if worse else 0

@@ -1,4 +1,6 @@
-"""Predict the mass of living plants from harvested ones.
+"""Predict the mass of living plants with a model fitted to harvested plants.
+
+The model relates the weighed mass of harvested plants to the volume or another trait in their scans.
 
 Examples
 --------
@@ -23,10 +25,10 @@ Results = Annotated[list[Path], with_metavar("RESULTS")]
 
 
 def tables(*, output: OutputFolder) -> None:
-    """Write the tables of masses and volumes of Kliman's thesis (2022).
+    """Write the example tables of masses and volumes from Kliman's thesis (2022).
 
-    Fresh and dry masses of roots and shoots of eighteen radishes (table A.1) and their root volumes as measured in the
-    thesis (table 4.1), as CSV files. They are example input for 'biomass fit'.
+    The CSV files contain the fresh and dry masses of roots and shoots of eighteen radishes (table A.1), and the root
+    volumes measured in the thesis (table 4.1). They can be used as input for 'biomass fit'.
 
     Parameters
     ----------
@@ -50,24 +52,24 @@ def fit(
     output: Annotated[Path, output("MODEL")],
     balance_g: Annotated[float, option(lambda text: read_number(text, BALANCE_LIMITS_G, "g", "grams"), "G")] = BALANCE_G,
 ) -> None:
-    """Fit a model of mass on volume and other traits, with errors in both variables.
+    """Fit a model of mass to volume and other traits, with errors in both variables.
 
-    Each kind of mass (root and shoot, fresh and dry) is fitted to volume, length, surface and leaf area, by a
-    proportional and by a power law. The model with the smallest leave-one-out error is kept for each mass. Its 90 %
-    intervals combine the interval of the trait, the readability of the balance and the variation among plants. Traits
-    that are not reliable are excluded; their number is printed.
+    Each type of mass (root or shoot, fresh or dry) is fitted to volume, length, surface and leaf area, with a
+    proportional law and with a power law. For each type of mass, the model with the smallest leave-one-out error is
+    selected. Its 90 % intervals combine the interval of the trait, the readability of the balance and the variation
+    among plants. Traits that are not reliable are excluded, and their number is printed.
 
     Parameters
     ----------
     results : list of Path
-        Result folders, folders that contain results, or tables of traits (.csv), followed by the table of masses
-        (.csv) or by a catalogue (.rhizotwin), whose results and masses are used. The columns of the table of masses
-        are plant, optionally day, and any of root_fresh_g, root_dry_g, shoot_fresh_g and shoot_dry_g;
-        root_foil_scraped_g - root_foil_g, the dry matter left on the foil, is added to root_dry_g.
+        Result folders, folders that contain results, or trait tables (.csv), followed by the mass table (.csv); or a
+        catalogue (.rhizotwin), whose results and masses are used. The mass table has the columns plant, optionally day,
+        and any of root_fresh_g, root_dry_g, shoot_fresh_g and shoot_dry_g. The dry matter left on the foil,
+        root_foil_scraped_g - root_foil_g, is added to root_dry_g.
     output : Path
         Model file to write (JSON); must not exist yet.
     balance_g : float
-        Readability of the balance in grams.
+        Readability (smallest displayed step) of the balance in grams.
 
     Examples
     --------
@@ -80,7 +82,7 @@ def fit(
     tables = sources.mass_tables(last) if sources.is_catalogue(last) else [last]
     given = [*given, last] if sources.is_catalogue(last) else given
     if not given or any(table.suffix.lower() != ".csv" for table in tables):
-        raise UserError("give one or more results, followed by the table of masses (.csv), or a catalogue that contains both")
+        raise UserError("the fit needs results and masses; give results followed by the mass table (.csv), or a catalogue with both")
     if output.exists():
         raise UserError(f"{output} already exists; choose another name")
     from rhizotwin.experiment import biomass, model_file
@@ -110,9 +112,9 @@ def predict(
     Parameters
     ----------
     results : list of Path
-        Result folders, folders that contain results, tables of traits (.csv), or a catalogue (.rhizotwin).
+        Result folders, folders that contain results, trait tables (.csv), or a catalogue (.rhizotwin).
     model : Path
-        Model file written by 'rhizotwin biomass fit' for the same species.
+        Model file, written by 'rhizotwin biomass fit' for plants of the same species.
     table : Path, optional
         CSV table to write; must not exist yet.
 
@@ -122,7 +124,7 @@ def predict(
     rhizotwin biomass predict my_results --model radish.json -o masses.csv
     """
     if table is not None and (table.suffix.lower() != ".csv" or table.exists()):
-        raise UserError(f"{table} {'already exists; choose another name' if table.exists() else 'must end in .csv'}")
+        raise UserError(f"{table} already exists; choose another name" if table.exists() else f"the suffix of {table} must be .csv")
     from rhizotwin.catalogue import sources
     from rhizotwin.experiment import model_file
     from rhizotwin.experiment.measured import read_all
@@ -130,12 +132,12 @@ def predict(
 
     found = model_file.predict(model_file.load_model(model), read_all(sources.expand_results(results, phantoms=False)))
     if not found:
-        raise UserError(f"none of the results has a trait that the model {model} requires")
+        raise UserError(f"no result has a trait that the model {model} needs; give results of the same kind as those for the fit")
     for one in found:
         predicted = f"{one.measured.who}: {one.relation.kind} {one.grams:.4g} g, 90 % interval {one.low_g:.4g} to {one.high_g:.4g} g"
         cautions = [
-            (one.assessment.verdict == "not reliable", f"not reliable, because its {one.relation.trait} is not reliable"),
-            (one.beyond, f"extrapolated: its {one.relation.trait} is outside the range of the model's plants"),
+            (one.assessment.verdict == "not reliable", f"not reliable, because the {one.relation.trait} is not reliable"),
+            (one.beyond, f"extrapolated, because the {one.relation.trait} is outside the range of the model's plants"),
         ]
         print("; ".join([predicted, *(words for is_open, words in cautions if is_open)]))
     if table is not None:
@@ -144,7 +146,7 @@ def predict(
 
 
 def _print_fits(model: "Model", found: "list[Pair]") -> None:
-    """Print every fitted relation, and the densities."""
+    """Print a table of all fitted relations, and the density of fresh roots."""
     import numpy as np
 
     from rhizotwin.experiment import biomass
@@ -153,10 +155,10 @@ def _print_fits(model: "Model", found: "list[Pair]") -> None:
     for one in model.tried:
         mark = "*" if one in model.relations else ""
         print(f"{mark:2}{one.name:<46}{one.plants:>7}{100 * one.error:>8.1f}%{100 * one.held:>8.0f}%{one.line.slope:>8.3f}")
-    print("error: leave-one-out error (rms); covered: share of plants within their 90 % interval; *: selected relation")
+    print("error: RMS leave-one-out error; covered: fraction of plants within their 90 % interval; *: selected relation")
     known = biomass.ratios(found)
     if known:
-        print(f"fresh root mass per volume: mean {np.mean([ratio for _, ratio in known]):.4g} g/ml, {len(known)} plants")
+        print(f"fresh root mass per volume: mean {np.mean([ratio for _, ratio in known]):.4g} g/ml of {len(known)} plants")
     for one in model.tried:
         if one.kind == "root_fresh" and one.trait == "volume" and one.proportional:
             middle, reach = one.line.intercept, one.line.reach(biomass.SHARE) * one.line.covariance[0][0] ** 0.5

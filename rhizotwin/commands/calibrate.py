@@ -1,7 +1,7 @@
 """Calibrate the camera: print a calibration board and fit the lens to pictures of it.
 
-Print the board, take about 20 pictures of it, and fit the lens to the pictures. For a trial without a camera,
-'calibrate simulate' renders such pictures.
+Print the board (a pattern of squares and markers), take about 20 pictures of it, and fit the lens to the pictures. To
+try this without a camera, render pictures of the board with 'calibrate simulate'.
 
 Examples
 --------
@@ -46,7 +46,7 @@ OutputPictures: TypeAlias = Annotated[Path, output("PICTURES")]
 
 
 def read_pictures(text: str) -> int:
-    """Read a number of pictures."""
+    """Convert text to a number of pictures."""
     low, high = PICTURES_LIMITS
     return read_integer(text, low, high, f"give {low} to {high}")
 
@@ -54,23 +54,24 @@ def read_pictures(text: str) -> int:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class BoardPictures:
-    """Options of the simulated pictures."""
+    """Options of the simulated pictures of the calibration board."""
 
     profile: Profile | None = None
-    """Profile, or TOML file, with distortion, blur and noise of the camera; default: as in the scene."""
+    """Profile of simulated imperfections (distortion, blur and noise of the camera): clean, bench, camera, harsh, \
+real, or a TOML file; default: as in the scene."""
     pictures: Annotated[int, option(read_pictures, "N")] = 20
     """Number of pictures."""
     image_wh: ImageWh | None = None
     """Picture size in pixels, such as 800x600; default: as in the scene."""
     seed: Seed = 0
-    """Random seed for poses and noise: 0, 1, 2, ..."""
+    """Random seed for the poses of the board and the noise: 0, 1, 2, ..."""
 
 
 def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: BoardOptions = BoardOptions()) -> None:
     """Write the calibration board for printing at true scale.
 
-    A ChArUco board is written as a PDF or SVG page with a ruler for checking the scale of the print. A board file
-    (.toml) of the same name describes the board for 'calibrate camera'.
+    The board (a ChArUco pattern of squares and markers) is written as a PDF or SVG page, with a ruler for checking the
+    scale of the print. A board file (.toml) of the same name describes the board for 'calibrate camera'.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: Board
     page : PageOptions
         Paper.
     drawn : BoardOptions
-        Board dimensions.
+        Dimensions of the board.
 
     Examples
     --------
@@ -93,12 +94,12 @@ def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: Board
     made = drawn.board()
     described = output.with_suffix(".toml")
     if described.exists():
-        raise UserError(f"the board file {described} already exists; choose another name or remove it")
+        raise UserError(f"the board file {described} already exists; choose another name, or remove the file")
     title = f"ChArUco board, {made.squares_xy[0]}x{made.squares_xy[1]} squares of {made.square_mm:g} mm"
     write_pages([board_page(made, paper=page.paper())], output, title=title)
     save_board(made, described)
-    print(f"{title}: {output}, described by {described}")
-    print("print at 100 % scale, glue the board onto a flat plate, and take about 20 pictures of it")
+    print(f"wrote {output} ({title}) and its board file {described}")
+    print("print the board at 100 % scale, glue it onto a flat plate, and take about 20 pictures of it")
     print(f"next: rhizotwin calibrate camera PICTURES --board {described} -o my_lens")
 
 
@@ -114,25 +115,25 @@ def camera(
 ) -> None:
     """Fit the lens to pictures of the calibration board.
 
-    Estimate focal length, principal point and distortion from pictures of the board. Take all pictures with the focus
-    that is used for scanning. Pictures that cannot be used are listed with the reason. The output folder contains
+    Focal length, principal point and distortion are estimated from pictures of the board. Take all pictures with the
+    focus that is used for scanning. Pictures that cannot be used are listed with the reason. The output folder contains
     camera.toml (a [camera] section for scene files), calibration.json (all numbers) and report.html (residuals,
-    coverage, every picture).
+    coverage and all pictures).
 
     Parameters
     ----------
     pictures : Path
         Folder of pictures of the board (PNG, JPG, TIFF), all of the same size.
     output : Path
-        Output folder: new or empty.
+        New or empty output folder.
     board : Path, optional
-        Board file, written together with the board; default: board.toml in PICTURES if present, otherwise the
-        dimensions given by the options.
+        Board file, written by 'calibrate board'; default: board.toml in the folder of the pictures if it exists,
+        otherwise the options for the board.
     drawn : BoardOptions
-        Board dimensions, if there is no board file.
+        Dimensions of the board, if there is no board file.
     scene : str, optional
-        Also write scene.toml, a copy of this scene with the calibrated camera. The pictures must have the picture size
-        of the scene.
+        Scene (name or file), of which a copy with the calibrated camera is written to scene.toml. The pictures must
+        have the picture size of the scene.
     progress : Progress
         Progress output.
 
@@ -159,13 +160,13 @@ def camera(
             files.save_scene(calibrated, building / "scene.toml")
             written.append(building / "scene.toml")
         names = [path.name for path in written]
-    _tell(made, of=len(paths))
+    _print_calibration(made, of=len(paths))
     for name in names:
         print(f"  {output / name}")
 
 
 def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
-    """Return the board file in the folder of the pictures, if no board is given."""
+    """Return the path of board.toml in the folder of the pictures; None if it is missing or the options are used."""
     beside = pictures / "board.toml"
     if drawn.given() or not beside.is_file():
         return None
@@ -173,10 +174,10 @@ def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
     return beside
 
 
-def _tell(made: "Calibration", *, of: int) -> None:
-    """Print the calibration; ``of`` is the number of pictures."""
+def _print_calibration(made: "Calibration", *, of: int) -> None:
+    """Print the estimated lens parameters and the excluded pictures; ``of`` is the number of pictures."""
     for name, reason in made.rejected.items():
-        print(f"not used: {name}: {reason}")
+        print(f"excluded picture: {name}: {reason}")
     for warning in made.warnings:
         print(f"warning: {warning}")
     from rhizotwin.rig.lens.calibration import model_text
@@ -186,7 +187,7 @@ def _tell(made: "Calibration", *, of: int) -> None:
     print(f"focal length {lens.focal_px[0]:.2f}, {lens.focal_px[1]:.2f} px (standard deviation {found.focal_std_px[0]:.2f} px)")
     print(f"principal point {lens.principal_px[0]:.2f}, {lens.principal_px[1]:.2f} px (standard deviations {std_x:.2f}, {std_y:.2f} px)")
     print(f"fitted: {model_text(found)}")
-    print(f"residual {found.rms_px:.3f} px rms of {found.corners} corners in {len(found.views)} of {of} pictures")
+    print(f"RMS residual {found.rms_px:.3f} px of {found.corners} corners in {len(found.views)} of {of} pictures")
 
 
 def transfer(
@@ -198,18 +199,20 @@ def transfer(
 ) -> None:
     """Measure the response curve of the camera from an exposure series.
 
-    Take at least five pictures of a static scene with many grey levels, such as the canister in front of the lit panel,
-    from strongly underexposed to strongly overexposed. Vary the exposure time only. Paste the contents of the output
-    file into the [camera] section of the scene file.
+    The response curve is the relation between light and pixel values. Take at least five pictures of a motionless
+    subject with many grey levels, such as the canister in front of the lit panel, from strongly underexposed to
+    strongly overexposed. Change only the exposure time. Paste the contents of the output file into the [camera] section
+    of the scene file.
 
     Parameters
     ----------
     pictures : Path
-        Folder of the pictures, ordered by name.
+        Folder of the pictures, sorted by name.
     output : Path
         File to write (.toml); must not exist yet.
     exposures_s : str, optional
-        Exposure times in seconds, separated by commas, in the order of the pictures; default: from their EXIF data.
+        Exposure times in seconds, separated by commas, in the order of the pictures; default: as in the EXIF data of
+        the pictures.
 
     Examples
     --------
@@ -222,13 +225,13 @@ def transfer(
     from rhizotwin.scenes.atomic import write_text
 
     if output.exists():
-        raise UserError(f"{output} already exists; choose another name or remove it")
+        raise UserError(f"{output} already exists; choose another name, or remove the file")
     images, times = read_series(list_pictures(pictures), exposures_s)
     found = fit_transfer(images, times)
     write_text(output, transfer_text(found, len(images)))
     low, high = found.reached
     print(f"response curve: {found.curve.name}, measured from {100.0 * low:.0f} to {100.0 * high:.0f} % of full scale")
-    print(f"residual {100.0 * found.residual:.1f} % of the light (rms), {len(images)} pictures, {min(times):g} to {max(times):g} s")
+    print(f"RMS residual {100.0 * found.residual:.1f} % of the light, {len(images)} pictures, {min(times):g} to {max(times):g} s")
     print(f"wrote {output}: paste its contents into the [camera] section of the scene file")
 
 
@@ -244,22 +247,22 @@ def simulate(
 ) -> None:
     """Render pictures of the calibration board with the camera of a scene.
 
-    The board is placed at the working distance of the camera and rendered with the lens distortion, blur and noise of a
-    profile. The true lens parameters are written to truth/camera.json, the board file to board.toml in the folder of
-    the pictures.
+    The board is rendered at the working distance of the camera, with the lens distortion, blur and noise of a profile.
+    The true lens parameters are written to truth/camera.json and the board file to board.toml, both in the output
+    folder.
 
     Parameters
     ----------
     scene : str
-        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
+        Scene, which describes the camera: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     output : Path
-        Output folder: new or empty.
+        New or empty output folder.
     taken : BoardPictures
         Options of the pictures.
     drawn : BoardOptions
-        Board dimensions.
+        Dimensions of the board.
     device : str
-        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
         Progress output.
 
@@ -275,12 +278,12 @@ def simulate(
 
     with progress.bar(render=1.0) as bar:
         simulate_board(changed, made, output, pictures=taken.pictures, seed=taken.seed, monitor=bar)
-    print(f"{taken.pictures} pictures of the board in {output}, the true lens in {output / 'truth' / 'camera.json'}")
+    print(f"wrote {taken.pictures} pictures of the board to {output}, and the true lens to {output / 'truth' / 'camera.json'}")
     print(f"next: rhizotwin calibrate camera {output} -o my_lens")
 
 
 def _with_camera(scene: Scene, found: Camera) -> Scene:
-    """Return a scene with the calibrated camera; its bit depth is kept."""
+    """Return a copy of the scene with the calibrated camera and the original bit depth."""
     if scene.camera.image_wh != found.image_wh:
         (wide, high), (width, height) = scene.camera.image_wh, found.image_wh
         raise UserError(

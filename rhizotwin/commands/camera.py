@@ -1,4 +1,4 @@
-"""`rhizotwin camera`."""
+"""Command `rhizotwin camera`."""
 
 from typing import Annotated
 
@@ -17,22 +17,22 @@ def camera(
     host: Annotated[str, with_metavar("ADDRESS")] = "127.0.0.1",
     port: Port = DEFAULT_PORT,
 ) -> None:
-    """Serve the camera of this computer to another computer.
+    """Make the camera of this computer available to another computer.
 
-    The camera of the rig file is served over HTTP, for use by a computer whose rig file has kind = "http" in its
-    [camera] section. There is no password; by default, only connections from this computer are accepted. Press Ctrl-C
-    to stop.
+    The camera in the rig file can then be used over HTTP by a computer whose rig file has kind = "http" in the [camera]
+    section. There is no password, and by default only connections from this computer are accepted. Press Ctrl-C to
+    stop.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML) that describes the camera of this computer.
+        Rig file (TOML) that describes the camera of this computer; 'rhizotwin rig example' writes an example.
     scene : str, optional
-        Scene whose camera gives the picture size until a scan requests another; default: 800x600 pixels.
+        Scene (name or file) whose picture size is used until a scan requests another size; default: 800x600 pixels.
     host : str
-        Network address to listen on; 0.0.0.0 accepts connections from other computers.
+        Network address of this computer; 0.0.0.0 accepts connections from other computers.
     port : int
-        Port to listen on.
+        Port for connections.
 
     Examples
     --------

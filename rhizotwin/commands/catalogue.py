@@ -1,4 +1,7 @@
-"""List the plants, scans, results and masses of an experiment in one file.
+"""Manage the list of an experiment's plants, scans, results and weighed masses in one file.
+
+A catalogue is a file with the suffix .rhizotwin. Datasets (pictures of a scan), results (reconstructed roots) and mass
+tables remain separate files and folders, and the catalogue stores their paths.
 
 Examples
 --------
@@ -30,22 +33,22 @@ CatalogueFile = Annotated[Path, with_metavar("CATALOGUE")]
 Sources = Annotated[list[Path], with_metavar("FOLDERS")]
 Name = Literal["plants", "scans", "results", "traits", "rig_numbers", "masses", "visits"]
 WIDEST = 48
-"""Most characters of a cell in a terminal."""
+"""Maximum number of characters of a table cell printed on the terminal."""
 
 
 def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
-    """Add datasets, results and tables of masses to a catalogue.
+    """Add datasets, results and tables of weighed masses to a catalogue.
 
-    The catalogue is created if there is none. Folders are searched at any depth. The files stay where they are: the
-    catalogue holds their paths, relative to its own folder if they are below it, and their SHA-256. Plants and
-    treatments come from the datasets. Entries that exist are updated.
+    The catalogue is created if it does not exist. Folders are searched with all their subfolders. Files are not moved;
+    the catalogue stores their paths and checksums. Plants and treatments are read from the datasets. Existing entries
+    are updated.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue, a file that ends in .rhizotwin.
+        Catalogue file (.rhizotwin).
     folders : list of Path
-        Datasets, results, tables of masses (.csv), or folders that contain any of these.
+        Datasets, results, mass tables (.csv), or folders that contain any of these.
 
     Examples
     --------
@@ -72,27 +75,28 @@ def plant(
 ) -> None:
     """Add a plant to a catalogue, with the number of its canister.
 
-    'rhizotwin scan --catalogue' then recognises it by the strip. The plants of a time-lapse experiment are added by
-    'rhizotwin timelapse run'.
+    Each canister has a strip of printed markers with different numbers, by which 'rhizotwin scan --catalogue'
+    recognises the plant. For a time-lapse experiment this command is not needed, because 'rhizotwin timelapse run' adds
+    the plants.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue; created if there is none.
+        Catalogue file (.rhizotwin), which is created if it does not exist.
     name : str
-        Name of the plant, the same on every day.
+        Name of the plant; use the same name for all scans of the plant.
     canister : int, optional
-        Number of its strip, as 'rhizotwin markers SCENE --labels N' writes it; needs --scene.
+        Number of the canister's marker strip, printed by 'rhizotwin markers SCENE --labels N'; requires --scene.
     scene : str, optional
-        Scene of the rig, with the strip.
+        Scene of the rig (name or file), which describes the marker strip.
     species : str
-        Latin name, such as 'Raphanus sativus'.
+        Species of the plant, such as 'Raphanus sativus'.
     treatment : str
-        Treatment, for example 'low N'.
+        Treatment of the plant, such as 'low N'.
     sown : str
         Sowing date, such as 2026-11-26.
     replicate : int, optional
-        Which of the plants that were treated alike.
+        Number of the replicate within its treatment.
 
     Examples
     --------
@@ -104,7 +108,7 @@ def plant(
     from rhizotwin.scenes.files import load_scene
 
     if (canister is None) != (scene is None):
-        raise UserError("--canister and --scene belong together: the scene has the strip whose numbers are used")
+        raise UserError("--canister and --scene must be given together, because the scene describes the marker strips of the canisters")
     tag = None if canister is None or scene is None else Tag.of_strip(strip_for_canister(load_scene(scene).strip, canister))
     with Catalogue.open_or_create(catalogue) as opened:
         opened.add_plant(Plant(name=name, species=species, treatment=treatment, sown=sown, replicate=replicate, tag=tag))
@@ -112,18 +116,17 @@ def plant(
 
 
 def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
-    """Create a catalogue again from its datasets, results and tables of masses.
+    """Create a lost catalogue again from its datasets, results and mass tables.
 
-    For a catalogue that was lost or damaged. Plants that were never scanned, and scans that were planned or missed,
-    are not in the datasets: the next 'rhizotwin timelapse run' adds them. Strips that were used for one plant only
-    become that plant's tag.
+    Plants that were never scanned, and scans that were planned or missed, cannot be recovered from these files; the
+    next 'rhizotwin timelapse run' adds them. A marker strip that was used for a single plant is assigned to this plant.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue to create; must not exist yet.
+        Catalogue file to create (.rhizotwin); must not exist yet.
     folders : list of Path
-        Datasets, results, tables of masses (.csv), or folders that contain any of these.
+        Datasets, results, mass tables (.csv), or folders that contain any of these.
 
     Examples
     --------
@@ -135,7 +138,7 @@ def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
     with Catalogue.create(catalogue) as opened:
         made = add_all(opened, folders)
         if tagged := set_tags(opened):
-            print(f"tags from the strips of the scans: {', '.join(tagged)}")
+            print(f"marker strips were assigned to the plants {', '.join(tagged)}")
         _report(catalogue, made)
 
 
@@ -147,19 +150,19 @@ def list_(
     plant: Annotated[str | None, with_metavar("NAME")] = None,
     csv: Annotated[Path | None, output("FILE")] = None,
 ) -> None:
-    """List a table of a catalogue, or the number of entries of each.
+    """Print a table of a catalogue, or the number of entries in each table.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue.
+        Catalogue file (.rhizotwin).
     table : str, optional
-        plants, scans, results, traits, rig_numbers, masses, or visits, which are the scans that a time-lapse
-        experiment plans; default: the number of entries of each.
+        Table to print: plants, scans, results, traits, rig_numbers (measured parameters of the rig), masses, or visits
+        (planned scans of a time-lapse experiment); default: number of entries in each table.
     plant : str, optional
-        Rows of this plant only.
+        Name of a plant, to which the rows are restricted.
     csv : Path, optional
-        Table to write (.csv); must not exist yet.
+        CSV file to write instead of printing; must not exist yet.
 
     Examples
     --------
@@ -177,7 +180,7 @@ def list_(
             _show(exported.table(opened, table, plant=plant), csv)
             return
         if csv is not None:
-            raise UserError("name the table to write, for example: rhizotwin catalogue list CATALOGUE traits -o FILE")
+            raise UserError("-o needs the name of a table, for example: rhizotwin catalogue list CATALOGUE traits -o FILE")
         for name in exported.VIEWS:
             print(f"{name:<12} {len(exported.table(opened, name, plant=plant).rows)}")
 
@@ -185,18 +188,19 @@ def list_(
 def query(
     catalogue: CatalogueFile, sql: Annotated[str, with_metavar("SQL")], /, *, csv: Annotated[Path | None, output("FILE")] = None
 ) -> None:
-    """Run a SELECT statement on a catalogue.
+    """Run a read-only SQL query on a catalogue.
 
-    A catalogue is a SQLite file; docs/catalogue.md describes its tables. Statements that do more than read are refused.
+    A catalogue is an SQLite database, whose tables are described in docs/catalogue.md. Statements that change the
+    catalogue are rejected.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue.
+        Catalogue file (.rhizotwin).
     sql : str
-        The statement, in quotes.
+        SELECT statement, in quotes.
     csv : Path, optional
-        Table to write (.csv); must not exist yet.
+        CSV file to write instead of printing; must not exist yet.
 
     Examples
     --------
@@ -210,16 +214,16 @@ def query(
 
 
 def check(catalogue: CatalogueFile, /, *, quick: Flag = False) -> int:
-    """Compare a catalogue with its files: missing, changed, damaged and unlisted ones.
+    """Find files of a catalogue that are missing, changed, damaged or not listed.
 
-    The exit code is 1 if anything differs.
+    The exit code is 1 if a difference is found.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue.
+        Catalogue file (.rhizotwin).
     quick : bool
-        Do not read the pictures, only see that they are there.
+        Only check that the pictures exist, without reading them.
 
     Examples
     --------
@@ -239,14 +243,14 @@ def check(catalogue: CatalogueFile, /, *, quick: Flag = False) -> int:
 
 
 def export(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
-    """Write every table of a catalogue as CSV.
+    """Write all tables of a catalogue as CSV files.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue.
+        Catalogue file (.rhizotwin).
     output : Path
-        Folder to make.
+        New output folder.
 
     Examples
     --------
@@ -268,21 +272,23 @@ def report(
     phantom: Annotated[str | None, with_metavar("NAME")] = None,
     wires_mm: Annotated[tuple[float, ...], option(list_of(read_wire_mm), "MM,MM,...")] = WIRES_MM,
 ) -> None:
-    """Write a page with the plants, the scans that were missed, and control charts of the rig.
+    """Write a page with the plants, missed scans, and control charts of the rig.
 
-    Each number of the rig that a reconstruction measures (focal length, tilt of the canister, blur, table, attenuation,
-    ...) is drawn over time with control limits, so that a change of the rig is seen before it changes a result.
+    The control charts show the parameters of the rig that each reconstruction measures, such as focal length, tilt of
+    the canister, blur and attenuation of the roots. Points outside the control limits reveal a change of the rig before
+    it affects results.
 
     Parameters
     ----------
     catalogue : Path
-        The catalogue.
+        Catalogue file (.rhizotwin).
     output : Path
-        Folder to make: catalogue.html and drift.csv.
+        New output folder for catalogue.html and drift.csv.
     phantom : str, optional
-        Name of a wire phantom, listed as a plant: the section of each of its wires is drawn as well.
+        Name of a wire phantom (copper wires instead of roots) in the list of plants; the measured cross-section of each
+        wire is charted as well.
     wires_mm : tuple of float
-        Diameters of its wires.
+        Diameters of the phantom's wires in mm, separated by commas.
 
     Examples
     --------
@@ -299,21 +305,21 @@ def report(
 
 
 def _report(catalogue: Path, made: "Added") -> None:
-    """Print the number of entries, and the sentences of those that could not be added."""
+    """Print the number of added entries, and the messages about entries that could not be added."""
     for sentence in made.failed:
         print(f"not added: {sentence}")
-    print(f"{catalogue}: {len(made.scans)} datasets, {len(made.results)} results and {len(made.tables)} tables of masses added")
+    print(f"{catalogue}: added {len(made.scans)} datasets, {len(made.results)} results and {len(made.tables)} mass tables")
     if made.failed:
-        raise UserError(f"{len(made.failed)} could not be added to {catalogue}; see the lines above")
+        raise UserError(f"{len(made.failed)} files could not be added to {catalogue}, for the reasons printed above")
 
 
 def _show(table: "Table", csv: Path | None) -> None:
-    """Print a table with aligned columns, or write it as CSV."""
+    """Print a table with aligned columns, or write it to a CSV file."""
     from rhizotwin.scenes import atomic
 
     if csv is not None:
         if csv.suffix.lower() != ".csv" or csv.exists():
-            raise UserError(f"{csv} {'already exists; choose another name' if csv.exists() else 'must end in .csv'}")
+            raise UserError(f"{csv} already exists; choose another name" if csv.exists() else f"the suffix of {csv} must be .csv")
         atomic.write_text(csv, table.csv(), new=True)
         print(f"wrote {len(table.rows)} rows to {csv}")
         return

@@ -1,4 +1,4 @@
-"""`rhizotwin console`."""
+"""Command `rhizotwin console`."""
 
 import getpass
 import ipaddress
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PASSWORD_VARIABLE = "RHIZOTWIN_CONSOLE_PASSWORD"
 LEAST_LETTERS = 8
-"""Minimum length of a password."""
+"""Minimum number of characters of a password."""
 
 
 def console(
@@ -35,32 +35,34 @@ def console(
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     page: Page = Page(),
 ) -> None:
-    """Serve the laboratory console: control the rig, scan and reconstruct in a browser.
+    """Control the rig, scan and reconstruct in a browser.
 
-    The page shows the devices, a live picture with markers, focus and exposure, the running scan with a sketch of the
-    roots, the plants with their schedule, and the queue of reconstructions with their reports. Programs use the same
-    actions as a REST API (/api/openapi.json).
+    Start the console in one of two ways: with --rig and --output for individual scans, or with --experiment for a
+    time-lapse experiment, whose file specifies rig and folders.
 
-    The console is served on this computer only, to those who have the printed address with its token. With another
-    --host it asks for a password, which is read from the environment variable RHIZOTWIN_CONSOLE_PASSWORD or typed at
-    the start. Ctrl-C ends it: a running scan is stopped safely and can be finished later.
+    The web page shows the devices, a live picture, the running scan with a coarse 3D sketch of the roots, the plants
+    with their schedule, and the reconstructions. Other programs can use the same functions through a REST API.
+
+    By default, the page can be opened only on this computer. For other computers, set --host and a password (typed, or
+    in the environment variable RHIZOTWIN_CONSOLE_PASSWORD). Ctrl-C stops the console and a running scan safely.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program.
+        Rig file (TOML), or twin for the emulated rig; required unless --experiment is given.
     output : Path
-        Folder for scans, results, single pictures, catalogue and queue; an existing one is continued.
+        Folder of scans, results and catalogue, new or existing; required unless --experiment is given.
     experiment : Path, optional
-        Experiment file ('rhizotwin timelapse example' writes one) with plants, schedule, rig and folders.
+        Experiment file (TOML; 'rhizotwin timelapse example' writes an example), which replaces --rig and --output.
     scene : str, optional
-        A scene file, or a name from 'rhizotwin scenes'; needed for a rig file; the twin's default: printed_8ml.
+        Scene of the rig: a name listed by 'rhizotwin scenes', or a scene file (TOML). Required with a rig file; default
+        for the emulated rig: printed_8ml.
     plan : str, optional
-        Use the rings of a file with [[plan.rings]], or of another scene.
+        Camera positions that replace those of the scene: a TOML file with [[plan.rings]], or the name of a scene.
     twin : TwinPictures
-        Errors of the emulated rig, and how its pictures are made.
+        Options of the emulated rig.
     page : Page
-        Where the page is served.
+        Address of the web page.
 
     Examples
     --------
@@ -87,7 +89,7 @@ def console(
 
 @dataclass(frozen=True, kw_only=True)
 class _Place:
-    """Rig and folder of a console."""
+    """Rig, folder and experiment of a console."""
 
     bench: rigs.Bench
     folder: Path
@@ -96,19 +98,19 @@ class _Place:
 
 
 def _place(rig: str | None, output: Path | None, scene: str | None, *, plan: str | None, twin: rigs.TwinPictures) -> _Place:
-    """Return the rig and the folder that the options name."""
+    """Return the rig and the folder for a console without an experiment."""
     if rig is None or output is None:
-        raise UserError("give --rig and -o, or --experiment")
+        raise UserError("the console needs either --rig RIG and --output FOLDER, or --experiment FILE; see rhizotwin console --help")
     emulated = twin if rig == rigs.TWIN else None
     if emulated is None and scene is None:
-        raise UserError("--scene is missing: give the scene file of this rig")
+        raise UserError("--scene is missing; give the scene file of this rig")
     return _Place(bench=rigs.open_bench(rig, scene, errors=twin, plan=plan), folder=output, twin=emulated)
 
 
 def _of_experiment(file: Path, rig: str | None, output: Path | None) -> _Place:
-    """Return the rig and the folder of an experiment."""
+    """Return the rig and the folder of a time-lapse experiment."""
     if rig is not None or output is not None:
-        raise UserError("--experiment names the rig and the folders: leave --rig and -o out")
+        raise UserError("--rig and --output cannot be used with --experiment, whose file specifies rig and folders; remove them")
     from rhizotwin.timelapse.experiment import load_experiment
 
     loaded = load_experiment(file)
@@ -125,19 +127,19 @@ def _of_experiment(file: Path, rig: str | None, output: Path | None) -> _Place:
 
 
 def _print_address(served: "Served", page: Page, *, password: str) -> None:
-    """Print where the console is, and open it in a browser."""
+    """Print the address of the console's page, and open the page in a browser."""
     if password:
-        print(f"in the network: http://{socket.gethostname()}:{served.port}/ with the password", flush=True)
-        print("the connection is not encrypted: use a network that you trust, or ssh -L", flush=True)
+        print(f"address for other computers: http://{socket.gethostname()}:{served.port}/ (with the password)", flush=True)
+        print("the connection is not encrypted; use a trusted network, or ssh -L", flush=True)
     if served.host in ("0.0.0.0", "::"):
         print(f"http://127.0.0.1:{served.port}/?token={served.access.token}", flush=True)
     else:
         command_steps.open_page(served.address, served.port, page)
-    print("Ctrl-C ends it", flush=True)
+    print("press Ctrl-C to stop", flush=True)
 
 
 def _is_local(host: str) -> bool:
-    """Return whether an address can be reached from this computer only."""
+    """Return whether an address is reachable only from this computer."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -145,19 +147,19 @@ def _is_local(host: str) -> bool:
 
 
 def _password() -> str:
-    """Return the password from the environment or the terminal.
+    """Read the password from the environment variable or the terminal.
 
     Raises
     ------
     UserError
-        For a missing or short password.
+        If the password is missing or too short.
     """
     given = os.environ.get(PASSWORD_VARIABLE, "")
     if not given and sys.stdin.isatty():
         given = getpass.getpass(f"password for the console (at least {LEAST_LETTERS} characters): ")
     if len(given) < LEAST_LETTERS:
         raise UserError(
-            f"a --host reachable from the network requires a password of at least {LEAST_LETTERS} characters; "
-            f"set {PASSWORD_VARIABLE}, or enter it when asked"
+            f"a console with this --host needs a password of at least {LEAST_LETTERS} characters; "
+            f"set the environment variable {PASSWORD_VARIABLE}, or enter the password when asked"
         )
     return given

@@ -1,4 +1,4 @@
-"""`rhizotwin demo`."""
+"""Command `rhizotwin demo`."""
 
 from pathlib import Path
 
@@ -11,18 +11,18 @@ def demo(
 ) -> None:
     """Simulate, reconstruct and score a small printed root (a few minutes).
 
-    Render pictures of a small 3D-printed root, reconstruct it from these pictures, compare the result with the ground
-    truth, and write a report.
+    The demonstration renders pictures of a small 3D-printed root, reconstructs the root from these pictures, compares
+    the result with the true root, and writes a report.
 
     Parameters
     ----------
     output : Path
-        Folder for all files. A finished demo in it is replaced, an interrupted one continued.
+        Folder for all files; a finished demonstration in the folder is replaced, and an interrupted one is continued.
     profile : str
-        Simulated errors of the rig: clean (none), bench (a well-built rig), camera (bench with an ordinary camera),
-        harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file.
+        Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an
+        ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file.
     device : str
-        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
         Progress output.
 

@@ -1,10 +1,11 @@
-"""`rhizotwin edit`."""
+"""Command `rhizotwin edit`."""
 
 from pathlib import Path
 from typing import Annotated
 
 from rhizotwin import command_steps
-from rhizotwin.arguments import OutputResult, Progress, ResultFolder, with_metavar
+from rhizotwin.arguments import Progress, ResultFolder, with_metavar
+from rhizotwin.arguments import output as output_option
 from rhizotwin.scenes.errors import UserError
 
 
@@ -13,26 +14,26 @@ def edit(
     /,
     *,
     apply: Annotated[Path, with_metavar("FILE")],
-    output: OutputResult,
+    output: Annotated[Path, output_option("CORRECTED")],
     dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     progress: Progress = Progress(),
 ) -> None:
     """Apply saved corrections to a result without a browser.
 
-    Apply the corrections in edits.json, saved by 'rhizotwin view', and write the corrected result to another folder.
-    The corrected shape is measured and compared with the pictures. Corrections that contradict the pictures widen the
-    intervals or make the result not reliable.
+    The corrections that were made and saved in 'rhizotwin view' are applied, and the corrected result is written to
+    another folder. The corrected shape is measured and compared with the pictures. Corrections that contradict the
+    pictures widen the 90 % intervals or make the result not reliable.
 
     Parameters
     ----------
     result : Path
         Result folder, written by 'rhizotwin reconstruct'.
     apply : Path
-        File of corrections (edits.json).
+        File of corrections, which is edits.json in the result folder.
     output : Path
-        Result folder to write: new, empty, or an earlier result, which is replaced.
+        Folder for the corrected result: new, empty, or an earlier result, which is replaced.
     dataset : Path, optional
-        Dataset of the result, if its folder was moved.
+        Dataset of the result; needed only if its folder was moved.
     progress : Progress
         Progress output.
 
@@ -41,7 +42,7 @@ def edit(
     rhizotwin edit my_result --apply my_result/edits.json -o my_corrected
     """
     if output.resolve() == result.resolve():
-        raise UserError(f"the corrected result cannot overwrite {output}; choose another folder")
+        raise UserError(f"the corrected result would overwrite the original result {output}; choose another folder")
     command_steps.refuse_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session

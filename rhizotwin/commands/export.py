@@ -1,4 +1,4 @@
-"""`rhizotwin export`."""
+"""Command `rhizotwin export`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,11 @@ from rhizotwin.scenes.errors import UserError
 @Parameter(name="*", group="Publication")
 @dataclass(frozen=True, kw_only=True)
 class Publication:
-    """Publication of datasets and results in a folder for a data repository."""
+    """Options for the publication of datasets and results in a data repository."""
 
     publish: Annotated[Path | None, with_metavar("FOLDER")] = None
-    """Folder to write for upload to a data repository: copies of the data, RO-Crate metadata, MIAPPE 1.1 tables, \
-checksums and a contact sheet. Links and damaged pictures are rejected."""
+    """Folder to write for upload to a data repository, with copies of the data, RO-Crate metadata, MIAPPE 1.1 tables, \
+checksums and an overview picture. Symbolic links and damaged pictures are rejected."""
     study: Annotated[Path | None, with_metavar("FILE")] = None
     """TOML file with title, description, licence and authors of the publication (docs/publishing.md)."""
 
@@ -44,24 +44,24 @@ def export(
       .json       cameras in nerfstudio's transforms.json format, mm
       no suffix   folder with the cameras in COLMAP's text format, mm
 
-    With --roots, a mesh shows the roots as tubes coloured by order or diameter (STL has no colours). The exported
-    cameras are those in air. Programs that assume straight rays reconstruct wrong shapes inside the canister from them;
-    for such programs, --undistorted writes pictures as seen by a pinhole camera in the water.
+    With --roots, the roots are written as a mesh of tubes, coloured by order or diameter (STL has no colours). The
+    exported cameras are in air. Programs that assume straight rays cannot reconstruct roots in water with these
+    cameras; for such programs, --undistorted removes the refraction from the pictures.
 
     Parameters
     ----------
     sources : list of Path
-        Result folder, written by 'rhizotwin reconstruct'; with --publish, any number of results and datasets.
+        Result folder, written by 'rhizotwin reconstruct'; with --publish, one or more results and datasets.
     output : Path, optional
         File or folder to write; its suffix selects the format.
     dataset : Path, optional
-        Dataset of the result; required for cameras, whose lens is stored there.
+        Dataset of the result; required for the export of cameras.
     roots : str, optional
-        Write a mesh of the roots as tubes, coloured by order or diameter.
+        Write the roots as a mesh of tubes, coloured by order (main roots, laterals, ...) or diameter.
     undistorted : bool
-        Write pictures without refraction to a folder, with cameras for nerfstudio and COLMAP.
+        Write pictures with the refraction removed to a folder, with cameras for nerfstudio and COLMAP.
     publication : Publication
-        Publication in a folder for a data repository.
+        Publication in a data repository.
     progress : Progress
         Progress output.
 
@@ -75,10 +75,10 @@ def export(
     """
     if publication.publish is not None:
         if output is not None or dataset is not None or roots is not None or undistorted:
-            raise UserError("--publish cannot be combined with -o, --dataset, --roots or --undistorted")
+            raise UserError("--publish cannot be used with -o, --dataset, --roots or --undistorted; remove these options")
         _publish(sources, publication.publish, publication.study, progress)
     elif output is None or len(sources) != 1:
-        raise UserError("give one result and -o FILE, or --publish FOLDER for several results and datasets")
+        raise UserError("the export needs one result and -o FILE, or for a publication --publish FOLDER with results and datasets")
     else:
         _export(sources[0], output, dataset, roots, undistorted, progress)
 
@@ -100,4 +100,4 @@ def _publish(sources: list[Path], folder: Path, study: Path | None, progress: Pr
     described = read_study(study)
     with progress.bar(copy=1.0) as bar:
         publish(sources, folder, described, monitor=bar)
-    print(f"wrote {folder}: check its README.md and contact_sheet.png, then upload the folder")
+    print(f"wrote {folder}; check README.md and contact_sheet.png in this folder, then upload the folder")

@@ -1,4 +1,4 @@
-"""`rhizotwin growth`."""
+"""Command `rhizotwin growth`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,24 +7,24 @@ from rhizotwin.arguments import OutputFolder, with_metavar
 
 
 def growth(results: Annotated[list[Path], with_metavar("RESULTS")], /, *, output: OutputFolder) -> None:
-    """Track plants and single roots over time, and compare treatments.
+    """Compute growth curves of plants and individual roots, and compare treatments.
 
-    Results of the same plant on several days are aligned, and each root is matched across days to find its day of
-    emergence and its growth rate. Growth curves of length, volume, depth and number of root tips show the mean of each
-    day with its 90 % interval. Treatments are compared with a linear mixed model; if nutrient solutions differ, the
-    response to each ion is fitted in the same way. Values that are not reliable are excluded; their number is reported.
-    The datasets must contain plant and day, and the treatment if there are several. Tables of masses, weighed or
+    Results of the same plant on several days are aligned, and each root is identified across days, which yields its day
+    of emergence and its growth rate. Growth curves of length, volume, depth and number of root tips show the mean of
+    each day with its 90 % interval. Treatments are compared with a linear mixed model; if nutrient solutions differ,
+    the response to each ion is fitted as well. Values that are not reliable are excluded, and their number is reported.
+    The datasets must specify plant and day, and the treatment if there are several treatments. Mass tables, weighed or
     predicted, add curves of fresh mass, dry mass and water content.
 
     Parameters
     ----------
     results : list of Path
-        Result folders, folders that contain results, tables of traits (.csv; growth curves only), tables of masses
-        (.csv), or a catalogue (.rhizotwin) with its results and masses.
+        Result folders, folders that contain results, trait tables (.csv, for growth curves only), mass tables (.csv),
+        or a catalogue (.rhizotwin) with its results and masses.
     output : Path
-        Folder to write: traits.csv, roots.csv, treatments.csv, growth.html, growth.png and RSML files with time; for
-        several nutrient solutions also doses.csv and doses.png, for masses masses.csv and masses.png, for plants that
-        share a canister neighbours.csv.
+        Output folder for traits.csv, roots.csv, treatments.csv, growth.html, growth.png and RSML files of roots over
+        time; depending on the data also doses.csv and doses.png (several nutrient solutions), masses.csv and masses.png
+        (mass tables), and neighbours.csv (plants that share a canister).
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""`rhizotwin import`."""
+"""Command `rhizotwin import`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,27 +21,27 @@ def import_(
 ) -> None:
     """Create a dataset from a folder of pictures.
 
-    The pictures (PNG, JPG or TIFF) must have the same size; they are ordered by name. The scene describes the rig on
-    which they were taken: canister, water, marker strip and camera. If the capture plan of the scene has as many views
-    as there are pictures, its turntable angles are used.
+    The pictures must have the same size, and are sorted by name. The scene describes the rig on which they were taken:
+    canister, water, marker strip (printed markers around the plant's net pot) and camera. If the number of pictures
+    equals the number of planned views in the scene, the planned turntable angles are used.
 
     Parameters
     ----------
     pictures : Path
-        Folder of pictures.
+        Folder of pictures (PNG, JPG, TIFF, or raw pictures in DNG).
     scene : str
-        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
+        Scene: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     output : Path
-        Dataset folder to write: new or empty.
+        New or empty folder for the dataset.
     cameras : Path, optional
-        Camera poses and lens in nerfstudio's format (transforms.json), in the canister frame in mm; markers are not
-        used then.
+        File of camera poses and lens parameters in nerfstudio's format (transforms.json), in mm with the origin on the
+        canister's axis at the rim and z up. The cameras are then not estimated from the markers.
     masks : bool
-        The pictures are binary silhouettes (white root on black background); requires --cameras.
+        The pictures are silhouettes with white roots on a black background; requires --cameras.
     no_strip : bool
-        The pictures show no marker strip; 'rhizotwin reconstruct' then estimates the cameras from the edges of the
+        The pictures show no marker strip, and 'rhizotwin reconstruct' estimates the cameras from the edges of the
         canister and from the roots. Requires a telecentric camera (camera.kind in the scene) and one full turn; the
-        scale is given by canister.outer_radius_mm of the scene.
+        scale is that of canister.outer_radius_mm in the scene.
     subject : SubjectOptions
         Plant in the canister.
     progress : Progress

@@ -1,4 +1,4 @@
-"""`rhizotwin markers`."""
+"""Command `rhizotwin markers`."""
 
 from dataclasses import replace
 from typing import Annotated
@@ -12,7 +12,7 @@ PAPER_LIMITS_MM = (0.0, 2.0)
 
 
 def read_paper_mm(text: str) -> float:
-    """Read the thickness of paper in mm."""
+    """Convert text to the thickness of paper in mm."""
     return read_length_mm(text, PAPER_LIMITS_MM)
 
 
@@ -25,25 +25,26 @@ def markers(
     paper_mm: Annotated[float, option(read_paper_mm, "MM")] = 0.1,
     labels: Annotated[int | None, option(lambda text: read_integer(text, 1, 500, "give 1 to 500"), "N")] = None,
 ) -> None:
-    """Write the marker strip of a scene for printing at true scale.
+    """Write the strip of printed markers around the net pot, for printing at true scale.
 
-    The strip is written as PDF or SVG pages with cut marks, glue tabs and a ruler for checking the scale of the print.
-    Several SVG pages are numbered: strip-1.svg, strip-2.svg, ...
+    The strip is glued around the net pot, which holds the plant on the canister, and the camera poses are estimated
+    from its markers. It is written as PDF or SVG pages with cut marks, glue tabs and a ruler for checking the scale of
+    the print. Several SVG pages are numbered: strip-1.svg, strip-2.svg, ...
 
     Parameters
     ----------
     scene : str
-        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
+        Scene, which describes net pot and strip: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     output : Path
         File to write, .pdf or .svg; must not exist yet.
     page : PageOptions
         Paper.
     paper_mm : float
-        Thickness of the paper. The strip is sized so that net_pot.outer_radius_mm of the scene is the outer radius of
-        the glued paper.
+        Thickness of the paper in mm. The length of the strip is chosen such that the outer radius of the glued paper is
+        net_pot.outer_radius_mm of the scene.
     labels : int, optional
-        Write the strips of the canisters 1 to N. Each has marker numbers of its own, by which every picture shows which
-        canister it is ('rhizotwin timelapse', 'rhizotwin scan --catalogue').
+        Write the strips of the canisters 1 to N. Each strip has different marker numbers, by which a scan identifies
+        the canister ('rhizotwin timelapse', 'rhizotwin scan --catalogue').
 
     Examples
     --------
@@ -64,12 +65,12 @@ def markers(
     for number, each in enumerate(scenes if labels else (), start=1):
         print(f"canister {number}: {Tag.of_strip(each.strip)}")
     print(f"wrote the marker strip{'s' if labels else ''} of {drawn.name} to {', '.join(str(path) for path in written)}")
-    print("print at 100 % scale, measure the ruler, cut out the strip and glue it around the net pot")
-    print(f"the outer diameter of the strip on the pot must be {across_mm:.1f} mm")
+    print("print the pages at 100 % scale, measure the ruler, cut out the strip and glue it around the net pot")
+    print(f"the outer diameter of the strip on the net pot must be {across_mm:.1f} mm")
 
 
 def _of_canister(scene: Scene, number: int) -> Scene:
-    """Return a scene with the strip of a numbered canister."""
+    """Return a copy of the scene with the marker strip of a numbered canister."""
     from rhizotwin.catalogue.identity import strip_for_canister
 
     return replace(scene, name=f"{scene.name}, canister {number}", strip=strip_for_canister(scene.strip, number))

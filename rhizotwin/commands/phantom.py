@@ -1,4 +1,4 @@
-"""`rhizotwin phantom`."""
+"""Command `rhizotwin phantom`."""
 
 from typing import Annotated
 
@@ -10,7 +10,7 @@ WIRES_MM = (0.1, 0.2, 0.4, 0.8)
 
 
 def read_wire_mm(text: str) -> float:
-    """Read the diameter of a wire."""
+    """Convert text to the diameter of a wire in mm."""
     return read_number(text, WIRE_LIMITS_MM, "mm", "millimetres")
 
 
@@ -23,19 +23,20 @@ def phantom(
         tuple[float, ...] | None, option(list_of(lambda text: read_number(text, MASS_LIMITS_MG, "mg/m")), "MG,MG,...")
     ] = None,
 ) -> int:
-    """Compare a scan of copper wires with their known diameters.
+    """Compare a scan of copper wires with the known diameters of the wires.
 
-    For each wire the volume per length is compared with its section: down to which diameter does this rig measure
-    roots? The exit code is 1 if a wire is not measured within 3 %.
+    The measured cross-section (volume per length) of each wire is compared with the true cross-section, which shows the
+    smallest root diameter that the rig can measure. The exit code is 1 if the error of a wire exceeds 3 %.
 
     Parameters
     ----------
     result : Path
-        Result of a scan of the phantom.
+        Result folder of a scan of the wires, written by 'rhizotwin reconstruct'.
     wires_mm : tuple of float, optional
-        Diameters of the wires; default: 0.1,0.2,0.4,0.8.
+        Diameters of the wires in mm, separated by commas; default: 0.1,0.2,0.4,0.8.
     mg_per_m : tuple of float, optional
-        Instead of the diameters, mass of a metre of each wire in mg: weigh a length that you have measured.
+        Mass per metre of each wire in mg/m, separated by commas, instead of the diameters; weigh a piece of known
+        length.
 
     Examples
     --------
@@ -45,10 +46,10 @@ def phantom(
     from rhizotwin.experiment.phantom import diameter_of, measure_wires
 
     if wires_mm is not None and mg_per_m is not None:
-        raise UserError("--wires-mm and --mg-per-m exclude each other; give one of them")
+        raise UserError("--wires-mm and --mg-per-m cannot be used together; remove one of them")
     diameters = wires_mm or (WIRES_MM if mg_per_m is None else tuple(diameter_of(mass) for mass in mg_per_m))
     found = measure_wires(result, diameters)
-    print("wire (mm)  length (mm)  volume (mm3)  error of the section")
+    print("wire (mm)  length (mm)  volume (mm3)  error of the cross-section")
     for one in found:
         error = f"{100.0 * one.error:+.1f} %" if one.length_mm else "-"
         print(f"{one.diameter_mm:9.4g}  {one.length_mm:11.1f}  {one.volume_mm3:12.4g}  {error:>8}  {one.verdict}")

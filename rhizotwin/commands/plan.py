@@ -1,4 +1,4 @@
-"""`rhizotwin plan`."""
+"""Command `rhizotwin plan`."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -33,11 +33,11 @@ TILT_LIMITS_DEG = (-89.0, 89.0)
 DISTANCE_LIMITS_MM = (20.0, 10000.0)
 PERCENT_LIMITS = (0.01, 1000.0)
 Rings = tuple[tuple[float, float | None, float | None], ...]
-"""Height in mm, optional tilt in degrees and optional distance in mm of each ring."""
+"""Camera height in mm, optional tilt in degrees and optional distance in mm of each ring."""
 
 
 def read_height(text: str) -> tuple[float, float | None, float | None]:
-    """Read a camera height as ``MM[:DEG][@MM]``: height in mm, tilt in degrees, distance in mm."""
+    """Convert a camera position ``MM[:DEG][@MM]`` to height in mm, tilt in degrees and distance in mm."""
     place, at, distance_mm = text.partition("@")
     height_mm, colon, tilt_deg = place.partition(":")
     return (
@@ -50,17 +50,18 @@ def read_height(text: str) -> tuple[float, float | None, float | None]:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Varied parameters; every combination is simulated."""
+    """Options for the parameters to compare, of which all combinations are simulated."""
 
     views: Annotated[tuple[int, ...], option(list_of(read_views), "N,N,...")] = (20, 40, 41)
-    """Numbers of views per ring."""
-    heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "=MM[:DEG][@MM],...")] = ()
-    """Camera heights above the rim of the canister in mm, one per ring, each optionally with the downward tilt in \
-degrees after a colon (default: aimed at the same point as the first ring of the scene) and the distance from the \
-axis after an @. Repeat the option for each set of rings. Default: the first ring of the scene alone, and with a \
-second ring 52 mm higher."""
+    """Numbers of views per ring, separated by commas."""
+    heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "HEIGHTS")] = ()
+    """Camera heights above the rim of the canister in mm, one for each ring, separated by commas, with an equals \
+sign, such as '--heights=-42,10'. A height may be followed by a colon and the downward tilt in degrees (default: \
+aimed at the same point as the first ring of the scene), and by @ and the distance from the turntable axis in mm, \
+such as 10:8@200. Repeat the option for each set of rings to compare. Default: the first ring of the scene, with \
+and without a second ring 52 mm above it."""
     image_wh: Annotated[tuple[tuple[int, int], ...] | None, option(list_of(read_image_wh), "WxH,WxH,...")] = None
-    """Picture sizes in pixels; default: as in the scene."""
+    """Picture sizes in pixels, separated by commas, such as 400x300,800x600; default: as in the scene."""
 
 
 def plan(
@@ -75,31 +76,31 @@ def plan(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Compare capture plans (views, rings, picture sizes) in simulation.
+    """Find the number of pictures and camera heights that a scan needs, by simulation.
 
-    Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and
+    A scan consists of one or more rings, which are turns of the turntable with the camera at one height. A scene is
+    simulated, reconstructed and scored for all combinations of the given numbers of views per ring, camera heights and
     picture sizes. The errors are written as a table (plan.csv, plan.json) and a figure (plan.png), and the plan with
-    the fewest pictures that meets the error limit is printed. If interrupted, run the same command again to continue; a
-    later run with more views or heights adds to the table. On two cores, one run with 40 pictures of 800x600 pixels
-    takes one to two minutes for a small plant and up to five for a large one. Start with few views and small pictures.
+    the fewest pictures that meets the error limit is printed. To continue after an interruption, or to add views or
+    heights, run the command again. On two cores, a run with 40 pictures of 800x600 pixels takes one to five minutes.
 
     Parameters
     ----------
     scene : str
-        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
+        Scene, which describes canister, plant and rig: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     output : Path
         Folder for the table, the figure and the scores: new, or the output of an earlier run.
     grid : Grid
-        Varied parameters.
+        Parameters to compare.
     profile : str
-        Simulated errors of the rig: clean (none), bench (a well-built rig), camera (bench with an ordinary camera),
-        harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file.
+        Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an
+        ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file.
     seeds : int
-        Number of runs per plan, each with other random errors.
+        Number of runs per plan, with different random errors.
     within : float
-        Error limit of the volume in per cent for the recommended plan.
+        Maximum volume error of the recommended plan in per cent.
     device : str
-        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
         Progress output.
 
@@ -126,15 +127,17 @@ def plan(
 
 
 def _print_recommended(chosen: "plans.Row | None", within: float) -> None:
-    """Print the plan with the fewest pictures within the error limit in per cent."""
+    """Print the recommended plan, or a message if no plan meets the error limit in per cent."""
     if chosen is None:
-        print(f"no plan has a volume error within {within:g} %; try more views, larger pictures or more rings")
+        print(f"no plan has a volume error of at most {within:g} %; try more views, larger pictures or more rings")
     else:
-        print(f"plan with the fewest pictures within {within:g} %: {chosen.variant.name}, {chosen.pictures} pictures")
+        print(
+            f"plan with the fewest pictures and a volume error of at most {within:g} %: {chosen.variant.name}, {chosen.pictures} pictures"
+        )
 
 
 def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":
-    """Return every combination of the varied parameters."""
+    """Return a capture plan for each combination of the parameters to compare."""
     from rhizotwin import planning, plans
 
     first_mm = scene.plan.rings[0].height_mm

@@ -1,4 +1,4 @@
-"""`rhizotwin reconstruct`."""
+"""Command `rhizotwin reconstruct`."""
 
 import json
 from dataclasses import dataclass
@@ -17,32 +17,32 @@ if TYPE_CHECKING:
 @Parameter(name="*", group="Method")
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Options for the study of the method."""
+    """Options for studying the reconstruction method."""
 
     settings: Annotated[Path | None, with_metavar("FILE")] = None
-    """TOML file with settings of the stages (docs/settings.md); --voxel-mm overrides its voxel size."""
+    """TOML file with settings of the reconstruction (docs/settings.md); --voxel-mm overrides its voxel size."""
     keep_stages: Flag = False
-    """Save the intermediate results of the stages in RESULT/stages (docs/datasets.md): cameras, coverage, hull, \
-roots, solid."""
+    """Save intermediate results (cameras, silhouettes, hull, roots, solid) in the subfolder stages of the result \
+(docs/datasets.md)."""
     method: Literal["ours", "thesis", "regularised", "hull"] = "ours"
-    """Reconstruction method: ours, or a baseline for comparison, whose volume is always marked as not reliable: hull \
-(visual hull), regularised (regularised visual hull, Zheng et al. 2011), thesis (method of Kliman's thesis, \
-2022)."""
+    """Reconstruction method: ours (full method), or for comparison hull (visual hull), regularised (regularised \
+visual hull, Zheng et al. 2011) or thesis (method of Kliman's thesis, 2022), whose volume is always marked as not \
+reliable."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class PictureChoice:
-    """Selection of the pictures."""
+    """Options that select the pictures."""
 
     leave_out: Annotated[tuple[str, ...], option(list_of(str), "FILE,FILE,...")] = ()
-    """File names of pictures to exclude."""
+    """File names of pictures to exclude, separated by commas."""
     tolerant: Flag = False
-    """Exclude pictures that are missing or cannot be read, instead of stopping with an error."""
+    """Exclude pictures that are missing or unreadable, instead of stopping with an error."""
 
     @property
     def settings(self) -> "PictureSettings":
-        """Picture settings of the reconstruction."""
+        """Settings of the reconstruction that select the pictures."""
         from rhizotwin.recon.settings import PictureSettings
 
         return PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant)
@@ -62,28 +62,28 @@ def reconstruct(
 ) -> None:
     """Reconstruct root shape and volume from the pictures of a dataset.
 
-    The camera poses are estimated from the marker strip, the silhouettes are segmented, and the roots are fitted to the
-    silhouettes of all views, including refraction. The ground truth of a simulated dataset is only shown next to the
-    result. Pictures that contradict all others, such as an incomplete file, are excluded with a warning.
+    The camera poses are estimated from the markers around the net pot, and the roots are fitted to their silhouettes in
+    all views, including refraction. The true roots of a simulated dataset are shown in the report but not used.
+    Pictures that are inconsistent with all others, such as a damaged file, are excluded with a warning.
 
     Parameters
     ----------
     dataset : Path
-        Dataset folder, written by 'rhizotwin simulate', 'scan' or 'import'.
+        Dataset (folder with the pictures of a scan), written by 'rhizotwin simulate', 'scan' or 'import'.
     output : Path
-        Result folder to write: new, empty, or an earlier result, which is replaced.
+        Folder for the result: new, empty, or an earlier result, which is replaced.
     voxel_mm : float
-        Edge length of the smallest voxels, 0.01 to 10 mm, default 0.27; smaller voxels take longer.
+        Edge length of the smallest voxels in mm, 0.01 to 10; default: 0.27. Smaller voxels take longer.
     mass_g : float, optional
-        Fresh mass of the roots in grams, for specific root length and tissue density.
+        Fresh mass of the roots in grams, from which specific root length and tissue density are computed.
     pictures : PictureChoice
         Selection of the pictures.
     study : Study
-        Options for the study of the method.
+        Options for studying the method.
     device : str
-        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        Progress output; quiet prints only the volume, verbose also the calibration.
+        Progress output; --quiet also shortens the summary, and --verbose also prints the calibration.
 
     Examples
     --------
@@ -105,13 +105,13 @@ def reconstruct(
         for path in written:
             print(f"  {path}")
     print(f"report: {output / 'report.html'}")
-    print(f"next: rhizotwin view {output}")
+    print(f"to see the result in 3D: rhizotwin view {output}")
     if (dataset / "truth").is_dir():
-        print(f"or:   rhizotwin score {output} {dataset}")
+        print(f"to compare it with the true roots: rhizotwin score {output} {dataset}")
 
 
 def _print_summary(summary: dict[str, Any], progress: Progress) -> None:
-    """Print volume, traits and warnings."""
+    """Print the volume, the main traits and the warnings of a result."""
     from rhizotwin.report import words
     from rhizotwin.stored import calibration_table
 

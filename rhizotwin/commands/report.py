@@ -1,4 +1,4 @@
-"""`rhizotwin report`."""
+"""Command `rhizotwin report`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,9 +18,10 @@ def report(
 ) -> None:
     """Write the report of a result again, or one report for several results.
 
-    The report is a single HTML file that can be opened without a network: the volume with its interval and
-    reliability, recommendations, the shape in 3D, the pictures with the outline of the reconstruction, traits, and
-    methods. Without -o it is written to report.html in the result folder.
+    The report is a single HTML file that can be opened without an internet connection. It contains the volume with its
+    90 % interval and reliability, recommendations, the shape in 3D, the pictures with the outline of the
+    reconstruction, the traits, and a description of the method. By default it is written to report.html in the result
+    folder.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def report(
     page : Path, optional
         HTML file to write; required for more than one result.
     dataset : Path, optional
-        Dataset of the result, if its folder was moved; for one result only.
+        Dataset of the result; needed only if its folder was moved. Can be used with one result only.
     progress : Progress
         Progress output.
 
@@ -44,9 +45,9 @@ def report(
 
     results = result_files.results_in(results)
     if page is None and len(results) > 1:
-        raise UserError("a report of several results needs a file name: give it with -o FILE.html")
+        raise UserError("a report of several results needs a file name; add -o FILE.html")
     if dataset is not None and len(results) > 1:
-        raise UserError("--dataset can be used with one result only; remove it")
+        raise UserError("--dataset can be used with one result only; remove --dataset")
     from rhizotwin.report import page as pages
 
     with progress.bar(page=1.0) as bar, bar.stage("page"):

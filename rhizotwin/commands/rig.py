@@ -1,6 +1,7 @@
 """Check and move the devices of a rig, and write a rig file.
 
-Use these commands before the first scan and for troubleshooting.
+Use these commands before the first scan and for troubleshooting. A rig file describes the devices: turntable, lights,
+camera and arm. With the name twin instead of a rig file, the emulated rig in this program is used.
 
 Examples
 --------
@@ -34,28 +35,29 @@ def check(
     first_day: Annotated[Path | None, with_metavar("FOLDER")] = None,
     twin: rigs.TwinErrors = rigs.TwinErrors(),
 ) -> None:
-    """Check every device of a rig.
+    """Check each device of a rig.
 
-    Connect to every device, take pictures with the lamps off and on, and print one line per device. Nothing moves. The
-    exit code is not 0 if a check fails.
+    The command connects to each device, takes pictures with the lamps off and on, and prints one line per device. No
+    device moves. The exit code is not 0 if a check fails.
 
-    With --first-day, an interactive checklist follows, during which devices move: lamps, direction of each joint, arm
-    in front of the canister, focus, mirrored strip, uniformity of the light panel, direction of the turntable, and
-    dimensions to measure with calipers. The findings are written to a folder that can be sent with a request for help.
+    With --first-day, an interactive checklist for a new rig follows, during which devices move. It covers lamps,
+    direction of each joint, arm in front of the canister, focus, orientation of the marker strip, uniformity of the
+    light panel, direction of the turntable, and dimensions to measure with calipers. The findings are written to a
+    folder that can be sent with a request for help.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or twin for the emulated rig.
+        Rig file (TOML; 'rhizotwin rig example' writes an example), or twin for the emulated rig.
     scene : str, optional
-        Scene with canister, marker strip and camera: a name listed by 'rhizotwin scenes' or a scene file (TOML);
-        default: the rig of Kliman's thesis (2022).
+        Scene, which describes canister, marker strip and camera: a name listed by 'rhizotwin scenes', or a scene file
+        (TOML); default: rig of Kliman's thesis (2022).
     record : Path, optional
-        Append all serial communication to this file (JSON lines).
+        File to which all serial communication is appended (JSON lines).
     first_day : Path, optional
-        Continue with the interactive checklist for a new rig, and write its report to this new folder.
+        New folder for the report of the interactive checklist, which follows the check.
     twin : TwinErrors
-        Errors of the emulated rig.
+        Options of the emulated rig.
 
     Examples
     --------
@@ -77,11 +79,11 @@ def check(
         if first_day is not None:
             wrong = _walk(bench, first_day, recorder, wrong, stack)
     if wrong:
-        raise UserError(f"{wrong} check{'' if wrong == 1 else 's'} of {bench.rig.name} failed; see the messages above")
+        raise UserError(f"{wrong} check{'' if wrong == 1 else 's'} of {bench.rig.name} failed, for the reasons printed above")
 
 
 def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: ExitStack) -> int:
-    """Run the interactive checklist; return the number of failed checks."""
+    """Run the interactive checklist for a new rig, and return the number of failed checks."""
     from rhizotwin.rig.first_day import FirstDay
 
     devices = bench.open_devices(recorder, stack)
@@ -91,11 +93,11 @@ def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: Exi
 
 
 def _answer(question: str) -> str:
-    """Read the answer to a question from the terminal or a pipe."""
+    """Print a question, and read the answer from the terminal or a pipe."""
     try:
         return input(question)
     except EOFError:
-        raise UserError("a question was not answered; run the command again and answer it") from None
+        raise UserError("a question was not answered; run the command again and answer all questions") from None
 
 
 def jog(
@@ -108,21 +110,21 @@ def jog(
 ) -> None:
     """Move the devices of a rig by typed commands.
 
-    Type help for the list of commands. Each movement of the arm is checked for collisions first. On exit, the lamps are
-    switched off and the arm is parked and unpowered. Commands can also be read from a pipe; the first error then ends
-    the program.
+    Type help for the list of commands. Each movement of the arm is checked for collisions before it starts. On exit,
+    the lamps are switched off and the arm is parked and unpowered. Commands can also be read from a pipe; in this case
+    the program ends at the first error.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or twin for the emulated rig.
+        Rig file (TOML; 'rhizotwin rig example' writes an example), or twin for the emulated rig.
     scene : str, optional
-        Scene with canister, marker strip and camera: a name listed by 'rhizotwin scenes' or a scene file (TOML);
-        default: the rig of Kliman's thesis (2022).
+        Scene, which describes canister, marker strip and camera: a name listed by 'rhizotwin scenes', or a scene file
+        (TOML); default: rig of Kliman's thesis (2022).
     record : Path, optional
-        Append all serial communication to this file (JSON lines).
+        File to which all serial communication is appended (JSON lines).
     twin : TwinErrors
-        Errors of the emulated rig.
+        Options of the emulated rig.
 
     Examples
     --------
@@ -148,26 +150,27 @@ def align(
 ) -> None:
     """Align the camera with the canister: level, upright, and aimed at the axis.
 
-    Move the camera in front of the canister, take a picture, estimate the camera pose from the marker strip, correct
-    the joints, and repeat while the alignment improves. The remaining error is printed; it is up to half a step of the
-    base servo. If the alignment does not improve, the command fails. On exit, the lamps are switched off and the arm is
-    parked; the command 'align' of 'rhizotwin rig jog' leaves the arm in position.
+    The arm moves the camera in front of the canister. The camera pose is then estimated from the markers in a picture
+    and the joints are corrected, repeatedly as long as the alignment improves. The remaining error is printed, and can
+    be up to half a step of the base servo. If the alignment does not improve, the command fails. On exit, the lamps are
+    switched off and the arm is parked; to leave the arm in position, use the command align of 'rhizotwin rig jog'.
 
     Parameters
     ----------
     rig : str
-        Rig file, or the word twin: emulated devices in this program.
+        Rig file (TOML; 'rhizotwin rig example' writes an example), or twin for the emulated rig.
     scene : str, optional
-        Scene with canister, marker strip and camera: a name listed by 'rhizotwin scenes' or a scene file (TOML);
-        default: the rig of Kliman's thesis (2022).
+        Scene, which describes canister, marker strip and camera: a name listed by 'rhizotwin scenes', or a scene file
+        (TOML); default: rig of Kliman's thesis (2022).
     distance_mm : float, optional
-        Distance between camera and canister axis; default: as in the first ring of the scene.
+        Distance of the camera from the canister's axis in mm; default: first camera position of the scene.
     height_mm : float, optional
-        Height of the camera above the rim (negative below it); default: as in the first ring of the scene.
+        Height of the camera above the canister's rim in mm, negative below it; default: first camera position of the
+        scene.
     record : Path, optional
-        Append all serial communication to this file (JSON lines).
+        File to which all serial communication is appended (JSON lines).
     twin : TwinErrors
-        Errors of the emulated rig.
+        Options of the emulated rig.
 
     Examples
     --------
@@ -181,7 +184,7 @@ def align(
 
 
 def _jog(bench: rigs.Bench, lines: Iterable[str], *, record: Path | None, stop_at_mistake: bool) -> None:
-    """Open the devices of a rig and run the commands of the lines."""
+    """Open the devices of a rig, and execute a command of `rig.jog` for each line."""
     from rhizotwin.rig.jog import Jog
 
     with ExitStack() as stack:
@@ -192,7 +195,7 @@ def _jog(bench: rigs.Bench, lines: Iterable[str], *, record: Path | None, stop_a
 def example(*, output: OutputFile) -> None:
     """Write a complete, commented rig file as a starting point.
 
-    The file contains every key with its default and meaning.
+    The file contains all keys with their defaults and explanations.
 
     Parameters
     ----------
@@ -208,11 +211,11 @@ def example(*, output: OutputFile) -> None:
     if output.exists():
         raise UserError(f"{output} already exists; choose another name")
     write_text(output, EXAMPLE, new=True)
-    print(f"wrote {output}; edit it, then run: rhizotwin rig check {output}")
+    print(f"wrote {output}; edit the file, then run: rhizotwin rig check {output}")
 
 
 def _typed_lines() -> Iterator[str]:
-    """Yield typed lines until the end of the input."""
+    """Yield the lines typed on the terminal until the end of the input."""
     while True:
         try:
             yield input("rig> ")

@@ -1,4 +1,4 @@
-"""`rhizotwin scan`."""
+"""Command `rhizotwin scan`."""
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ ANGLE_LIMITS_DEG = (-360.0, 360.0)
 
 
 def read_angle_deg(text: str) -> float:
-    """Read an angle."""
+    """Convert text to an angle in degrees."""
     return read_number(text, ANGLE_LIMITS_DEG, "deg")
 
 
@@ -35,17 +35,18 @@ class ScanOptions:
     """Options of the scan."""
 
     plan: Annotated[str | None, with_metavar("PLAN")] = None
-    """Capture plan to use instead of the scene's: a TOML file with [[plan.rings]], or the name of a scene."""
+    """Camera positions that replace those of the scene: a TOML file with [[plan.rings]], or the name of a scene."""
     resume: Flag = False
-    """Continue an interrupted scan; pictures that were already taken are kept."""
+    """Continue an interrupted scan, and keep the pictures that were already taken."""
     table_angle_deg: Annotated[float | None, option(read_angle_deg, "DEG", name="--table-angle")] = None
-    """Current angle of the turntable, if the markers cannot be detected at the start; at 0 the seam of the marker \
-strip faces the camera."""
+    """Initial angle of the turntable in degrees; needed only if the markers cannot be detected. At 0 the joint \
+between the ends of the marker strip faces the camera."""
     catalogue: Annotated[Path | None, with_metavar("CATALOGUE")] = None
-    """Identify the plant by the marker numbers of its strip; its name, species, treatment and day are read from this \
-catalogue, and the scan is added to it. With --plant, another plant on the turntable is an error."""
+    """Catalogue (.rhizotwin) from which the plant's name, species, treatment and age are read, and to which the scan \
+is added. The plant is identified by the numbers of its markers; with --plant, a different plant on the turntable \
+is an error."""
     record: Annotated[Path | None, with_metavar("FILE")] = None
-    """Append all serial communication to this file (JSON lines)."""
+    """File to which all serial communication is appended (JSON lines)."""
 
 
 def scan(
@@ -58,25 +59,26 @@ def scan(
     subject: SubjectOptions = SubjectOptions(),
     progress: Progress = Progress(),
 ) -> None:
-    """Scan a plant: take the pictures of a capture plan on a rig, or on the emulated rig.
+    """Scan a plant with the rig, or with the emulated rig.
 
-    Check every device, move the camera to each ring of the capture plan, rotate the turntable and take the pictures.
-    After an interruption (Ctrl-C, a fault, a power failure), run the same command with --resume to take the remaining
-    pictures. On exit, also after an error, the lamps are switched off and the arm is parked and unpowered.
+    After a check of all devices, the camera is moved to each planned height, and pictures are taken all around the
+    plant while the turntable rotates the canister. After an interruption (Ctrl-C, a fault, a power failure), run the
+    same command with --resume to take the remaining pictures. On exit, even after an error, the lamps are switched off
+    and the arm is parked and unpowered.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or twin for the emulated rig.
+        Rig file (TOML; 'rhizotwin rig example' writes an example), or twin for the emulated rig.
     output : Path
-        Dataset folder to write: new or empty, or with --resume the folder of the interrupted scan.
+        Folder for the dataset: new or empty, or with --resume the folder of the interrupted scan.
     scene : str, optional
-        Scene with canister, marker strip, calibrated camera and capture plan: a name listed by 'rhizotwin scenes' or a
-        scene file (TOML). Required with a rig file; default for the emulated rig: printed_8ml.
+        Scene, which describes canister, marker strip, calibrated camera and camera positions: a name listed by
+        'rhizotwin scenes', or a scene file (TOML). Required with a rig file; default for the emulated rig: printed_8ml.
     options : ScanOptions
         Options of the scan.
     twin : TwinPictures
-        Errors of the emulated rig and quality of its pictures.
+        Options of the emulated rig.
     subject : SubjectOptions
         Plant in the canister.
     progress : Progress
@@ -94,7 +96,7 @@ def scan(
     emulated = twin if rig == rigs.TWIN else None
     if emulated is None and scene is None:
         raise UserError(
-            "--scene is missing; give the scene file of this rig, with canister, marker strip, calibrated camera and capture plan"
+            "--scene is missing; give the scene file of this rig, with canister, marker strip, calibrated camera and camera positions"
         )
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     made = _scan(bench, output, subject, options=options, twin=emulated, progress=progress)
@@ -106,7 +108,7 @@ def scan(
 def _scan(
     bench: rigs.Bench, output: Path, subject: SubjectOptions, *, options: ScanOptions, twin: rigs.TwinPictures | None, progress: Progress
 ) -> "Dataset":
-    """Open the devices, identify the plant if there is a catalogue, and scan."""
+    """Open the devices, identify the plant if a catalogue is given, and scan the plant."""
     with ExitStack() as stack:
         devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         if options.catalogue is None:
@@ -135,7 +137,7 @@ def _take(
     progress: Progress,
     identify: "Callable[[Grey], object] | None",
 ) -> "Dataset":
-    """Scan, with a bar."""
+    """Scan with open devices, and show a progress bar."""
     from rhizotwin.rig.scanning.observers import Observers
 
     with progress.bar(devices=1.0, pictures=20.0) as bar:
@@ -155,9 +157,9 @@ def _take(
 def _identified(
     known: "Catalogue", bench: rigs.Bench, devices: "Devices", subject: SubjectOptions
 ) -> "tuple[Scene, Callable[[Grey], object]]":
-    """Return the scene of the plant on the table, and the check of the scan's first picture.
+    """Identify the plant on the turntable; return its scene, and a function that checks the first picture of the scan.
 
-    A scan that is resumed keeps the date and day at which it was begun; they must be given again.
+    The date and age of a resumed scan must be the same as at its start, and therefore must be given again.
     """
     from rhizotwin.catalogue import identity
     from rhizotwin.rig.scanning.first_look import take_first_look
@@ -170,7 +172,7 @@ def _identified(
     else:
         plant = known.plant(subject.plant)
     if plant.tag is None:
-        raise UserError(f"{known.path}: the strip of plant {plant.name} is not known; add it with `rhizotwin catalogue plant`")
+        raise UserError(f"{known.path}: the plant {plant.name} has no marker strip; add its canister with `rhizotwin catalogue plant`")
     when = subject.date or datetime.now().astimezone().date().isoformat()
     whose = replace(bench.scene.subject, plant=plant.name, species=plant.species, treatment=plant.treatment, replicate=plant.replicate)
     scene = rigs.scene_of_plant(replace(bench.scene, subject=replace(whose, day=subject.day, date=when)), plant)

@@ -1,4 +1,4 @@
-"""`rhizotwin scenes`."""
+"""Command `rhizotwin scenes`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,24 +18,26 @@ def scenes(
     keys: Flag = False,
     solution: SolutionName | None = None,
 ) -> None:
-    """List the example scenes and error profiles, or write a scene or its specimen to a file.
+    """List the scenes and profiles of the library, or write a scene or its specimen to a file.
 
-    A scene describes canister, water, roots, camera and capture plan. Without arguments, the scenes and profiles of the
-    library are listed. With a name and -o, the scene is written to a file with all its keys, as a starting point for
-    your own scene. With a name and --specimen-stl, its root is written as a closed mesh.
+    A scene describes canister, water, specimen (roots or another object), camera and camera positions. A profile
+    describes the imperfections of a simulated rig. Without arguments, the scenes and profiles of the library are
+    listed. With a name and -o, the scene is written to a file with all its keys, as a starting point for your own
+    scene. With a name and --specimen-stl, the specimen is written as a closed mesh.
 
     Parameters
     ----------
     name : str, optional
-        Name of a scene of the library, or path of a scene file (TOML).
+        Name of a library scene, or path of a scene file (TOML).
     copy : Path, optional
-        Scene file to write (TOML), with unit, range and explanation of every key; must not exist yet.
+        Scene file to write (TOML), with unit, range and explanation of each key; must not exist yet.
     specimen_stl : Path, optional
-        Mesh file to write for 3D printing (STL, mm, canister frame); must not exist yet.
+        Mesh file of the specimen to write for 3D printing (STL, mm); must not exist yet.
     keys : bool
-        Print the reference of all keys of scene files (Markdown).
+        Print a reference of all keys of scene files (Markdown).
     solution : Solution, optional
-        Print the composition of a nutrient solution: compounds in grams per litre, ions in mmol per litre.
+        Print the composition of a nutrient solution: kliman_2022, or a TOML file with the keys of a scene's table
+        [solution], optionally with scaled elements, such as kliman_2022,K=0.5.
 
     Examples
     --------
@@ -48,11 +50,11 @@ def scenes(
     """
     if keys or solution is not None:
         if name is not None or copy is not None or specimen_stl is not None:
-            raise UserError("--keys and --solution cannot be combined with a scene, -o or --specimen-stl")
+            raise UserError("--keys and --solution cannot be used with a scene, -o or --specimen-stl; remove these arguments")
         print(key_descriptions.page() if solution is None else _solution_table(solution), end="")
         return
     if (name is None) != (copy is None and specimen_stl is None):
-        raise UserError("give a scene together with -o FILE or --specimen-stl FILE, or no arguments to list the library")
+        raise UserError("a scene must be given together with -o FILE or --specimen-stl FILE; to list the library, give no arguments")
     for path in (copy, specimen_stl):
         if path is not None and path.exists():
             raise UserError(f"{path} already exists; choose another name")
@@ -63,7 +65,7 @@ def scenes(
             print(line)
     if name is not None and copy is not None:
         files.save_scene(files.load_scene(name), copy, new=True)
-        print(f"wrote {copy}; edit it, then run: rhizotwin simulate {copy} -o my_dataset")
+        print(f"wrote {copy}; edit the file, then run: rhizotwin simulate {copy} -o my_dataset")
     if name is not None:
         return
     _print_library()

@@ -1,4 +1,4 @@
-"""`rhizotwin score`."""
+"""Command `rhizotwin score`."""
 
 import json
 from dataclasses import dataclass
@@ -12,31 +12,31 @@ from rhizotwin.arguments import DatasetFolder, Flag, Progress, ResultFolder, Vol
 from rhizotwin.scenes.errors import UserError
 
 _OF_PICTURES = ("read", "markers", "poses", "canister", "background", "wall", "silhouettes")
-"""Processing stages of the pictures before the comparison."""
+"""Stages in which the pictures are processed before the comparison, for the progress bar."""
 
 
-@Parameter(name="*", group="Output of another method")
+@Parameter(name="*", group="Output of another program")
 @dataclass(frozen=True, kw_only=True)
 class ForeignFile:
-    """File of another method, scored instead of a result."""
+    """Options for scoring the output file of another program."""
 
     mesh: Annotated[Path | None, with_metavar("FILE")] = None
-    """Score a triangle mesh: PLY, STL or OBJ in mm with z up, or GLB in metres with y up."""
+    """Triangle mesh to score: PLY, STL or OBJ in mm with z up, or GLB in metres with y up."""
     voxels: Annotated[Path | None, with_metavar("FILE")] = None
-    """Score voxel occupancies: NRRD, or NPZ with the arrays occupancy, origin_mm and voxel_mm."""
+    """Voxel occupancies to score: NRRD, or NPZ with the arrays occupancy, origin_mm and voxel_mm."""
     points: Annotated[Path | None, with_metavar("FILE")] = None
-    """Score surface points: PLY, or a text file with x y z on each line (XYZ)."""
+    """Surface points to score: PLY, or a text file with x y z on each line (XYZ)."""
     rsml: Annotated[Path | None, with_metavar("FILE")] = None
-    """Score centre lines (RSML)."""
+    """Centre lines of roots to score (RSML)."""
     traits: Annotated[Path | None, with_metavar("FILE")] = None
-    """Score a table of traits: CSV with the columns trait and value, and optionally low and high (90 % interval)."""
+    """Trait table to score: CSV with the columns trait and value, and optionally low and high (90 % interval)."""
     registered: Flag = False
-    """Register the mesh to the ground truth by a rigid motion first; otherwise its coordinates are those of the \
-canister frame."""
+    """Rotate and translate the mesh to fit the true roots before the comparison; by default its coordinates must have \
+their origin on the canister's axis at the rim."""
 
     @property
     def given(self) -> dict[front_door.FileKind, Path]:
-        """Return the given files by kind."""
+        """Files that were given on the command line, by type."""
         every: dict[front_door.FileKind, Path | None] = {
             "mesh": self.mesh,
             "voxels": self.voxels,
@@ -47,9 +47,15 @@ canister frame."""
         return {kind: file for kind, file in every.items() if file is not None}
 
     def one(self, *others: object) -> tuple[front_door.FileKind, Path]:
-        """Return kind and file; raise UserError if several files or other references are given."""
+        """Return the type and path of the given file.
+
+        Raises
+        ------
+        UserError
+            If several files, or other references, were given.
+        """
         if len(self.given) > 1 or any(other is not None for other in others):
-            raise UserError("give exactly one file of another method and the simulated dataset, without other options of the reference")
+            raise UserError("the score of another program's output needs exactly one file and the simulated dataset; remove other options")
         return next(iter(self.given.items()))
 
 
@@ -65,31 +71,31 @@ def score(
     as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
     progress: Progress = Progress(),
 ) -> None:
-    """Compare a result with ground truth, a known part, a measured volume or other pictures.
+    """Compute the errors of a result with respect to the true roots or another reference.
 
-    The reference is one of the following:
-      DATASET      a simulated dataset: volume, extents, voxels, surface distances, traits, camera poses, silhouettes
-      --truth      the mesh of a known part, registered to the result first: volume, extents, surface distances
-      --volume-ml  a measured volume: volume only
-      --pictures   pictures that were not used in the reconstruction: area, outlines and centre lines, in pixels
+    Give exactly one reference:
+      DATASET      simulated dataset with known true roots: errors of all quantities
+      --truth      mesh of a known part: errors of volume and shape
+      --volume-ml  measured volume: error of the volume
+      --pictures   pictures that the reconstruction did not use: errors in pixels
 
-    Relative errors are estimate / true - 1; errors of angles are differences in degrees. To score the output of another
-    method, give one of --mesh, --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
+    Relative errors are estimated / true value - 1. To score the output of another program, give one of --mesh,
+    --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
 
     Parameters
     ----------
     result : Path
-        Result folder; for the file of another method, the simulated dataset.
+        Result folder; to score the output of another program, the simulated dataset.
     dataset : Path, optional
         Simulated dataset from which the result was reconstructed.
     foreign : ForeignFile
-        File of another method.
+        Output file of another program.
     truth : Path, optional
-        Closed mesh of the scanned part, in mm (PLY, STL, OBJ).
+        Closed mesh of the scanned part in mm (PLY, STL, OBJ).
     volume_ml : float, optional
         Measured volume of the specimen in ml, for example by water displacement.
     pictures : Path, optional
-        Dataset of the same plant and rig, with pictures that were not used in the reconstruction.
+        Dataset of the same plant on the same rig, with pictures that the reconstruction did not use.
     as_json : bool
         Print all numbers as JSON instead of a table.
     progress : Progress

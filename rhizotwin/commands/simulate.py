@@ -1,4 +1,4 @@
-"""`rhizotwin simulate`."""
+"""Command `rhizotwin simulate`."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,12 +12,13 @@ from rhizotwin.arguments import Device, OutputDataset, Progress, Samples, SceneC
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Rendering options."""
+    """Options for the rendering."""
 
     fidelity: Literal["backlit", "path"] = "backlit"
     """Rendering method: backlit (fast, without sampling noise) or path (path tracing with all reflections, slower)."""
     samples: Samples | None = None
-    """Light paths per pixel: more give less sampling noise and take longer; default: depends on the method."""
+    """Number of light paths per pixel; more paths reduce the sampling noise and take longer; default: depends on the \
+rendering method."""
 
 
 def simulate(
@@ -32,27 +33,28 @@ def simulate(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Render the pictures of a scene, with the ground truth.
+    """Render the pictures of a scene, and store the true roots with them.
 
-    Every view of the capture plan of the scene is rendered to a dataset folder: the pictures that the camera would take
-    in the folder images, the ground truth in the folder truth. If interrupted, run the same command again to continue.
+    A scene describes canister, plant, rig and camera positions. The pictures that the camera would take are written to
+    the subfolder images of the output folder, and the true roots (ground truth) to the subfolder truth. After an
+    interruption, run the same command again to continue.
 
     Parameters
     ----------
     scene : str
-        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
+        Scene: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     output : Path
-        Dataset folder to write: new, empty, or left by an interrupted run of the same command.
+        Folder for the dataset: new, empty, or with an interrupted run of the same command.
     changes : SceneChanges
         Changes to the scene.
     subject : SubjectOptions
         Plant in the canister.
     rendering : Rendering
-        Rendering options.
+        Options for the rendering.
     seed : int
         Random seed for all simulated errors and noise: 0, 1, 2, ...
     device : str
-        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
         Progress output.
 

@@ -1,4 +1,6 @@
-"""Scan the same plants again and again by a schedule.
+"""Scan the same plants repeatedly according to a schedule.
+
+An experiment file describes plants, schedule, rig and folders.
 
 Examples
 --------
@@ -23,7 +25,8 @@ ExperimentFile = Annotated[Path, with_metavar("EXPERIMENT")]
 def example(*, output: OutputFile) -> None:
     """Write a complete, commented experiment file as a starting point.
 
-    It has six plants in two treatments, scanned once a day for ten days on the emulated rig, and runs as it is.
+    The experiment of the example has six plants in two treatments, which are scanned once a day for ten days on the
+    emulated rig. It can be run without changes.
 
     Parameters
     ----------
@@ -38,27 +41,27 @@ def example(*, output: OutputFile) -> None:
     from rhizotwin.timelapse.example import EXAMPLE
 
     if output.suffix != ".toml" or output.exists():
-        raise UserError(f"{output} {'already exists; choose another name' if output.exists() else 'must end in .toml'}")
+        raise UserError(f"{output} already exists; choose another name" if output.exists() else f"the suffix of {output} must be .toml")
     atomic.write_text(output, EXAMPLE, new=True)
     print(f"wrote {output}")
     print(f"next: rhizotwin timelapse run {output}")
 
 
 def run(experiment: ExperimentFile, /, *, progress: Progress = Progress()) -> None:
-    """Run a time-lapse experiment until its schedule is done.
+    """Run a time-lapse experiment until its schedule is complete.
 
-    At each due time a person is asked to put the canister of the plant on the table, or a carousel does it. The first
-    picture shows by the numbers of the strip which plant it is; another plant is not scanned. Then the scan is made,
-    reconstructed while no other scan is due, and the curves of growth are updated. The catalogue holds each step, so
-    that after an interruption at any point, also a power cut, the same command continues. On the emulated rig the time
-    of the schedule passes at once.
+    At each planned time, a person is asked to put the canister of the plant on the turntable, or a carousel does so.
+    The plant is identified by the numbers of its markers in the first picture, and a wrong plant is not scanned.
+    Finished scans are reconstructed while no other scan is due, and the growth curves are updated. Each step is stored
+    in a catalogue, so that after any interruption, even a power failure, the same command continues the experiment. On
+    the emulated rig, the program does not wait for the planned times.
 
     Parameters
     ----------
     experiment : Path
-        Experiment file (TOML; 'rhizotwin timelapse example' writes one).
+        Experiment file (TOML; 'rhizotwin timelapse example' writes an example).
     progress : Progress
-        Amount of output during the scans.
+        Progress output.
 
     Examples
     --------
@@ -76,14 +79,14 @@ def run(experiment: ExperimentFile, /, *, progress: Progress = Progress()) -> No
 
 
 def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
-    """Print which scans of an experiment are made, missed and still to be made.
+    """Print the numbers of finished, missed and planned scans of an experiment.
 
     Parameters
     ----------
     experiment : Path
-        Experiment file.
+        Experiment file (TOML).
     every : bool
-        List every scan.
+        List all scans with their states.
 
     Examples
     --------
@@ -95,7 +98,7 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
 
     loaded = load_experiment(experiment)
     if not loaded.catalogue_path.exists():
-        print(f"{len(loaded.visits())} scans are planned; none has been made")
+        print(f"{len(loaded.visits())} scans are planned, and none has been started")
         return
     with Catalogue.open(loaded.catalogue_path, read_only=True) as catalogue:
         for visit in catalogue.visits() if every else ():
@@ -104,14 +107,14 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
 
 
 def _silent(_: str) -> None:
-    """Print nothing."""
+    """Discard a line of output."""
 
 
 def _print(experiment: "Experiment", outcome: "Outcome") -> None:
-    """Print the number of scans, each missed scan with its reason, and the paths of growth report and catalogue."""
-    print(f"{outcome.scanned} scans made, {len(outcome.missed)} missed, {len(outcome.open)} still to be made")
+    """Print the numbers of scans, each missed scan with its reason, and the paths of growth report and catalogue."""
+    print(f"{outcome.scanned} scans are finished, {len(outcome.missed)} were missed, and {len(outcome.open)} are still planned")
     for visit in outcome.missed:
-        print(f"missed: {visit.plant}, due {visit.due_utc}: {visit.note}")
+        print(f"missed: {visit.plant}, planned for {visit.due_utc}: {visit.note}")
     if outcome.growth is not None:
         print(f"report: {outcome.growth}")
     print(f"catalogue: {experiment.catalogue_path}")

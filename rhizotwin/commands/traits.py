@@ -1,4 +1,4 @@
-"""`rhizotwin traits`."""
+"""Command `rhizotwin traits`."""
 
 import json
 from dataclasses import asdict
@@ -21,17 +21,17 @@ def traits(
 ) -> None:
     """Print the traits of results, or write them to a table.
 
-    Each trait (lengths, diameters, depth, width, angles, ...) is printed with its unit and its 90 % interval, or marked
-    as "not reliable" or "not assessed". With -o they are written to a file: a .csv table with one row per result (per
-    plant in a shared canister) and one column per trait, followed by intervals, verdicts and reasons, or a .json file
-    that also contains the histograms. Traits of centre lines are empty if no roots were found, as for spheres.
+    Each trait (length, diameter, depth, width, angles, ...) is printed with its unit and its 90 % interval, or with the
+    remark "not reliable" or "not assessed". With -o the traits are written to a file: a .csv table with one row per
+    result (per plant in a shared canister) and one column per trait, followed by intervals, verdicts and reasons; or a
+    .json file that also contains histograms. Traits of roots are empty if no roots were found, such as for a sphere.
 
     Parameters
     ----------
     results : list of Path
         Result folders, folders that contain results ('rhizotwin batch'), or a catalogue (.rhizotwin).
     mass_g : tuple of float, optional
-        Fresh mass of the roots in grams, one value per result in the same order; default: as given to 'reconstruct'.
+        Fresh masses of the roots in grams, one for each result, separated by commas; default: as for 'reconstruct'.
     table : Path, optional
         Table to write, .csv or .json; must not exist yet.
 
@@ -51,7 +51,7 @@ def traits(
     if mass_g is not None and len(mass_g) != len(results):
         raise UserError(f"--mass-g has {len(mass_g)} values for {len(results)} results; give one value per result, in the same order")
     if table is not None and table.suffix.lower() not in (".csv", ".json"):
-        raise UserError(f"{table} must end in .csv or .json")
+        raise UserError(f"the suffix of {table} must be .csv or .json")
     if table is not None and table.exists():
         raise UserError(f"{table} already exists; choose another name")
     summaries = [result_files.read_summary(folder) for folder in results]
@@ -75,7 +75,7 @@ def traits(
 
 
 def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
-    """Print the traits of a result, and of each plant if there are several."""
+    """Print the traits of a result, and of each plant if the result has several plants."""
     from rhizotwin.recon.results import assessments, result_traits
     from rhizotwin.scenes import subject, trait_table
     from rhizotwin.stored import result_files
@@ -83,7 +83,7 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     whose = str(subject.from_summary(summary, str(folder))) or summary["scene"]
     print(f"{folder} ({whose}){'' if summary['volume_trusted'] else ': ' + summary['volume_verdict']}")
     if edits := result_traits.describe_edits(summary):
-        print(f"  corrected by hand: {edits}")
+        print(f"  manual corrections: {edits}")
     assessed = assessments.assess(summary, one)
     print("\n".join(f"  {line}" for line in trait_table.lines(one, assessed)))
     if summary.get("shoot"):
@@ -95,11 +95,11 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     for pair in result_files.read_neighbours(folder) if len(plants) > 1 else ():
         print("\n".join(pair.lines(assessed["total_length_mm"].verdict)))
     if one.total_length_mm is None:
-        print("  no centre lines were found; traits that require them are shown as a dash")
+        print("  no roots were found, so traits of roots are shown as a dash")
 
 
 def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[str, Any]:
-    """Return the distances and overlaps between the plants of a result for JSON; empty for a single plant."""
+    """Return the distances and overlaps between the plants of a result as JSON values; empty for a single plant."""
     from rhizotwin.recon.results import assessments
     from rhizotwin.stored import result_files
 
@@ -109,5 +109,5 @@ def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[st
 
 
 def _name(folder: Path) -> str:
-    """Return the name of a result folder, resolved so that ``.`` has one."""
+    """Return the name of a result folder, which is resolved first so that ``.`` has a name."""
     return folder.resolve().name

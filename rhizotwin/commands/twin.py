@@ -1,4 +1,4 @@
-"""`rhizotwin twin`."""
+"""Command `rhizotwin twin`."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -16,25 +16,26 @@ SPEED_LIMITS = (0.01, 1000.0)
 
 
 def read_speed(text: str) -> float:
-    """Read a speed relative to real time."""
+    """Convert text to a speed relative to real time."""
     return read_number(text, SPEED_LIMITS, "times real time")
 
 
 @Parameter(name="*", group="Emulated rig")
 @dataclass(frozen=True, kw_only=True)
 class TwinPorts(rigs.TwinPictures):
-    """Errors and ports of the emulated rig."""
+    """Options for the imperfections and ports of the emulated rig."""
 
     fidelity: rigs.Fidelity = "sketch"
-    """Pictures: render (as in 'rhizotwin simulate') or sketch (marker strip and light panel only, fast)."""
+    """Pictures of the emulated rig: render (realistic, as in 'rhizotwin simulate') or sketch (fast, with only the \
+marker strip and the light panel)."""
     speed: Annotated[float, option(read_speed, "X")] = 1.0
-    """Speed of the emulated time relative to real time."""
+    """Speed of the emulation relative to real time."""
     protocol: Literal["lx", "lsc"] = "lx"
     """Protocol of the arm: lx (serial bus servos) or lsc (servo controller board)."""
     fault: Annotated[tuple[str, ...], options(str, "FAULT")] = ()
     """Fault to simulate, such as 'reset' or 'reply_late table amount=3 at_s=20'; may be repeated."""
     camera_port: Port | None = None
-    """Port of the HTTP server of the camera; default: a free port."""
+    """Port of the camera's HTTP server; default: a free port."""
 
 
 def twin(
@@ -45,18 +46,18 @@ def twin(
 ) -> None:
     """Run the emulated rig on ports that any serial program can open.
 
-    Start the emulated turntable, lamps and arm on pseudo-terminals, and print their ports. They use the protocols of
-    the real devices in real time; the camera is served over HTTP. Faults can be typed while the emulation runs. Press
-    Ctrl-C to stop.
+    Emulated turntable, lamps and arm are started on pseudo-terminals, and their ports are printed. They respond with
+    the protocols of the real devices in real time, and the pictures of the camera are available over HTTP. Faults can
+    be typed while the emulation is running. Press Ctrl-C to stop.
 
     Parameters
     ----------
     scene : str
-        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
+        Scene, which describes canister, plant and rig: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     rig_file : Path, optional
-        Rig file to write (TOML) with these ports; must not exist yet.
+        Rig file to write (TOML), with which other commands use these ports; must not exist yet.
     ports : TwinPorts
-        Errors and ports of the emulated rig.
+        Imperfections and ports of the emulated rig.
 
     Examples
     --------
@@ -65,7 +66,9 @@ def twin(
     rhizotwin rig check my_twin_rig.toml
     """
     if sys.platform == "win32":
-        raise UserError("'rhizotwin twin' needs pseudo-terminals, which Windows does not have; use 'rhizotwin scan --rig twin', or WSL")
+        raise UserError(
+            "'rhizotwin twin' needs pseudo-terminals, which are not available on Windows; use 'rhizotwin scan --rig twin', or WSL"
+        )
     from rhizotwin.rig.twin.faults import parse_fault
     from rhizotwin.rig.twin.server import run_twin
     from rhizotwin.rig.twin.twin import Twin, default_rig

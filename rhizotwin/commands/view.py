@@ -1,4 +1,4 @@
-"""`rhizotwin view`."""
+"""Command `rhizotwin view`."""
 
 import time
 from pathlib import Path
@@ -18,15 +18,15 @@ def view(
 ) -> None:
     """Inspect and correct results in a browser.
 
-    The viewer shows roots, surface, voxels, canister and cameras in 3D, and the pictures with the reconstruction
-    projected onto them. Corrections can be undone and are saved to edits.json in the result folder; the result itself
-    is not changed. Several results, such as the days of one plant, can be selected in turn. The page is accessible only
-    with the token in the printed address. Press Ctrl-C to stop.
+    The viewer shows roots, surface, voxels, canister and cameras in 3D, and the pictures with the projected
+    reconstruction. Corrections can be undone, and are saved to edits.json in the result folder without changing the
+    result itself. Of several results, such as the days of one plant, one can be selected at a time. The page can be
+    opened only with the complete printed address. Press Ctrl-C to stop.
 
     Parameters
     ----------
     paths : list of Path
-        Result folders, written by 'rhizotwin reconstruct'; optionally the dataset, if its folder was moved.
+        Result folders, written by 'rhizotwin reconstruct', and the dataset if its folder was moved.
     page : Page
         Address of the page.
 
@@ -43,7 +43,7 @@ def view(
         check_readable(strange[0], deep=False)
         raise UserError(f"{strange[0]} is neither a result nor a dataset; give a folder written by 'rhizotwin reconstruct'")
     if not results or len(datasets) > 1:
-        raise UserError(f"{len(results)} results and {len(datasets)} datasets are given; give at least one result and at most one dataset")
+        raise UserError(f"{len(results)} results and {len(datasets)} datasets were given; give at least one result and at most one dataset")
     from rhizotwin.viewer import guard
 
     served = guard.serve(host=page.host, port=page.port)

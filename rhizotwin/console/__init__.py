@@ -1,1 +1,1 @@
-"""The laboratory console: a web page and a REST API that control the rig, its scans and their reconstructions."""
+"""Laboratory console: web page and REST API that control the rig, its scans and their reconstructions."""

@@ -1,9 +1,9 @@
-"""Access to the console: a token in the address or a password, a cookie for browsers, a header against foreign pages.
+"""Authentication of requests to the console by token, password, session cookie and page secret.
 
-Every request passes `Guard` first. A browser that has opened the address with the token, or has given the password,
-gets a cookie. The cookie alone allows reading; a request that changes something must carry the secret of the page in a
-header as well, which pages of other origins can neither read nor send. Programs send token or password as
-``Authorization: Bearer SECRET``.
+All requests pass through `Guard`. A browser receives a session cookie after it has opened the address with the token,
+or after the user has entered the password. The cookie is sufficient for reading. A request that changes the state must
+also have a header with the secret of the page, which pages of other origins can neither read nor send. Programs send
+the token or the password in the header ``Authorization: Bearer SECRET``.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HEADER = "x-rhizotwin-token"
 MOST_BYTES = 64 * 1024
-"""Maximum length of a request's body."""
+"""Maximum length of a request's body, bytes."""
 MOST_SESSIONS = 1000
 WAIT_S = 1.0
-"""Time after a wrong password, during which no other is checked (s)."""
+"""Delay after a wrong password before another password is checked, s."""
 PUBLIC = ("/console.css", "/login")
 """Paths served without authentication, for the login page."""
-REFUSED = "This page needs the whole address that `rhizotwin console` printed, with its token.\n"
+REFUSED = "The address is incomplete. Open the complete address printed by `rhizotwin console`, which includes a token.\n"
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -47,17 +47,17 @@ HEADERS = {
 
 @dataclass
 class Access:
-    """Secrets of a running console."""
+    """Secrets that grant access to a running console."""
 
     password: str = ""
-    """Empty: only the token gives access."""
+    """Password of the console; if empty, only the token grants access."""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     sessions: dict[str, str] = field(default_factory=dict)
-    """Secret of the page by cookie."""
+    """Page secret of each session, by the session cookie."""
     _checking: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     def new_session(self) -> str:
-        """Return the cookie of a new session."""
+        """Create a session, and return its cookie."""
         cookie = secrets.token_urlsafe(24)
         self.sessions[cookie] = secrets.token_urlsafe(24)
         while len(self.sessions) > MOST_SESSIONS:
@@ -65,7 +65,7 @@ class Access:
         return cookie
 
     async def allows(self, secret: str) -> bool:
-        """Check a token or password; after a wrong password the next one has to wait."""
+        """Return whether a secret is the token or the password; the check is delayed after a wrong password."""
         if _same(secret, self.token):
             return True
         if not self.password:
@@ -78,21 +78,21 @@ class Access:
 
 
 class Guard:
-    """ASGI application that lets only authorised requests through to another one.
+    """ASGI middleware that forwards authorised requests to an application and rejects all other requests.
 
     Parameters
     ----------
     app : ASGI application
-        The console's.
+        Application of the console.
     access : Access
-        The secrets.
+        Secrets that authorise a request.
     """
 
     def __init__(self, app: App, access: Access) -> None:
         self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or pass it on."""
+        """Forward an authorised request to the application, or send an error response."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
         elif scope["type"] == "http":
@@ -103,7 +103,7 @@ class Guard:
         cookie_name = cookie_of(scope)
         changes = method not in ("GET", "HEAD")
         if changes and _is_too_long(scope):
-            await _answer(send, 413, "the body of a request may have at most 64 KiB, and must state its Content-Length\n")
+            await _answer(send, 413, "the body of the request must not exceed 64 KiB, and the header Content-Length is required\n")
             return
         bearer = _header(scope, "authorization")
         if bearer.lower().startswith("bearer "):
@@ -127,21 +127,21 @@ class Guard:
         elif page_secret is None:
             await _answer(send, 401, REFUSED)
         else:
-            await _answer(send, 403, f"a request that changes something needs the header {HEADER}\n")
+            await _answer(send, 403, f"a request that changes the state of the console needs the header {HEADER} with the page's secret\n")
 
 
 def cookie_of(scope: Scope) -> str:
-    """Return the name of the cookie: browsers share cookies among the ports of a computer."""
+    """Return the name of the session cookie, which includes the port, because browsers share cookies between ports."""
     return f"rhizotwin_console_{_header(scope, 'host').rpartition(':')[2] or 'default'}"
 
 
 def login_headers(cookie_name: str, cookie: str) -> dict[str, str]:
-    """Return the headers that set a session's cookie and lead to the page."""
+    """Return the response headers that set a session cookie and redirect to the console's page."""
     return {"Location": "/", "Set-Cookie": f"{cookie_name}={cookie}; HttpOnly; SameSite=Strict; Path=/"}
 
 
 def _with_headers(send: Send) -> Send:
-    """Add the security headers to a response that does not have its own."""
+    """Return a send function that adds the security headers which a response does not already have."""
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -162,13 +162,13 @@ async def _answer(send: Send, status: int, text: str, **headers: str) -> None:
 
 
 def _header(scope: Scope, name: str) -> str:
-    """Return a header; empty where it is missing or given several times, which no browser sends."""
+    """Return the value of a request header; empty if the header is missing or repeated, which no browser sends."""
     found = [value.decode("utf-8", "replace") for key, value in scope["headers"] if key.decode("latin-1").lower() == name]
     return found[0] if len(found) == 1 else ""
 
 
 def _is_too_long(scope: Scope) -> bool:
-    """Return whether a body is too long, or its length is not known before it is read."""
+    """Return whether the body of a request is too long, or its length is unknown before it is read."""
     headers = {key.lower() for key, _ in scope["headers"]}
     if b"transfer-encoding" in headers:
         return True

@@ -1,4 +1,4 @@
-"""REST API of the console, and its page; the OpenAPI schema is served as ``/api/openapi.json``."""
+"""REST API and web page of the console; the OpenAPI schema is available at ``/api/openapi.json``."""
 
 from __future__ import annotations
 
@@ -23,26 +23,32 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, printable
 
 LOOK_S = 0.05
-"""Interval at which a waiting request looks for a change of the state (s)."""
+"""Polling interval at which a waiting request checks whether the state has changed, s."""
 LONGEST_WAIT_S = 30.0
+"""Maximum time that a request for the state may wait for a change, s."""
 REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
-"""A report runs its own scripts, and may have been written by others: it gets no cookies and can send no requests."""
+"""Content security policy of reports, whose scripts may be from untrusted sources: no cookies and no requests."""
 _PAGE = files("rhizotwin.console").joinpath("page")
 
 Client = Annotated[str, Header(alias="X-Rhizotwin-Client", min_length=1, max_length=100, description="Random identifier of the client")]
 
 
 def create_app(console: Console, access: Access) -> FastAPI:
-    """Return the application, which must be served behind `access.Guard`.
+    """Create the web application, which must be served behind `access.Guard`.
 
     Parameters
     ----------
     console : Console
-        The console.
+        Console to control.
     access : Access
-        The secrets, for the page that asks for the password.
+        Secrets for the login page.
+
+    Returns
+    -------
+    FastAPI
+        Web application.
     """
     app = FastAPI(
         title="rhizotwin console",
@@ -72,7 +78,7 @@ def create_app(console: Console, access: Access) -> FastAPI:
 
 
 def _add_pages(app: FastAPI, access: Access) -> None:
-    """Add the page and its files."""
+    """Add the routes of the web page, its files and the login page."""
 
     @app.get("/", include_in_schema=False)
     def page(request: Request) -> HTMLResponse:
@@ -106,15 +112,15 @@ def _add_pages(app: FastAPI, access: Access) -> None:
 
 
 def _add_state(app: FastAPI, console: Console) -> None:
-    """Add what clients read."""
+    """Add the routes through which clients read the state, pictures and reports."""
 
     @app.get("/api/state", tags=["state"])
     async def state(
         client: Client = "",
-        after: Annotated[int, Query(description="Version that the client has: wait for a later one")] = 0,
-        wait_s: Annotated[float, Query(ge=0.0, le=LONGEST_WAIT_S, description="Longest wait (s)")] = 0.0,
+        after: Annotated[int, Query(description="Version of the state known to the client; wait for a newer version")] = 0,
+        wait_s: Annotated[float, Query(ge=0.0, le=LONGEST_WAIT_S, description="Maximum waiting time, s")] = 0.0,
     ) -> dict[str, Any]:
-        """Return devices, picture, scan, queue and messages."""
+        """Return the state of devices, picture, scan, queue and messages."""
         end_s = time.monotonic() + wait_s
         while console.version == after and time.monotonic() < end_s:
             await asyncio.sleep(LOOK_S)
@@ -122,15 +128,15 @@ def _add_state(app: FastAPI, console: Console) -> None:
 
     @app.get("/api/picture.jpg", tags=["state"], response_class=Response, responses={200: {"content": {"image/jpeg": {}}}})
     def picture() -> Response:
-        """Return the latest picture, with the outlines of its markers."""
+        """Return the latest picture as JPEG, with the outlines of the detected markers."""
         shown = console.shown
         if shown is None:
-            raise UserError("no picture has been taken yet")
+            raise UserError("no picture has been taken yet; take a picture or start a scan first")
         return Response(shown.jpeg, media_type="image/jpeg")
 
     @app.get("/api/sketch", tags=["state"], response_class=Response, responses={200: {"content": {"application/octet-stream": {}}}})
     def sketch() -> Response:
-        """Return the sketch of the roots: float32, little-endian: edge of a cell, then x, y, z of each centre (mm)."""
+        """Return the sketch of the roots as little-endian float32, mm: edge of a cell, then x, y, z of each centre."""
         cells_mm, edge_mm = console.sketch()
         data = cells_mm.astype("<f4").tobytes()
         edge = cells_mm.dtype.type(edge_mm).astype("<f4").tobytes()
@@ -138,26 +144,26 @@ def _add_state(app: FastAPI, console: Console) -> None:
 
     @app.get("/results/{name}/report.html", tags=["state"], response_class=FileResponse)
     def report(name: str) -> FileResponse:
-        """Return the report of a reconstruction."""
+        """Return the report of a reconstruction as an HTML page."""
         path = console.folders.report(name)
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
     @app.get("/growth.html", tags=["state"], response_class=FileResponse)
     def growth() -> FileResponse:
-        """Return the page with the curves of growth."""
+        """Return the HTML page with the growth curves."""
         path = console.folders.growth()
         if path is None:
-            raise UserError("there are no curves of growth yet")
+            raise UserError("the experiment has no growth curves yet")
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
 def _add_rig(app: FastAPI, console: Console) -> None:
-    """Add what uses the devices."""
+    """Add the routes that control the devices of the rig."""
     controls = console.controls
 
     @app.post("/api/control", tags=["control"])
     def take_control(request: body.TakeControl, client: Client) -> dict[str, object]:
-        """Take control of the rig, even from another client."""
+        """Take control of the rig, even if another client has control."""
         controls.take(client, request.name)
         return controls.state(client)
 
@@ -169,51 +175,51 @@ def _add_rig(app: FastAPI, console: Console) -> None:
 
     @app.post("/api/devices/check", tags=["rig"])
     def check_devices(client: Client) -> list[dict[str, str]]:
-        """Check every device; nothing moves. The states are returned."""
+        """Check each device without moving the rig, and return the states of the devices."""
         controls.require(client)
         _wait(console.check_devices())
         return console.devices.plain()
 
     @app.post("/api/devices/release", tags=["rig"])
     def release_devices(client: Client) -> None:
-        """Switch the lights off, park the arm, switch its torque off and close the devices."""
+        """Switch off the lights, park the arm, switch off its torque and close the devices."""
         controls.require(client)
         _wait(console.let_go())
 
     @app.post("/api/command", tags=["rig"])
     def command(request: body.Command, client: Client) -> list[str]:
-        """Carry out a command of `rhizotwin rig jog`; the replies are returned."""
+        """Execute a command of `rhizotwin rig jog`, and return its output lines."""
         controls.require(client)
         replies: list[str] = _wait(console.command(request.line))
         return replies
 
     @app.post("/api/picture", tags=["rig"])
     def take_picture(client: Client) -> dict[str, str]:
-        """Take one picture, and write it to the folder `pictures`; its name is returned."""
+        """Take a picture, write it to the folder `pictures`, and return its file name."""
         controls.require(client)
         return {"name": _wait(console.take_picture())}
 
     @app.post("/api/live", tags=["rig"])
     def live(request: body.Switch, client: Client) -> None:
-        """Start or end live pictures."""
+        """Switch live pictures on or off."""
         controls.require(client)
         console.set_live(on=request.on)
 
 
 def _add_scans(app: FastAPI, console: Console) -> None:
-    """Add scans."""
+    """Add the routes that start and control scans."""
     controls = console.controls
 
     @app.post("/api/scans", tags=["scans"], status_code=202)
     def start(request: body.StartScan, client: Client) -> dict[str, str]:
-        """Start a scan; its name is returned."""
+        """Start a scan, and return its name."""
         controls.require(client)
         more = request.model_dump(include={"name", "reconstruct", "paused", "table_angle_deg"})
         return {"name": console.start_scan(request.subject(), **more)}
 
     @app.post("/api/scans/{name}/finish", tags=["scans"], status_code=202)
     def finish(name: str, request: body.Finish, client: Client) -> None:
-        """Finish an interrupted scan: only missing pictures are taken."""
+        """Finish an interrupted scan by taking the missing pictures."""
         controls.require(client)
         console.resume_scan(name, **request.model_dump())
 
@@ -231,29 +237,32 @@ def _add_scans(app: FastAPI, console: Console) -> None:
 
     @app.post("/api/scan/stop", tags=["scans"])
     def stop() -> None:
-        """Stop the running scan safely: lights off, arm parked, pictures kept. Every client may do this."""
+        """Stop the running scan safely: switch off the lights, park the arm and keep the pictures.
+
+        Clients without control of the rig may also stop a scan.
+        """
         console.running().live.stop()
 
     @app.post("/api/answer", tags=["rig"])
     def answer(request: body.Answer, client: Client) -> None:
-        """Answer the question to the person at the rig."""
+        """Answer the current question to the person at the rig."""
         controls.require(client)
         console.questions.answer(request.text)
 
 
 def _add_plans(app: FastAPI, console: Console) -> None:
-    """Add the schedule and the queue."""
+    """Add the routes that control the schedule and the queue of reconstructions."""
     controls = console.controls
 
     @app.post("/api/schedule/start", tags=["schedule"], status_code=202)
     def start_schedule(client: Client) -> None:
-        """Make the planned scans that are due, and wait for the others."""
+        """Start the schedule, which performs each planned scan of the experiment at its time."""
         controls.require(client)
         console.start_schedule()
 
     @app.post("/api/schedule/stop", tags=["schedule"])
     def stop_schedule(client: Client) -> None:
-        """End the schedule after the present scan."""
+        """Stop the schedule after the current scan."""
         controls.require(client)
         console.stop_schedule()
 
@@ -271,7 +280,7 @@ def _add_plans(app: FastAPI, console: Console) -> None:
 
 
 def _wait(future: Future[Any]) -> Any:
-    """Return the result of an action of the rig's thread; errors other than `UserError` become one."""
+    """Wait for an action of the rig's thread and return its result; other errors are converted to `UserError`."""
     try:
         return future.result()
     except UserError:

@@ -1,4 +1,4 @@
-"""Python client of the console's REST API, with the standard library only."""
+"""Python client of the console's REST API, which needs only the standard library."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from urllib.request import ProxyHandler, Request, build_opener
 from rhizotwin.scenes.errors import UserError
 
 TIMEOUT_S = 120.0
-"""Longest time without an answer (s): the arm's alignment takes most of it."""
+"""Timeout of a request, s; the slowest request is the alignment of the arm."""
 WAIT_S = 20.0
+"""Time after which a request for a change of the state is repeated, s."""
 
 
 class Console:
-    """A connection to a console.
+    """Connection to a running console.
 
     Parameters
     ----------
     address : str
-        As `rhizotwin console` printed it, with its token; or without, together with ``password``.
+        Address printed by `rhizotwin console`; the token in the address is not needed if ``password`` is given.
     password : str
-        Password of a console in the network.
+        Password of the console.
 
     Examples
     --------
@@ -41,22 +42,27 @@ class Console:
         self._base = f"{parts.scheme}://{parts.netloc}"
         self._secret = password or parse_qs(parts.query).get("token", [""])[0]
         self._client = secrets.token_hex(16)
-        self._opener = build_opener(ProxyHandler({}))  # a console is in the same network
+        self._opener = build_opener(ProxyHandler({}))  # no proxy, because a console is in the same network
 
     def request(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
-        """Send a request and return its answer: JSON values, or bytes of other types.
+        """Send a request to the REST API, and return its response.
 
         Parameters
         ----------
         method, path : str
-            As in the OpenAPI schema, ``/api/openapi.json``.
+            HTTP method and path from the OpenAPI schema (``/api/openapi.json``).
         body : dict or None
-            JSON values.
+            Request body as JSON values.
+
+        Returns
+        -------
+        object
+            JSON values, or bytes for other content types.
 
         Raises
         ------
         UserError
-            With the console's reason for a refusal, or where it cannot be reached.
+            If the console rejects the request (with the reason) or cannot be reached.
         """
         data = None if method == "GET" else b"" if body is None else json.dumps(body).encode()
         bearer = f"Bearer {self._secret}".encode().decode("latin-1")  # UTF-8: http.client encodes headers as Latin-1
@@ -69,24 +75,24 @@ class Console:
         except HTTPError as error:
             raise UserError(_reason(error)) from None
         except (URLError, OSError, http.client.HTTPException) as error:
-            raise UserError(f"the console at {self._base} cannot be reached ({error})") from error
+            raise UserError(f"the console at {self._base} could not be reached ({error}); check that it is running") from error
         return json.loads(content) if is_json else content
 
     def state(self, *, after: int = 0, wait_s: float = 0.0) -> dict[str, Any]:
-        """Return devices, picture, scan, queue and messages.
+        """Return the state of devices, picture, scan, queue and messages.
 
         Parameters
         ----------
         after : int
-            Version of the state that is known: wait for a later one.
+            Version of the known state; the console waits for a newer version.
         wait_s : float
-            Longest wait.
+            Maximum waiting time.
         """
         found: dict[str, Any] = self.request("GET", f"/api/state?after={after}&wait_s={wait_s:g}")
         return found
 
     def take_control(self, name: str) -> None:
-        """Take control of the rig under a name that others see, even from another client."""
+        """Take control of the rig even if another client has control; ``name`` is shown to other clients."""
         self.request("POST", "/api/control", {"name": name})
 
     def release_control(self) -> None:
@@ -94,21 +100,21 @@ class Console:
         self.request("DELETE", "/api/control")
 
     def check_devices(self) -> list[dict[str, str]]:
-        """Check every device; return their states."""
+        """Check each device without moving the rig, and return the states of the devices."""
         found: list[dict[str, str]] = self.request("POST", "/api/devices/check")
         return found
 
     def release_devices(self) -> None:
-        """Switch the lights off, park the arm, switch its torque off and close the devices."""
+        """Switch off the lights, park the arm, switch off its torque and close the devices."""
         self.request("POST", "/api/devices/release")
 
     def command(self, line: str) -> list[str]:
-        """Carry out a command of ``rhizotwin rig jog``, such as ``table +9``; return its replies."""
+        """Execute a command of ``rhizotwin rig jog``, such as ``table +9``, and return its output lines."""
         found: list[str] = self.request("POST", "/api/command", {"line": line})
         return found
 
     def take_picture(self) -> str:
-        """Take a picture and keep it; return its file's name."""
+        """Take a picture, store it in the console's folder, and return its file name."""
         return str(self.request("POST", "/api/picture")["name"])
 
     def picture(self) -> bytes:
@@ -117,17 +123,17 @@ class Console:
         return found
 
     def start_scan(self, **options: Any) -> str:
-        """Start a scan; return its name.
+        """Start a scan, and return its name.
 
         Parameters
         ----------
         **options : object
-            As ``StartScan`` in the OpenAPI schema: plant, treatment, day, name, reconstruct and others.
+            Fields of ``StartScan`` in the OpenAPI schema, such as plant, treatment, day, name and reconstruct.
         """
         return str(self.request("POST", "/api/scans", options)["name"])
 
     def finish_scan(self, name: str, **options: Any) -> None:
-        """Finish an interrupted scan; the options are those of ``Finish`` in the OpenAPI schema."""
+        """Finish an interrupted scan; ``options`` are fields of ``Finish`` in the OpenAPI schema."""
         self.request("POST", f"/api/scans/{quote(name, safe='')}/finish", options)
 
     def pause_scan(self) -> None:
@@ -139,19 +145,19 @@ class Console:
         self.request("POST", "/api/scan/continue")
 
     def stop_scan(self) -> None:
-        """Stop the running scan safely; its pictures are kept."""
+        """Stop the running scan safely; the pictures taken so far are kept."""
         self.request("POST", "/api/scan/stop")
 
     def answer(self, text: str) -> None:
-        """Answer the question to the person at the rig (``question`` in the state)."""
+        """Answer the current question to the person at the rig, which is ``question`` in the state."""
         self.request("POST", "/api/answer", {"text": text})
 
     def start_schedule(self) -> None:
-        """Make the planned scans of the experiment that are due, and wait for the others."""
+        """Start the schedule, which performs each planned scan of the experiment at its time."""
         self.request("POST", "/api/schedule/start")
 
     def stop_schedule(self) -> None:
-        """End the schedule after the present scan."""
+        """Stop the schedule after the current scan."""
         self.request("POST", "/api/schedule/stop")
 
     def reconstruct(self, scan: str) -> None:
@@ -163,47 +169,47 @@ class Console:
         self.request("DELETE", f"/api/queue/{quote(scan, safe='')}")
 
     def report(self, scan: str) -> bytes:
-        """Return the report of a reconstruction, an HTML page."""
+        """Return the HTML page with the report of a reconstruction."""
         found: bytes = self.request("GET", f"/results/{quote(scan, safe='')}/report.html")
         return found
 
     def wait_for_scan(self, *, timeout_s: float = float("inf")) -> dict[str, Any]:
-        """Wait until no scan is running; return the state of the last one.
+        """Wait until the running scan has ended, and return its final state.
 
         Raises
         ------
         UserError
-            When the scan still runs at the end of the time, or was not completed.
+            If the scan is still running after ``timeout_s``, or was not completed.
         """
-        state = self._wait(lambda state: state["activity"] == "", timeout_s, "the rig is still busy")
+        state = self._wait(lambda state: state["activity"] == "", timeout_s, "the rig is still busy after the timeout")
         scan: dict[str, Any] | None = state["scan"]
         if scan is None:
-            raise UserError("no scan was started")
+            raise UserError("no scan was started; start a scan first")
         listed = {one["name"]: one for one in state["scans"]}
         if not listed.get(scan["name"], {}).get("complete"):
             errors = [message["text"] for message in state["messages"] if message["kind"] == "error"]
-            raise UserError(errors[0] if errors else f"{scan['name']}: the scan was stopped")
+            raise UserError(errors[0] if errors else f"the scan {scan['name']} was stopped before it was complete")
         return scan
 
     def wait_for_reconstruction(self, scan: str, *, timeout_s: float = float("inf")) -> dict[str, Any]:
-        """Wait until a scan has left the queue; return its result.
+        """Wait until the reconstruction of a scan has ended, and return its result.
 
         Raises
         ------
         UserError
-            When the reconstruction failed, or still runs at the end of the time.
+            If the reconstruction failed, or has not ended after ``timeout_s``.
         """
 
         def ended(state: dict[str, Any]) -> bool:
             return not any(job["scan"] == scan and job["state"] in ("waiting", "running") for job in state["queue"])
 
-        state = self._wait(ended, timeout_s, f"{scan} is still in the queue")
+        state = self._wait(ended, timeout_s, f"the scan {scan} is still in the queue after the timeout")
         job = next((job for job in state["queue"] if job["scan"] == scan), None)
         if job is not None and job["state"] == "failed":
-            raise UserError(f"{scan}: {job['error']}")
+            raise UserError(f"the reconstruction of {scan} failed: {job['error']}")
         result: dict[str, Any] | None = next((one["result"] for one in state["scans"] if one["name"] == scan), None)
         if result is None:
-            raise UserError(f"{scan} has no result")
+            raise UserError(f"the scan {scan} has no result")
         return result
 
     def _wait(self, until: Any, timeout_s: float, late: str) -> dict[str, Any]:
@@ -218,10 +224,10 @@ class Console:
 
 
 def _reason(error: HTTPError) -> str:
-    """Return the reason of a refusal, as the console gives it."""
+    """Return the console's reason for rejecting a request."""
     text = error.read().decode("utf-8", "replace").strip()
     try:
         detail = json.loads(text)["detail"]
     except (ValueError, KeyError, TypeError):
-        return text or f"the console answered {error.code} {error.reason}"
+        return text or f"the console rejected the request ({error.code} {error.reason})"
     return detail if isinstance(detail, str) else "; ".join(f"{one['loc'][-1]}: {one['msg']}" for one in detail)

@@ -1,4 +1,4 @@
-"""The console: rig, scans, queue and messages, with one state that every client sees."""
+"""Console with the rig, scans, reconstruction queue and messages, whose state is shared by all clients."""
 
 from __future__ import annotations
 
@@ -45,48 +45,48 @@ if TYPE_CHECKING:
 
 LOCK = ".rhizotwin-console-lock"
 CATALOGUE = "laboratory.rhizotwin"
-"""Catalogue of a console without an experiment."""
+"""File name of the catalogue if the console has no experiment."""
 LIVE_S = 8.0
-"""Live pictures end so long after the last client asked for the state (s)."""
+"""Timeout of live pictures, s; they end if no client has requested the state for this time."""
 WORDS = ("table", "home", "lights", "band", "joint", "go", "look", "align", "park", "relax", "pose", "markers")
-"""Commands of `rig.jog` that clients may give; its ``picture`` writes a file of any name."""
+"""Commands of `rig.jog` permitted to clients; ``picture`` is excluded, because it writes to any path."""
 
 
 class Console:
-    """The laboratory's rig, scans and reconstructions.
+    """Console of a laboratory, which controls the rig, its scans and their reconstructions.
 
     Parameters
     ----------
     bench : Bench
-        The rig.
+        Rig with its scene.
     folder : path
-        Of scans, results and the queue; one console at a time works in it.
+        Folder of scans, results and the queue, which only one console can use at a time.
     twin : TwinPictures or None
-        How the twin makes its pictures; None for a real rig.
+        Options of the emulated rig; None for a real rig.
     experiment : Experiment or None
-        Whose plants and schedule; its folders are used, and ``folder`` is that of its file.
+        Time-lapse experiment whose plants, schedule and folders are used; ``folder`` is then that of its file.
 
     Raises
     ------
     UserError
-        When another console works in the folder.
+        If another console uses the folder.
     """
 
     def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None, experiment: Experiment | None = None) -> None:
         self.bench, self.twin, self.experiment = bench, twin, experiment
         self.version = 1
-        """Increases with every change of the state."""
+        """Version of the state, which increases with each change."""
         self._lock = threading.Lock()
         self.controls = Controls(self.changed)
         self.devices = DeviceStates(self.changed)
         self.messages = Messages(self.changed)
         self.questions = Questions(self.changed)
         self.schedule: ScheduleRun | None = None
-        """The running schedule."""
+        """Running schedule; None if no schedule is running."""
         self.shown: Shown | None = None
-        """The latest picture."""
+        """Latest picture; None before the first picture."""
         self.scan: RunningScan | None = None
-        """The running or the last scan."""
+        """Running or most recent scan; None before the first scan."""
         self._closing = False
         self._replies: list[str] = []
         self._view = StateView(self)
@@ -104,7 +104,7 @@ class Console:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Stop scan, schedule and reconstruction, leave the rig safe, and release the folder."""
+        """Stop scan, schedule and reconstruction, bring the rig to a safe state, and release the folder."""
         self._closing = True
         self.stop_schedule()
         if self.scan is not None:
@@ -112,21 +112,21 @@ class Console:
         self._stack.close()
 
     def changed(self) -> None:
-        """Note a change of the state."""
+        """Increase the version after a change of the state."""
         with self._lock:
             self.version += 1
 
     # state
 
     def state(self, client: str) -> dict[str, Any]:
-        """Return everything that a client shows, as JSON values."""
+        """Return the complete state for a client, as JSON values."""
         if self.rig.live_until_s > 0.0:
             self.rig.live_until_s = time.monotonic() + LIVE_S
         self.controls.touch(client)
         return self._view.plain(client)
 
     def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
-        """Return the centres (N, 3) of the sketch's cells in the canister's frame, and their edge (mm)."""
+        """Return the centres (N, 3) of the sketch's cells in the canister frame, mm, and their edge length, mm."""
         if self.scan is None:
             return np.zeros((0, 3), np.float32), 1.0
         live = self.scan.live
@@ -135,33 +135,33 @@ class Console:
     # actions
 
     def check_devices(self) -> Future[None]:
-        """Check every device, as `rhizotwin rig check` does; nothing moves."""
+        """Check each device without moving the rig, as `rhizotwin rig check` does."""
         return self.rig.begin("check of the devices", self._check)
 
     def command(self, line: str) -> Future[list[str]]:
-        """Carry out a line of `rhizotwin rig jog`, and return its replies.
+        """Execute a command of `rhizotwin rig jog`, and return its output lines.
 
         Raises
         ------
         UserError
-            For a command that clients may not give, and while the rig is busy.
+            If the command is unknown or not permitted to clients, or the rig is busy.
         """
         words = line.split()
         if not words or words[0] not in WORDS:
-            raise UserError(f"{line[:60]!r} is not a command; give one of {', '.join(WORDS)}")
+            raise UserError(f"{line[:60]!r} is not a command of the console; use one of {', '.join(WORDS)}")
         return self.rig.begin(line, lambda: self._command(words))
 
     def take_picture(self) -> Future[str]:
-        """Take a picture, and write it to the folder ``pictures`` under a name made of the time; return its name."""
+        """Take a picture, write it to the folder ``pictures``, and return its file name, which is the time."""
         return self.rig.begin("picture", self._take_picture)
 
     def let_go(self) -> Future[None]:
-        """Switch the lights off, park the arm, switch its torque off, and close the devices."""
+        """Switch off the lights, park the arm, switch off its torque, and close the devices."""
         self.set_live(on=False)
-        return self.rig.begin("leaving the rig safe", self.rig.let_go)
+        return self.rig.begin("release of the devices", self.rig.let_go)
 
     def set_live(self, *, on: bool) -> None:
-        """Start or end live pictures; they are taken only while clients ask for the state."""
+        """Switch live pictures on or off; live pictures are taken only while clients request the state."""
         self.rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
         self.changed()
 
@@ -174,25 +174,25 @@ class Console:
         paused: bool = False,
         table_angle_deg: float | None = None,
     ) -> str:
-        """Start a scan and return its name.
+        """Start a scan, and return its name.
 
         Parameters
         ----------
         subject : SubjectOptions
-            Whose roots are in the canister.
+            Plant in the canister.
         name : str
-            Name of a new scan; empty: plant and date.
+            Name of the new scan; if empty, plant and date.
         reconstruct : bool
-            Add the finished scan to the queue.
+            Add the finished scan to the queue of reconstructions.
         paused : bool
-            Wait before the first picture.
+            Pause the scan before the first picture.
         table_angle_deg : float or None
-            Present angle of the table, where the markers cannot be read.
+            Initial angle of the turntable, deg; required only if the markers cannot be read.
 
         Raises
         ------
         UserError
-            For a name that exists, a subject that is not valid, and while the rig is busy.
+            If the name already exists, the plant is invalid, or the rig is busy.
         """
         scene = subject.apply_to(self.bench.scene)
         dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
@@ -202,12 +202,12 @@ class Console:
         return name
 
     def resume_scan(self, name: str, *, reconstruct: bool = True, table_angle_deg: float | None = None) -> None:
-        """Finish an interrupted scan, with the subject that it was begun with.
+        """Finish an interrupted scan of the same plant.
 
         Raises
         ------
         UserError
-            For a scan that does not exist, and while the rig is busy.
+            If the scan does not exist, or the rig is busy.
         """
         folder = self.folders.scan(name)
         known = load_dataset(folder).scene
@@ -215,37 +215,37 @@ class Console:
         self._start(folder, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
 
     def start_schedule(self) -> None:
-        """Make the planned scans of the experiment that are due, and wait for the others.
+        """Start the schedule, which performs each planned scan of the experiment at its time.
 
         Raises
         ------
         UserError
-            Without an experiment, and while the rig is busy.
+            If the console has no experiment, or the rig is busy.
         """
         if self.experiment is None:
-            raise UserError("there is no schedule: start the console with --experiment")
+            raise UserError("the console has no schedule; start it with --experiment FILE")
         schedule = ScheduleRun(self.experiment, ask=self._ask, say=self._say_scan, show_scan=self._show_scan)
 
         def run() -> None:
             self.rig.let_go()
             self.schedule = schedule
-            if self._closing:  # `close` began before it could see this run
+            if self._closing:  # `close` was called before this run was visible to it
                 schedule.stopping = True
             try:
                 outcome = schedule.run()
             except KeyboardInterrupt:
-                self.messages.add("the schedule was stopped; it can be started again")
+                self.messages.add("the schedule was stopped; start it again to continue")
                 return
             finally:
                 self.schedule = None
-            left = f", {len(outcome.open)} still to be made" if outcome.open else ""
-            self.messages.add(f"schedule ended: {outcome.scanned} scans made, {len(outcome.missed)} missed{left}")
+            left = f", and {len(outcome.open)} are still planned" if outcome.open else ""
+            self.messages.add(f"the schedule has ended: {outcome.scanned} scans are finished, {len(outcome.missed)} were missed{left}")
 
         self.set_live(on=False)
         self.rig.begin(f"schedule of {self.experiment.name}", run)
 
     def stop_schedule(self) -> None:
-        """End the schedule after the present scan; an open question is withdrawn."""
+        """Stop the schedule after the current scan, and cancel a pending question."""
         schedule = self.schedule
         if schedule is not None:
             schedule.stopping = True
@@ -257,7 +257,7 @@ class Console:
         Raises
         ------
         UserError
-            Where none is running.
+            If no scan is running.
         """
         scan = self.scan
         if scan is None or scan.live.ended:
@@ -310,7 +310,7 @@ class Console:
                         table_angle_deg=table_angle_deg,
                     )
             except KeyboardInterrupt:
-                self.messages.add(f"{name}: stopped; it can be finished later")
+                self.messages.add(f"{name}: the scan was stopped and can be finished later")
                 return
             except Exception as error:
                 scan.error = for_console(error_sentence(error))
@@ -326,7 +326,7 @@ class Console:
         self.rig.begin(f"scan {name}", run)
 
     def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
-        """Make a scan the one that the console shows."""
+        """Set the scan that the console shows, and return its state."""
         self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
         if self._closing:
             self.scan.live.stop()
@@ -334,7 +334,7 @@ class Console:
         return self.scan
 
     def _ask(self, question: str) -> str:
-        """Ask the person at the rig; the end of the scan, the schedule or the console ends the wait."""
+        """Ask the person at the rig; stopping the scan, the schedule or the console cancels the question."""
 
         def cancelled() -> bool:
             scan, schedule = self.scan, self.schedule
@@ -372,10 +372,10 @@ class Console:
 
     def _reconstructed(self, job: Job) -> None:
         if job.state == "failed":
-            self.messages.error(f"{job.scan}: not reconstructed: {job.error}")
+            self.messages.error(f"{job.scan}: the reconstruction failed: {job.error}")
             return
-        self.messages.add(f"{job.scan}: reconstructed")
+        self.messages.add(f"{job.scan}: the reconstruction is finished")
         try:
             self.plants.add_result(self.folders.result(job.scan))
         except UserError as error:
-            self.messages.error(f"{job.scan}: not added to the catalogue: {error}")
+            self.messages.error(f"{job.scan}: the result could not be added to the catalogue: {error}")

@@ -1,4 +1,4 @@
-"""Control of the rig: one client at a time has it, and every client sees who."""
+"""Exclusive control of the rig by one client at a time, whose name is shown to all clients."""
 
 import threading
 import time
@@ -9,27 +9,28 @@ from datetime import datetime
 from rhizotwin.scenes.errors import UserError
 
 MOST_LETTERS = 40
-"""Length of a name."""
+"""Maximum length of a client's name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Holder:
-    """The client in control."""
+    """Client that has control of the rig."""
 
     client: str
-    """Identifier that the client chose at random; it is not shown to others."""
+    """Random identifier chosen by the client, which is not shown to other clients."""
     name: str
+    """Name of the client, which is shown to all clients."""
     since: str
-    """Local time, such as 14:05."""
+    """Local time at which the client took control, such as 14:05."""
 
 
 class Controls:
-    """Assigns the control of the rig.
+    """Assigns control of the rig to one client at a time.
 
     Parameters
     ----------
     on_change : callable
-        Called when another client takes or releases control.
+        Function that is called when a client takes or releases control.
     """
 
     def __init__(self, on_change: Callable[[], object]) -> None:
@@ -39,16 +40,16 @@ class Controls:
         self._active_s = 0.0
 
     def take(self, client: str, name: str) -> None:
-        """Give a client control, even where another has it.
+        """Assign control to a client, even if another client has control.
 
         Raises
         ------
         UserError
-            For a name that is empty, too long or not printable.
+            If the name is empty, too long or not printable.
         """
         name = name.strip()
         if not 0 < len(name) <= MOST_LETTERS or not name.isprintable():
-            raise UserError(f"name: must be 1 to {MOST_LETTERS} printable letters")
+            raise UserError(f"the name of a client must have 1 to {MOST_LETTERS} printable characters")
         with self._lock:
             now = datetime.now().astimezone()
             self._holder = Holder(client=client, name=name, since=f"{now:%H:%M}")
@@ -56,7 +57,7 @@ class Controls:
         self._on_change()
 
     def release(self, client: str) -> None:
-        """Release control, if this client has it."""
+        """Release control if the given client has control."""
         with self._lock:
             if self._holder is None or self._holder.client != client:
                 return
@@ -64,12 +65,12 @@ class Controls:
         self._on_change()
 
     def require(self, client: str) -> None:
-        """Check that a client has control.
+        """Check that a client has control of the rig.
 
         Raises
         ------
         UserError
-            Where no client or another one has it.
+            If no client or another client has control.
         """
         with self._lock:
             holder = self._holder
@@ -77,8 +78,8 @@ class Controls:
                 self._active_s = time.monotonic()
                 return
         if holder is None:
-            raise UserError("no one has control of the rig: take control first")
-        raise UserError(f"{holder.name} has had control of the rig since {holder.since}: take over first")
+            raise UserError("this action needs control of the rig; take control first")
+        raise UserError(f"{holder.name} has had control of the rig since {holder.since}; take control first")
 
     def touch(self, client: str) -> None:
         """Record that a client is still connected."""
@@ -87,7 +88,7 @@ class Controls:
                 self._active_s = time.monotonic()
 
     def state(self, client: str) -> dict[str, object]:
-        """Return who has control, as JSON values for one client."""
+        """Return the name and activity of the client in control, as JSON values for the given client."""
         with self._lock:
             holder = self._holder
             if holder is None:

@@ -1,4 +1,4 @@
-"""State of each device of the rig, from the lines of checks and scans and from the errors of the drivers."""
+"""State of each device of the rig, parsed from the output of checks and scans and from driver errors."""
 
 import re
 from collections.abc import Callable
@@ -7,30 +7,30 @@ from datetime import datetime
 from typing import Literal
 
 NAMES = ("turntable", "lights", "arm", "camera", "picture", "markers", "disk")
-"""Devices and other parts that a check reports, in the order in which they are shown."""
+"""Names of the devices and other items that a check reports, in the order of display."""
 _ERROR = re.compile(r"(?P<name>\w+)(: |, | on )")
 State = Literal["unknown", "ok", "wrong"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A device and what is known about it."""
+    """Device of the rig with its last known state."""
 
     name: str
     state: State = "unknown"
     text: str = "not checked yet"
-    """Reply of the device, or the error with what to do."""
+    """Reply of the device, or error message with advice."""
     time: str = ""
-    """Local time of the last change."""
+    """Local time of the last change of the state."""
 
 
 class DeviceStates:
-    """State of all devices.
+    """Collects the states of all devices.
 
     Parameters
     ----------
     on_change : callable
-        Called after a change.
+        Function that is called after each change.
     """
 
     def __init__(self, on_change: Callable[[], object]) -> None:
@@ -38,24 +38,24 @@ class DeviceStates:
         self._devices = {name: Device(name=name) for name in NAMES}
 
     def plain(self) -> list[dict[str, str]]:
-        """Return the devices as JSON values."""
+        """Return the states of all devices as JSON values."""
         return [asdict(device) for device in self._devices.values()]
 
     def read_check(self, line: str) -> None:
-        """Read a line of `rig.bench.check`: name, verdict and text."""
+        """Parse an output line of `rig.bench.check`, which consists of name, verdict and text."""
         name, _, rest = line.partition(" ")
         verdict, _, text = rest.strip().partition(" ")
         if name in self._devices and verdict in ("ok", "WRONG"):
             self._set(name, "ok" if verdict == "ok" else "wrong", text.strip())
 
     def read_report(self, line: str) -> None:
-        """Read a line of a scan's preflight: name and text; other lines are ignored."""
+        """Parse an output line of the checks before a scan, which consists of name and text; ignore other lines."""
         name, _, text = line.partition(" ")
         if name in self._devices and text.strip():
             self._set(name, "ok", text.strip())
 
     def read_error(self, text: str) -> None:
-        """Read an error of a driver, which begins with the device's name."""
+        """Parse an error message of a driver, which begins with the name of the device."""
         found = _ERROR.match(text)
         if found and found["name"] in self._devices:
             self._set(found["name"], "wrong", text.removeprefix(f"{found['name']}: "))

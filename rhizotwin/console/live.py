@@ -1,4 +1,4 @@
-"""State of a running scan for the console: latest picture, progress and sketch; pause, continue and stop."""
+"""Live state of a running scan (latest picture, progress and sketch), and functions to pause and stop the scan."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes.model import Scene
 
 CARVE_EVERY = 4
-"""Pictures between two sketches: a sketch takes seconds of a thread of its own."""
+"""Number of pictures after which the sketch is updated, which takes a separate thread a few seconds."""
 HOLD_S = 0.5
-"""Interval at which a paused scan checks the arm (s)."""
+"""Polling interval at which a paused scan checks the arm, s."""
 
 
 class Live(Observer):
-    """Observer that keeps the state of a scan for the console.
+    """Scan observer that provides the live state of the scan to the console.
 
     Parameters
     ----------
     scene : Scene
-        As the scan knows it.
+        Nominal scene of the scan.
     on_change : callable
-        Called after every change, from several threads.
+        Function that is called after each change, from several threads.
     paused : bool
-        Wait before the first picture.
+        Pause the scan before the first picture.
     """
 
     watches_motion = True
@@ -40,9 +40,9 @@ class Live(Observer):
         self.scene = scene
         self.total = self.done = 0
         self.last: Look | None = None
-        """The latest picture."""
+        """Latest picture with its measurements; None before the first picture."""
         self.panel: tuple[float, float] | None = None
-        """5th and 95th percentile of the panel's brightness (fractions of full scale)."""
+        """5th and 95th percentile of the panel's brightness, as fractions of full scale; None if unknown."""
         self.cells_mm: NDArray[np.float64] = np.zeros((0, 3))
         self.cell_mm = 1.0
         self.paused = paused
@@ -56,12 +56,12 @@ class Live(Observer):
         self._begun_s, self._held_s = time.monotonic(), 0.0
 
     def on_plan(self, total: int, done: int) -> None:
-        """Set the number of planned pictures, and of those that an earlier run took."""
+        """Set the number of planned pictures, and the number of pictures that an earlier run has taken."""
         self.total, self.done, self._begun_s = total, done, time.monotonic()
         self._changed()
 
     def on_look(self, look: Look) -> None:
-        """Keep the latest picture, and update the sketch from time to time."""
+        """Store the latest picture, and update the sketch after every `CARVE_EVERY` pictures."""
         self.done += 1
         self._taken += 1
         self.last = look
@@ -69,19 +69,19 @@ class Live(Observer):
         self._changed()
 
     def on_drop(self, files: list[str]) -> None:
-        """Remove rejected pictures from the count and the sketch."""
+        """Remove rejected pictures from the progress and from the sketch."""
         self.done -= len(files)
         for file in files:
             self._worker.submit(self._sketch.drop, file)
         self._changed()
 
     def holds(self) -> bool:
-        """Return whether the scan is paused, after a short wait if it is.
+        """Return whether the scan is paused, after a short wait in this case.
 
         Raises
         ------
         KeyboardInterrupt
-            After `stop`: ends the scan as Ctrl-C does.
+            If `stop` was called, to end the scan like Ctrl-C.
         """
         with self._wake:
             begun_s = time.monotonic()
@@ -93,14 +93,14 @@ class Live(Observer):
             return self.paused
 
     def pause(self, *, paused: bool) -> None:
-        """Pause before the next picture, or continue."""
+        """Pause the scan before the next picture, or continue it."""
         with self._wake:
             self.paused = paused
             self._wake.notify_all()
         self._changed()
 
     def stop(self) -> None:
-        """End the scan as Ctrl-C does: lights off, arm parked, pictures kept."""
+        """Stop the scan like Ctrl-C: switch off the lights, park the arm and keep the pictures."""
         with self._wake:
             self._stop = True
             self._wake.notify_all()
@@ -108,17 +108,17 @@ class Live(Observer):
 
     @property
     def stopping(self) -> bool:
-        """Whether the scan is being ended by `stop`."""
+        """Whether `stop` was called."""
         return self._stop
 
     def left_s(self) -> float | None:
-        """Return the remaining time, from that of the pictures so far without pauses; None before two pictures."""
+        """Estimate the remaining time from the mean time per picture without pauses; None before the second picture."""
         if self._taken < 2:
             return None
         return (time.monotonic() - self._begun_s - self._held_s) / self._taken * (self.total - self.done)
 
     def close(self) -> None:
-        """Finish the sketch."""
+        """Update the sketch for the last time, and end its thread."""
         self._worker.submit(self._carve)
         self._worker.shutdown(wait=True)
         self.ended = True
@@ -137,6 +137,6 @@ class Live(Observer):
         self._changed()
 
     def _changed(self) -> None:
-        """Notify the console; an error there must not affect the scan."""
+        """Notify the console, and ignore its errors, which must not affect the scan."""
         with suppress(Exception):
             self._on_change()

@@ -1,4 +1,4 @@
-"""Messages of the console: recent lines of scans, commands and errors, with their time."""
+"""Recent messages of the console about scans, commands and errors, with their times."""
 
 import re
 import threading
@@ -12,15 +12,16 @@ from rhizotwin.scenes.formatting import printable
 
 KEPT = 200
 RESUME = re.compile("(finish the scan|start the scan again|resume) with --resume")
-"""Advice for the command line."""
+"""Advice for users of the command line, which `for_console` replaces."""
 Kind = Literal["info", "error"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Message:
-    """One line."""
+    """Message with its time."""
 
     number: int
+    """Consecutive number of the message."""
     time: str
     """Local time, such as 14:05:10."""
     kind: Kind
@@ -28,17 +29,17 @@ class Message:
 
 
 def for_console(text: str) -> str:
-    """Return a message with advice for the console instead of the command line."""
+    """Replace advice for users of the command line in a message by advice for users of the console."""
     return printable(RESUME.sub("finish the scan, or start it again", text))
 
 
 class Messages:
-    """The most recent messages.
+    """Stores the `KEPT` most recent messages.
 
     Parameters
     ----------
     on_change : callable
-        Called after each message.
+        Function that is called after each new message.
     """
 
     def __init__(self, on_change: Callable[[], object]) -> None:
@@ -56,10 +57,10 @@ class Messages:
         self._on_change()
 
     def error(self, text: str) -> None:
-        """Add an error."""
+        """Add an error message."""
         self.add(text, "error")
 
     def plain(self) -> list[dict[str, object]]:
-        """Return the messages as JSON values, the latest first."""
+        """Return the messages as JSON values, with the latest message first."""
         with self._lock:
             return [asdict(message) for message in reversed(self._kept)]

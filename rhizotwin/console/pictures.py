@@ -1,4 +1,4 @@
-"""Pictures of the rig for people: brightness for a screen, outlines of the markers, and measurements with limits."""
+"""Preparation of the rig's pictures for display, with marker outlines and measurements of the picture quality."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.scenes.picture_codec import Grey
 
 TRUST = TrustSettings()
-"""Limits of the checks of the reconstruction, so that a picture that is good here is good there."""
+"""Limits of the reconstruction's checks, which the console applies to the measurements as well."""
 PICTURE_PX = 800
-"""Width to which wider pictures are reduced."""
+"""Maximum width of a displayed picture; wider pictures are reduced."""
 JPEG_QUALITY = 85
 _MARKER_BGR = (90, 210, 0)
 
@@ -26,7 +26,7 @@ State = Literal["good", "fair", "bad"]
 
 @dataclass(frozen=True, kw_only=True)
 class Meter:
-    """One measurement of a picture."""
+    """Measured property of a picture with its limits and verdict."""
 
     name: str
     value: str
@@ -36,10 +36,10 @@ class Meter:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """A picture as the console shows it."""
+    """Picture prepared for display in the console."""
 
     number: int
-    """Increases with every picture."""
+    """Consecutive number of the picture."""
     title: str
     jpeg: bytes
     meters: tuple[Meter, ...]
@@ -54,40 +54,45 @@ def show(
     panel: tuple[float, float] | None = None,
     motion: float | None = None,
 ) -> Shown:
-    """Prepare a picture for the console.
+    """Prepare a picture for display in the console.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        Linear in light.
+        Picture with linear values.
     sighting : Sighting or None
-        Markers of the picture.
+        Markers detected in the picture; None if they could not be read.
     number, title : int, str
-        As in `Shown`.
+        Consecutive number and title of the picture.
     panel : tuple of float or None
-        5th and 95th percentile of the panel's brightness, where they are known.
+        5th and 95th percentile of the panel's brightness, as fractions of full scale; None if unknown.
     motion : float or None
-        Fraction of the picture that moved after the stop, where it was measured.
+        Fraction of the picture that still moved after the turntable stopped; None if it was not measured.
     """
     return Shown(number=number, title=title, jpeg=jpeg(image, sighting), meters=meters(image, sighting, panel=panel, motion=motion))
 
 
 def meters(image: Grey, sighting: Sighting | None, *, panel: tuple[float, float] | None, motion: float | None) -> tuple[Meter, ...]:
-    """Measure a picture.
+    """Measure markers, focus, exposure, panel brightness and motion in a picture.
 
     Parameters
     ----------
     image, sighting : (H, W) uint8 or uint16 array, Sighting or None
-        The picture and its markers.
+        Picture with linear values, and its detected markers.
     panel, motion : tuple of float or None, float or None
-        As in `show`.
+        Brightness of the panel and fraction of moving pixels, see `show`.
+
+    Returns
+    -------
+    tuple of Meter
+        Available measurements with limits and verdicts.
     """
     found = (_markers(sighting), _focus(sighting), _exposure(image), _panel(panel), _motion(motion))
     return tuple(meter for meter in found if meter is not None)
 
 
 def jpeg(image: Grey, sighting: Sighting | None) -> bytes:
-    """Encode a picture as JPEG with sRGB-like brightness and the outlines of its markers."""
+    """Encode a linear picture as JPEG with display gamma and the outlines of detected markers."""
     height, width = image.shape
     scale = min(1.0, PICTURE_PX / width)
     if scale < 1.0:
@@ -104,9 +109,9 @@ def jpeg(image: Grey, sighting: Sighting | None) -> bytes:
 
 def _markers(sighting: Sighting | None) -> Meter:
     if sighting is None:
-        return Meter(name="Markers", value="not readable", limits="the table angle is not confirmed by markers", state="fair")
-    value = f"{sighting.markers} read, {sighting.reprojection_px:.2f} px residual"
-    return Meter(name="Markers", value=value, limits="root mean square of their corners", state="good")
+        return Meter(name="Markers", value="not detected", limits="the turntable angle is not confirmed by the markers", state="fair")
+    value = f"{sighting.markers} detected, RMS residual {sighting.reprojection_px:.2f} px"
+    return Meter(name="Markers", value=value, limits="residual of the marker corners", state="good")
 
 
 def _focus(sighting: Sighting | None) -> Meter | None:
@@ -114,7 +119,7 @@ def _focus(sighting: Sighting | None) -> Meter | None:
         return None
     good, bad = TRUST.blur_px
     state = _state(-sighting.blur_px, -good, -bad)
-    return Meter(name="Focus", value=f"blur {sighting.blur_px:.2f} px", limits=f"good to {good:g} px, bad over {bad:g} px", state=state)
+    return Meter(name="Focus", value=f"blur {sighting.blur_px:.2f} px", limits=f"good up to {good:g} px, bad above {bad:g} px", state=state)
 
 
 def _exposure(image: Grey) -> Meter:
@@ -122,7 +127,7 @@ def _exposure(image: Grey) -> Meter:
     least, most = 100.0 * preflight.DIMMEST, 100.0 * preflight.MOST_SATURATED
     good = light.bright >= preflight.DIMMEST and light.saturated <= preflight.MOST_SATURATED
     value = f"{100.0 * light.bright:.0f} % of full scale, {100.0 * light.saturated:.1f} % saturated"
-    limits = f"at least {least:.0f} %, at most {most:.0f} % saturated"
+    limits = f"at least {least:.0f} % of full scale, and at most {most:.0f} % saturated"
     return Meter(name="Exposure", value=value, limits=limits, state="good" if good else "bad")
 
 
@@ -131,7 +136,7 @@ def _panel(panel: tuple[float, float] | None) -> Meter | None:
         return None
     good, bad = TRUST.dim
     value = f"{100.0 * panel[0]:.0f} to {100.0 * panel[1]:.0f} % of full scale"
-    limits = f"darkest part good from {100.0 * good:.0f} %, bad below {100.0 * bad:.0f} %"
+    limits = f"darkest part: good from {100.0 * good:.0f} %, bad below {100.0 * bad:.0f} %"
     return Meter(name="Panel", value=value, limits=limits, state=_state(panel[0], good, bad))
 
 
@@ -139,11 +144,11 @@ def _motion(motion: float | None) -> Meter | None:
     if motion is None:
         return None
     still = motion < picture_change.LEAST_SHARE
-    value = "at rest" if still else f"{100.0 * motion:.1f} % of the picture still moves"
+    value = "no motion" if still else f"{100.0 * motion:.1f} % of the picture still moves"
     limits = f"less than {100.0 * picture_change.LEAST_SHARE:g} %; otherwise increase settle_s in the rig file"
-    return Meter(name="After the turn", value=value, limits=limits, state="good" if still else "fair")
+    return Meter(name="Motion", value=value, limits=limits, state="good" if still else "fair")
 
 
 def _state(value: float, good: float, bad: float) -> State:
-    """Grade a value that is better the larger it is."""
+    """Return the verdict on a value for which larger is better."""
     return "good" if value >= good else "fair" if value >= bad else "bad"

@@ -1,4 +1,4 @@
-"""The plants of the console's catalogue: who is on the table, which scans exist, what is planned."""
+"""Plants of the console's catalogue, with their identification, scans and planned scans."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.subject import Subject
 
 KEPT = ("species", "treatment", "replicate")
-"""Fields of the subject that the catalogue knows of a plant."""
+"""Fields of a scan's subject that are stored in the catalogue as well."""
 MOST_SHOWN = 6
-"""Planned scans that are shown beside those of today."""
+"""Maximum number of listed future scans, and of missed scans, in addition to the scans planned for today."""
 
 
 class Plants:
-    """Plants, scans and planned scans of a catalogue.
+    """Provides the plants, scans and planned scans of a catalogue to the console.
 
     Parameters
     ----------
     path : path
-        The catalogue; created where there is none.
+        Catalogue file, which is created if it does not exist.
 
     Raises
     ------
     UserError
-        For a file that is not a catalogue.
+        If the file is not a catalogue.
     """
 
     def __init__(self, path: Path) -> None:
@@ -46,12 +46,12 @@ class Plants:
         self._plain: tuple[list[dict[str, object]], dict[str, Any]] = [], {}
 
     def scene_of(self, scene: Scene) -> Scene:
-        """Return a scan's scene with what the catalogue knows of its plant.
+        """Return a copy of a scan's scene, completed with the catalogue's data about the plant.
 
         Raises
         ------
         UserError
-            Where the subject contradicts the catalogue.
+            If a value in the scene differs from the catalogue.
         """
         subject, plant = scene.subject, self._plant(scene.subject.plant)
         if plant is None:
@@ -60,21 +60,23 @@ class Plants:
             given, known = getattr(subject, name), getattr(plant, name)
             if given not in ("", None) and known not in ("", None) and given != known:
                 raise UserError(
-                    f"the {name} of plant {plant.name} is {known!r} in the catalogue, not {given!r}: correct the plant's name or its {name}"
+                    f"the {name} of plant {plant.name} is {known!r} in the catalogue, not {given!r}; correct the {name} or the plant's name"
                 )
         known_fields = {name: getattr(plant, name) for name in KEPT if getattr(subject, name) in ("", None)}
         return rigs.scene_of_plant(replace(scene, subject=replace(subject, **known_fields)), plant)
 
     def identity(self, subject: Subject, strip: MarkerStrip) -> Callable[[Grey], object]:
-        """Return the check of a scan's first picture: it must show no other plant of the catalogue.
+        """Return a function that checks the identity of the plant in the first picture of a scan.
+
+        If the catalogue has the marker strip of the plant, the picture must show this strip. Otherwise the picture must
+        not show the strip of any plant in the catalogue.
 
         Parameters
         ----------
         subject : Subject
-            Of the scan. A plant whose strip is known must be on the table; another name must not be that of a pot with
-            the strip of a known plant.
+            Plant to be scanned.
         strip : MarkerStrip
-            Of the scan's scene.
+            Marker strip of the scan's scene.
         """
         with Catalogue.open(self.path, read_only=True) as catalogue:
             plants = catalogue.plants()
@@ -90,25 +92,25 @@ class Plants:
             except WrongPlantError:
                 return
             raise WrongPlantError(
-                f"the canister on the table is that of plant {found.name}, not {subject.plant or 'a plant without a name'}: "
-                f"put the right canister on the table, or start the scan for {found.name}",
+                f"the plant on the turntable is {found.name} instead of {subject.plant or 'a plant without a name'}; "
+                f"put the right canister on the turntable, or start a scan of {found.name}",
                 found=found.name,
             )
 
         return check
 
     def add_scan(self, folder: Path) -> None:
-        """Add a scan, or update its entry."""
+        """Add a scan to the catalogue, or update its entry."""
         with Catalogue.open(self.path) as catalogue:
             adding.add_scan(catalogue, folder)
 
     def add_result(self, folder: Path) -> None:
-        """Add a result, or update its entry."""
+        """Add a result to the catalogue, or update its entry."""
         with Catalogue.open(self.path) as catalogue:
             adding.add_result(catalogue, folder)
 
     def plain(self) -> tuple[list[dict[str, object]], dict[str, Any]]:
-        """Return plants and planned scans as JSON values."""
+        """Return the plants and the planned scans as JSON values."""
         today = datetime.now().astimezone().date()
         stamp = (today, *(_stamp(self.path.with_name(f"{self.path.name}{end}")) for end in ("", "-wal")))
         if stamp != self._stamp:
@@ -143,7 +145,7 @@ def _plants(catalogue: Catalogue, today: date) -> list[dict[str, object]]:
 
 
 def _visits(visits: list[Visit], today: date) -> dict[str, Any]:
-    """Return the planned scans: those of today, the next ones, and those that were missed."""
+    """Return the scans planned for today, the next planned scans, and the missed scans, as JSON values."""
     open_ = [visit for visit in visits if visit.state in ("due", "scanning")]
     todays = [visit for visit in visits if _local(visit).date() == today]
     following = [visit for visit in open_ if visit not in todays][:MOST_SHOWN]

@@ -1,4 +1,4 @@
-"""Questions to the person at the rig, answered by a client."""
+"""Questions to the person at the rig, which a client of the console answers."""
 
 import threading
 from collections.abc import Callable
@@ -8,39 +8,39 @@ from queue import Empty, SimpleQueue
 from rhizotwin.scenes.errors import UserError
 
 LOOK_S = 0.5
-"""Interval at which a waiting question looks whether it is cancelled (s)."""
+"""Polling interval at which a pending question checks whether it is cancelled, s."""
 
 
 class Questions:
-    """One question at a time.
+    """Passes one question at a time to the clients, and returns the answer.
 
     Parameters
     ----------
     on_change : callable
-        Called when a question is asked or answered.
+        Function that is called when a question is asked or answered.
     """
 
     def __init__(self, on_change: Callable[[], object]) -> None:
         self.text = ""
-        """The question; empty when nothing is asked."""
+        """Text of the pending question; empty if there is none."""
         self._on_change = on_change
         self._lock = threading.Lock()
         self._answers: SimpleQueue[str] = SimpleQueue()
 
     def ask(self, question: str, *, cancelled: Callable[[], bool]) -> str:
-        """Ask, and wait for the answer.
+        """Ask a question, wait for the answer and return it.
 
         Parameters
         ----------
         question : str
-            For a person.
+            Text of the question.
         cancelled : callable
-            Whether the wait shall end.
+            Function that returns True if the question is to be cancelled.
 
         Raises
         ------
         KeyboardInterrupt
-            When the wait was cancelled.
+            If the question was cancelled.
         """
         with self._lock:
             self.text = question
@@ -53,20 +53,20 @@ class Questions:
         finally:
             with self._lock:
                 self.text = ""
-                while not self._answers.empty():  # the answer of a second client
+                while not self._answers.empty():  # discard the answer of a second client
                     self._answers.get()
             self._on_change()
 
     def answer(self, text: str) -> None:
-        """Answer the question.
+        """Answer the pending question.
 
         Raises
         ------
         UserError
-            Where nothing is asked.
+            If there is no pending question.
         """
         with self._lock:
             if not self.text:
-                raise UserError("nothing is asked at present")
+                raise UserError("there is no question to answer")
             self.text = ""
             self._answers.put(text)

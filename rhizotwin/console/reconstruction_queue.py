@@ -1,4 +1,7 @@
-"""Queue of reconstructions, kept in a file so that it survives the console; one runs at a time in its own process."""
+"""Queue of reconstructions, which are run one at a time in a separate process.
+
+The queue is stored in a file, so that it is continued when the console is started again.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,23 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 SCHEMA_VERSION = 1
 KEPT = 50
-"""Ended reconstructions that stay in the list."""
+"""Maximum number of ended reconstructions in the list."""
 State = Literal["waiting", "running", "done", "failed"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One reconstruction."""
+    """Reconstruction of a scan."""
 
     scan: str
-    """Name of the scan, and of its result."""
+    """Name of the scan and of its result."""
     state: State = "waiting"
     error: str = ""
+    """Reason for a failure, for the user."""
     added: str = ""
-    """UTC, ISO 8601."""
+    """Time at which the scan was added, UTC (ISO 8601)."""
     ended: str = ""
+    """Time at which the reconstruction ended, UTC (ISO 8601); empty before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,19 +51,19 @@ class Progress:
 
 
 class Queue:
-    """Reconstructs scans one after the other.
+    """Reconstructs scans one at a time.
 
     Parameters
     ----------
     folders : ScanFolders
-        Scans and results; ``queue.json`` of their root holds the queue.
+        Folders of scans and results; the queue is stored in ``queue.json`` in their root.
     on_change, on_end : callable
-        Called after a change; and with each job that ended.
+        Functions that are called after each change, and with each job that has ended.
 
     Raises
     ------
     UserError
-        For a damaged ``queue.json``.
+        If ``queue.json`` is damaged.
     """
 
     def __init__(self, folders: ScanFolders, *, on_change: Callable[[], object], on_end: Callable[[Job], object]) -> None:
@@ -66,7 +71,7 @@ class Queue:
         self._path = folders.root / "queue.json"
         self._on_change, self._on_end = on_change, on_end
         self._wake = threading.Condition()
-        # a reconstruction that was interrupted begins again
+        # an interrupted reconstruction is started again
         self._jobs = [replace(job, state="waiting") if job.state == "running" else job for job in read(self._path)]
         self._process: Any = None
         self._ended = False
@@ -75,7 +80,7 @@ class Queue:
         self._thread.start()
 
     def plain(self) -> list[dict[str, object]]:
-        """Return the jobs as JSON values: running and waiting ones first, then the latest ended ones."""
+        """Return the jobs as JSON values, with active jobs first, then ended jobs from latest to earliest."""
         with self._wake:
             jobs = list(self._jobs)
         active = [job for job in jobs if job.state in ("running", "waiting")]
@@ -84,45 +89,45 @@ class Queue:
         return [asdict(job) | (running if job.state == "running" else {}) for job in (*active, *ended)]
 
     def add(self, scan: str) -> None:
-        """Add a finished scan; an earlier result is replaced.
+        """Add a complete scan to the queue; its reconstruction replaces an earlier result.
 
         Raises
         ------
         UserError
-            Where the scan does not exist, is not complete, is a sketch, or is in the queue.
+            If the scan does not exist, is incomplete, is a sketch, or is already in the queue.
         """
         entry = self._folders.scan_entry(scan)
         if not entry.complete:
             raise UserError(f"{scan}: {entry.error or 'the scan is not complete; finish it first'}")
         if entry.sketch:
-            raise UserError(f"{scan}: sketches of the emulated rig show no roots; scan with --fidelity render")
+            raise UserError(f"{scan}: the pictures are sketches of the emulated rig, which show no roots; scan with --fidelity render")
         with self._wake:
             if any(job.scan == scan and job.state in ("waiting", "running") for job in self._jobs):
-                raise UserError(f"{scan} is in the queue already")
+                raise UserError(f"the scan {scan} is already in the queue")
             others = [job for job in self._jobs if job.scan != scan]
             self._keep([*others, Job(scan=scan, added=now_utc())])
             self._wake.notify_all()
         self._on_change()
 
     def remove(self, scan: str) -> None:
-        """Remove a scan from the queue; a running reconstruction is stopped, and an earlier result stays.
+        """Remove a scan from the queue, and stop its reconstruction if it is running; an earlier result is retained.
 
         Raises
         ------
         UserError
-            Where it is not in the queue.
+            If the scan is not in the queue.
         """
         with self._wake:
             job = next((job for job in self._jobs if job.scan == scan), None)
             if job is None:
-                raise UserError(f"{scan!r} is not in the queue")
+                raise UserError(f"the scan {scan!r} is not in the queue")
             self._keep([other for other in self._jobs if other is not job])
             if job.state == "running" and self._process is not None:
                 self._process.kill()
         self._on_change()
 
     def close(self) -> None:
-        """Stop the running reconstruction, which begins again with the next console, and end the thread."""
+        """Stop the running reconstruction, which the next console starts again, and end the thread."""
         with self._wake:
             self._ended = True
             if self._process is not None:
@@ -151,7 +156,7 @@ class Queue:
             self._on_change()
 
     def _reconstruct(self, job: Job) -> str:
-        """Run a reconstruction; return its error or an empty text."""
+        """Run a reconstruction in a separate process; return the error message, or an empty text on success."""
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         source, output = str(self._folders.scans / job.scan), str(self._folders.result(job.scan))
@@ -162,7 +167,7 @@ class Queue:
             process.start()
             self._process = process
         theirs.close()
-        error = "its process ended unexpectedly, perhaps because memory ran out; add it to the queue again"
+        error = "the process ended unexpectedly, perhaps because the memory was full; add the scan to the queue again"
         try:
             while True:
                 told = json.loads(ours.recv_bytes())
@@ -180,7 +185,7 @@ class Queue:
         return error
 
     def _change(self, job: Job, **changes: Any) -> Job:
-        """Replace a job, and write the file; where the disk is full, the next console repeats the job."""
+        """Replace a job in the queue, and write the file; if the disk is full, the next console repeats the job."""
         changed = replace(job, **changes)
         jobs = [changed if other is job else other for other in self._jobs]
         try:
@@ -190,7 +195,7 @@ class Queue:
         return changed
 
     def _keep(self, jobs: list[Job]) -> None:
-        """Write the queue before it is used, so that the file is never behind."""
+        """Write the queue to the file, and only then replace the jobs in memory, so that the file is always current."""
         active = [job for job in jobs if job.state in ("waiting", "running")]
         ended = sorted((job for job in jobs if job not in active), key=lambda job: job.ended)[-KEPT:]
         kept = [job for job in jobs if job in active or job in ended]
@@ -199,12 +204,12 @@ class Queue:
 
 
 def read(path: Path) -> list[Job]:
-    """Read the jobs of a queue's file; none where there is no file.
+    """Read the jobs from the file of a queue; the list is empty if the file does not exist.
 
     Raises
     ------
     UserError
-        For a file that this version did not write.
+        If the file is damaged or was written by another version of the program.
     """
     if not path.is_file():
         return []
@@ -213,9 +218,11 @@ def read(path: Path) -> list[Job]:
         jobs = plain["jobs"]
         version = plain["schema_version"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise UserError(f"{path}: cannot be read as a queue of reconstructions ({error}); move it away") from None
+        raise UserError(f"{path}: the queue of reconstructions could not be read ({error}); move the file elsewhere") from None
     if version != SCHEMA_VERSION or not isinstance(jobs, list):
-        raise UserError(f"{path}: has schema_version {version!r}, but this version reads {SCHEMA_VERSION}; move it away")
+        raise UserError(
+            f"{path}: the file has schema_version {version!r}, but this program reads {SCHEMA_VERSION}; move the file elsewhere"
+        )
     found = [from_plain(Job, job, Place(str(path)).at("jobs", number)) for number, job in enumerate(jobs)]
     for job in found:
         check_name(job.scan)

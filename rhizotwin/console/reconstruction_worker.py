@@ -1,4 +1,4 @@
-"""A reconstruction in a process of its own, with its progress sent to the console."""
+"""Reconstruction in a separate process, which sends its progress to the console."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from rhizotwin.scenes.formatting import error_sentence
 from rhizotwin.scenes.terminal import OneBar
 
 LOOK_S = 1.0
-"""Interval at which the process checks that the console still exists (s)."""
+"""Polling interval at which the process checks that the console still exists, s."""
 NICE = 10
-"""Priority below that of the scan, which may run at the same time."""
+"""Nice value of the process, so that a concurrent scan has a higher priority."""
 
 Send = Callable[[str, float], None]
 
 
 class SentBar(OneBar):
-    """A monitor that sends stage and progress.
+    """Monitor that sends the progress to the console.
 
     Parameters
     ----------
     shares : mapping of str to float
-        As in `OneBar`.
+        Relative duration of each stage, see `OneBar`.
     send : callable
-        Receives the stage and the fraction that is done.
+        Function that is called with the name of the stage and the completed fraction of the work.
     """
 
     def __init__(self, shares: Mapping[str, float], send: Send) -> None:
@@ -45,7 +45,7 @@ class SentBar(OneBar):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage, and send its beginning."""
+        """Measure the duration of a stage, and send its name at the start."""
         self._send(name, self._done)
         with super().stage(name):
             yield
@@ -53,26 +53,27 @@ class SentBar(OneBar):
 
 @dataclass(frozen=True, kw_only=True)
 class SentProgress(Progress):
-    """Progress that is sent."""
+    """Progress options whose bar sends the progress to the console."""
 
     send: Send = lambda _stage, _done: None
 
     def bar(self, **shares: float) -> OneBar:
-        """Return a monitor for stages with these shares of the time."""
+        """Return a monitor for stages with the relative durations ``shares``."""
         return SentBar(shares, self.send)
 
 
 def work(line: Connection, dataset: str, output: str, console: int) -> None:
-    """Reconstruct a dataset; send progress, and at the end the error or an empty text.
+    """Reconstruct a dataset, and send the progress and the outcome to the console.
 
     Parameters
     ----------
     line : Connection
-        Receives JSON texts: ``[stage, fraction]``, and at the end ``{"error": text}``.
+        Connection to the console, over which JSON texts are sent: ``[stage, fraction]``, and finally
+        ``{"error": text}`` with an empty text on success.
     dataset, output : str
-        Folders.
+        Folders of the dataset and of the result.
     console : int
-        Number of the console's process: this process ends when that one does.
+        Process id of the console; if the console ends, this process ends as well.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the console stops this process itself
     threading.Thread(target=_end_with, args=(console,), daemon=True).start()

@@ -1,4 +1,4 @@
-"""The thread that uses the rig's devices: one command, check, live picture or scan at a time."""
+"""Thread that performs all actions on the rig's devices, one command, check, live picture or scan at a time."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LIVE_S = 1.0
-"""Interval between live pictures (s)."""
+"""Interval between live pictures, s."""
 
 
 class RigThread:
-    """Runs actions on the rig, one at a time and in one thread.
+    """Runs actions on the rig in a single thread, one at a time.
 
-    The devices are opened for the first command and stay open for the next; `let_go` leaves them safe and closes them.
+    The devices are opened for the first command and remain open. `let_go` brings them to a safe state and closes them.
 
     Parameters
     ----------
     bench : Bench
-        The rig.
+        Rig with its scene.
     say : callable
-        Receives lines for people.
+        Function that is called with each line of output.
     on_live : callable
-        Receives each live picture.
+        Function that is called with each live picture.
     on_error : callable
-        Receives each error of an action or a live picture, before the action ends.
+        Function that is called with each error of an action or live picture, before the action ends.
     on_change : callable
-        Called when an action begins or ends.
+        Function that is called when an action starts or ends.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class RigThread:
         self._next: tuple[Callable[[], Any], Future[Any]] | None = None
         self._ended = False
         self.busy = ""
-        """Description of the current action; empty when there is none."""
+        """Description of the current action; empty if the rig is idle."""
         self.live_until_s = 0.0
-        """Live pictures are taken until this time (`time.monotonic`)."""
-        # no daemon: the program ends only when the rig has been left safe
+        """Time (`time.monotonic`) until which live pictures are taken, s."""
+        # not a daemon thread, so that the program ends only after the rig is in a safe state
         self._thread = threading.Thread(target=self._run, name="rig", daemon=False)
         self._thread.start()
 
@@ -73,26 +73,31 @@ class RigThread:
         return self._jog is not None
 
     def begin(self, what: str, action: Callable[[], T]) -> Future[T]:
-        """Start an action.
+        """Start an action in the rig's thread.
 
         Parameters
         ----------
         what : str
-            Description, such as "scan of P7".
+            Description of the action for the user, such as "scan of P7".
         action : callable
-            Runs in the rig's thread.
+            Function to call.
+
+        Returns
+        -------
+        Future
+            Future with the return value of the function.
 
         Raises
         ------
         UserError
-            While another action runs.
+            If another action is running.
         """
         future: Future[T] = Future()
         with self._wake:
             if self._ended:
-                raise UserError("the console is being stopped")
+                raise UserError("the console is shutting down and accepts no further actions")
             if self.busy:
-                raise UserError(f"the rig is busy: {self.busy}; wait until it has ended, or stop it")
+                raise UserError(f"the rig is busy ({self.busy}); wait until this action has ended, or stop it")
             self.busy = what
             self._next = action, future
             self._wake.notify_all()
@@ -100,7 +105,7 @@ class RigThread:
         return future
 
     def jog(self) -> Jog:
-        """Return the open devices for commands, opened if necessary; call from the rig thread only."""
+        """Open the devices for commands if necessary, and return them; must be called in the rig's thread."""
         if self._jog is None:
             stack = ExitStack()
             try:
@@ -112,12 +117,15 @@ class RigThread:
         return self._jog
 
     def command(self, words: list[str]) -> None:
-        """Execute a command of `rig.jog`; call from the rig thread only."""
+        """Execute a command of `rig.jog`; must be called in the rig's thread."""
         with self._closed_if_lost():
             self.jog().do(words)
 
     def let_go(self) -> None:
-        """Leave the devices safe (lights off, arm parked, torque off) and close them; call from the rig thread only."""
+        """Switch off the lights, park the arm, switch off its torque and close the devices.
+
+        The method must be called in the rig's thread.
+        """
         stack, jog = self._stack, self._jog
         self._stack = self._jog = None
         if stack is not None and jog is not None:
@@ -125,7 +133,7 @@ class RigThread:
                 jog.leave()
 
     def close(self) -> None:
-        """Wait for the current action, leave the devices safe and end the thread."""
+        """Wait for the current action, bring the devices to a safe state, and end the thread."""
         with self._wake:
             self._ended = True
             self._wake.notify_all()
@@ -148,7 +156,7 @@ class RigThread:
     def _do(self, action: Callable[[], Any], future: Future[Any]) -> None:
         try:
             result, error = action(), None
-        except BaseException as raised:  # noqa: BLE001 - whoever waits for the future gets it
+        except BaseException as raised:  # noqa: BLE001 - passed on through the future
             result, error = None, raised
             if isinstance(raised, Exception):
                 self._on_error(raised)
@@ -164,14 +172,14 @@ class RigThread:
         try:
             with self._closed_if_lost():
                 self._on_live(self.jog().shot())
-        except Exception as error:  # noqa: BLE001 - reported; the thread goes on, and leaves the rig safe at the end
+        except Exception as error:  # noqa: BLE001 - reported, while the thread continues
             self.live_until_s = 0.0
             self._on_error(error)
             self._on_change()
 
     @contextmanager
     def _closed_if_lost(self) -> Iterator[None]:
-        """Close devices that no longer respond, so that the next command opens them again."""
+        """Close the devices if one of them no longer responds, so that the next command opens them again."""
         try:
             yield
         except (NoAnswerError, LostError):

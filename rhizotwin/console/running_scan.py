@@ -1,4 +1,4 @@
-"""The scan that the console shows: its name, its scene and its pictures."""
+"""Running or most recent scan of the console, with its name, scene and live state."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 
 class RunningScan:
-    """One run of a scan.
+    """Scan that the console shows.
 
     Parameters
     ----------
     name, scene : str, Scene
-        Name of the scan; the rig's scene with the subject.
+        Name of the scan, and scene of the rig with the scanned plant.
     on_look, on_change : callable
-        Receives each picture; called after every change.
+        Functions that are called with each picture, and after each change.
     paused : bool
-        Wait before the first picture.
+        Pause the scan before the first picture.
     """
 
     def __init__(
@@ -30,13 +30,13 @@ class RunningScan:
     ) -> None:
         self.name, self.scene = name, scene
         self.error = ""
-        """Why the scan failed."""
+        """Reason for the failure of the scan; empty if it has not failed."""
         self._on_change, self._on_look = on_change, on_look
         self._shown: Look | None = None
         self.live = Live(scene, on_change=self._live_changed, paused=paused)
 
     def plain(self) -> dict[str, object]:
-        """Return the scan as JSON values."""
+        """Return the state and progress of the scan as JSON values."""
         live = self.live
         state = "ended" if live.ended else "stopping" if live.stopping else "paused" if live.paused else "running"
         left_s = live.left_s()

@@ -1,10 +1,12 @@
-"""The console's folder: scans, results and single pictures by name; names cannot lead outside, and links are refused.
+"""Access to scans, results and pictures in the console's folder by their names.
 
-FOLDER/scans/NAME      dataset of a scan
-FOLDER/results/NAME    its reconstruction
-FOLDER/pictures/       single pictures
-FOLDER/queue.json      reconstructions to do
-FOLDER/NAME.rhizotwin  catalogue of plants, scans and results
+Names are validated and links are rejected, so that clients cannot access files outside the folder. Its contents are:
+
+- ``scans/NAME``: dataset of a scan
+- ``results/NAME``: result of the reconstruction of a scan
+- ``pictures/``: individual pictures
+- ``queue.json``: queue of reconstructions
+- ``NAME.rhizotwin``: catalogue of plants, scans and results
 """
 
 import json
@@ -27,35 +29,39 @@ from rhizotwin.timelapse.reconstruction import GROWTH
 
 NAME = re.compile(r"\w[\w.-]{0,99}")
 MOST_BYTES = 200
-"""Length of a name in UTF-8: file systems allow 255, with the endings of temporary names."""
+"""Maximum length of a name in UTF-8, bytes. File systems allow 255 bytes, of which temporary files need some."""
 MOST_LISTED = 100
-"""Scans that are listed, the latest first."""
+"""Maximum number of listed scans."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanEntry:
-    """A scan in the folder."""
+    """Scan in the console's folder."""
 
     name: str
+    """Name of the scan and of its folder."""
     subject: str
-    """Plant, treatment and day, as words."""
+    """Description of plant, treatment and day, for the user."""
     plant: str
+    """Name of the plant."""
     pictures: int
     """Number of views that were taken."""
     planned: int
+    """Number of planned views."""
     complete: bool
+    """Whether all planned views were taken."""
     sketch: bool = False
-    """The pictures are sketches of the emulated rig, which show no roots."""
+    """Whether the pictures are sketches of the emulated rig, which show no roots."""
     error: str = ""
-    """Why its dataset cannot be read."""
+    """Reason why the dataset cannot be read; empty for a readable dataset."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResultEntry:
-    """The reconstruction of a scan."""
+    """Result of the reconstruction of a scan."""
 
     volume: str
-    """Volume with its interval, or why it is not reliable."""
+    """Text with the volume and its 90 % interval, or with the reason why the volume is not reliable."""
     trusted: bool
 
 
@@ -63,14 +69,14 @@ Entry = TypeVar("Entry", ScanEntry, ResultEntry | None)
 
 
 class ScanFolders:
-    """Scans and results of the console's folder.
+    """Provides access to the scans and results of a console.
 
     Parameters
     ----------
     root : path
-        The folder; made where it is missing.
+        Folder of the console, which is created if it does not exist.
     scans, results : path or None
-        Folders of scans and results, where they have other names.
+        Folders of scans and results; None: ``scans`` and ``results`` in ``root``.
     """
 
     def __init__(self, root: Path, *, scans: Path | None = None, results: Path | None = None) -> None:
@@ -81,23 +87,23 @@ class ScanFolders:
         self._entries: dict[Path, tuple[tuple[int, int], ScanEntry | ResultEntry | None]] = {}
 
     def new_name(self, subject: Subject) -> str:
-        """Return an unused name for a scan: plant and date."""
+        """Return an unused name for a scan, which consists of plant and date."""
         plant = re.sub(r"[^\w.-]+", "-", subject.plant).strip("-._") or "scan"
         stem = f"{plant[:40]}-{subject.date}"
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))
         return next(name for name in names if not os.path.lexists(self.scans / name))
 
     def new_scan(self, name: str) -> Path:
-        """Return the folder of a scan that does not exist yet.
+        """Return the folder for a new scan.
 
         Raises
         ------
         UserError
-            For a name that is not allowed, or that of a scan.
+            If the name is invalid, or the scan already exists.
         """
         folder = _inside(self.scans, name)
         if (folder / "dataset.json").exists():
-            raise UserError(f"scan {name} already exists; choose another name or resume it")
+            raise UserError(f"the scan {name} already exists; choose another name, or finish the existing scan")
         return folder
 
     def scan(self, name: str) -> Path:
@@ -106,60 +112,66 @@ class ScanFolders:
         Raises
         ------
         UserError
-            For a name that is not allowed, or that of no scan.
+            If the name is invalid, or the scan does not exist.
         """
         folder = _inside(self.scans, name)
         if not (folder / "dataset.json").is_file():
-            raise UserError(f"there is no scan {name!r}")
+            raise UserError(f"the scan {name!r} does not exist")
         return folder
 
     def result(self, name: str) -> Path:
-        """Return the folder of a scan's result, which may not exist yet.
+        """Return the folder of a scan's result, which does not need to exist.
 
         Raises
         ------
         UserError
-            For a name that is not allowed.
+            If the name is invalid.
         """
         return _inside(self.results, name)
 
     def report(self, name: str) -> Path:
-        """Return the report of an existing result.
+        """Return the path of the report of a scan's result.
 
         Raises
         ------
         UserError
-            For a name that is not allowed, or without a report.
+            If the name is invalid, or the scan has no report.
         """
         path = self.result(name) / "report.html"
         if path.is_symlink() or not path.is_file():
-            raise UserError(f"there is no report of {name!r}")
+            raise UserError(f"the scan {name!r} has no report")
         return path
 
     def growth(self) -> Path | None:
-        """Return the page with the curves of growth; None where there is none."""
+        """Return the path of the page with the growth curves; None if the page does not exist."""
         path = self.results / GROWTH / "growth.html"
         return path if path.is_file() and not path.is_symlink() else None
 
     def list_scans(self) -> list[ScanEntry]:
-        """Return the latest scans."""
+        """Return up to `MOST_LISTED` scans, from latest to earliest."""
         found = [(stamp, path) for path in self.scans.glob("*/dataset.json") if (stamp := _stamp(path)) is not None]
         latest = sorted(found, key=lambda one: -one[0][0])[:MOST_LISTED]
         return [entry for _, path in latest if (entry := self._entry(path, _scan_entry)) is not None]
 
     def scan_entry(self, name: str) -> ScanEntry:
-        """Return an existing scan; UserError as `scan`."""
+        """Return the entry of an existing scan.
+
+        Raises
+        ------
+        UserError
+            If the name is invalid, or the scan does not exist.
+        """
         entry = self._entry(self.scan(name) / "dataset.json", _scan_entry)
         if entry is None:
-            raise UserError(f"there is no scan {name!r}")
+            raise UserError(f"the scan {name!r} does not exist")
         return entry
 
     def result_of(self, name: str) -> ResultEntry | None:
-        """Return a scan's result; None where there is none or it cannot be read."""
+        """Return the result of a scan; None if the scan has no readable result."""
         return self._entry(self.results / name / "result.json", _result_entry)
 
     def _entry(self, path: Path, read: Callable[[Path], Entry]) -> Entry | None:
-        """Read a file unless it is unchanged since the last time; None where there is none."""
+        """Return the entry of a file, which is read only if it has changed since the last call; None without a file."""
         stamp = _stamp(path)
         if stamp is None:
             return None
@@ -169,28 +181,34 @@ class ScanFolders:
 
 
 def check_name(name: str) -> str:
-    """Return a name of a scan.
+    """Validate the name of a scan, and return it.
 
     Raises
     ------
     UserError
-        For a name that is not allowed.
+        If the name is invalid.
     """
     if not NAME.fullmatch(name) or len(name.encode()) > MOST_BYTES or name == GROWTH:
-        raise UserError(f"{name[:100]!r} is not a name of a scan: use up to 100 letters, digits, dots, hyphens and underscores")
+        raise UserError(f"{name[:100]!r} is not a valid name of a scan; use up to 100 letters, digits, dots, hyphens and underscores")
     return name
 
 
 def _inside(parent: Path, name: str) -> Path:
-    """Return a folder for a name; UserError for a name that is not allowed, and for a link, which may lead anywhere."""
+    """Return the subfolder with the given name.
+
+    Raises
+    ------
+    UserError
+        If the name is invalid, or the folder is a link, which may point outside the parent folder.
+    """
     folder = parent / check_name(name)
     if folder.is_symlink():
-        raise UserError(f"{parent.name}/{name} is a link; put the folder itself in its place")
+        raise UserError(f"{parent.name}/{name} is a symbolic link; replace the link by the folder")
     return folder
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
-    """Return time and size of a file in a folder with an allowed name; None for links and other files."""
+    """Return the modification time and size of a regular file in a folder with a valid name; otherwise None."""
     try:
         check_name(path.parent.name)
         status = path.lstat()
@@ -217,7 +235,7 @@ def _scan_entry(path: Path) -> ScanEntry:
             sketch=((origin.get("settings") or {}).get("twin") or {}).get("fidelity") == "sketch",
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error
-        text = printable(f"cannot be read: {error_sentence(error)}")
+        text = printable(f"the dataset cannot be read: {error_sentence(error)}")
         return ScanEntry(name=name, subject="", plant="", pictures=0, planned=0, complete=False, error=text)
 
 

@@ -1,4 +1,4 @@
-"""The schedule of a time-lapse experiment in the console: a person is asked for each canister, and sees each scan."""
+"""Execution of a time-lapse experiment's schedule in the console, with questions and live pictures for the user."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 class ScheduleRun:
-    """One run of an experiment's schedule; the catalogue keeps what it has done.
+    """Run of an experiment's schedule, whose progress is stored in the catalogue.
 
     Parameters
     ----------
     experiment : Experiment
-        Plants, rig and schedule.
+        Experiment with plants, rig and schedule.
     ask : Ask
-        Asks the person at the rig.
+        Function that asks the person at the rig a question and returns the answer.
     say : callable
-        Receives lines for people.
+        Function that is called with each line of output.
     show_scan : callable
-        Called with name and scene of each scan that begins; returns it as the console shows it.
+        Function that is called with the name and scene of each new scan, and returns the scan for display.
     """
 
     def __init__(
@@ -38,19 +38,19 @@ class ScheduleRun:
     ) -> None:
         self.experiment = experiment
         self.stopping = False
-        """Whether the run ends before the next scan."""
+        """Whether the run is to end before the next scan."""
         self._ask, self._say, self._show_scan = ask, say, show_scan
         self._scan: RunningScan | None = None
 
     def run(self) -> Outcome:
-        """Make all scans that are due, until the schedule is done or stopped.
+        """Perform all planned scans at their times, until the schedule is complete or stopped.
 
         Raises
         ------
         UserError
-            When another run works on the experiment, or its files cannot be used.
+            If another run uses the experiment, or its files cannot be used.
         KeyboardInterrupt
-            When a scan was stopped.
+            If the user stopped a scan.
         """
         listener = Listener(
             say=self._say, on_visit=self._follow, stop=lambda: self.stopping, ask=self._ask, observer=_Forwarding(lambda: self._scan)
@@ -64,7 +64,7 @@ class ScheduleRun:
             self._end_scan()
 
     def _follow(self, visit: Visit) -> None:
-        """Show the scan of a visit that begins, and end that of one that is over."""
+        """Show the scan of a planned visit that has started, and close the display of the previous scan."""
         self._end_scan()
         if visit.state == "scanning":
             member = self.experiment.member(visit.plant)
@@ -78,7 +78,7 @@ class ScheduleRun:
 
 
 class _Person(PersonChanger):
-    """A person who is asked; on the emulated rig the answer may be the number of another canister."""
+    """Person who is asked to place canisters; on the emulated rig, the answer can be the number of a canister."""
 
     def __init__(self, table: Callable[[], RealTable | EmulatedTable | None], ask: Ask) -> None:
         super().__init__(self._asked)
@@ -86,14 +86,14 @@ class _Person(PersonChanger):
         self._to_person, self._answer = ask, ""
 
     def change(self, member: Member, *, reason: str = "") -> None:
-        """Ask for the canister, and put it on an emulated table."""
+        """Ask the person to place the canister, and place the answered canister on an emulated turntable."""
         super().change(member, reason=reason)
         table = self._table()
         if isinstance(table, EmulatedTable):
             table.put(int(self._answer) if self._answer.isdecimal() else member.canister)
 
     def _asked(self, question: str) -> str:
-        emulated = " On the emulated rig, the answer may be the number of another canister." if self._table_is_emulated() else ""
+        emulated = " On the emulated rig, enter a number to use another canister." if self._table_is_emulated() else ""
         self._answer = self._to_person(f"{question.removesuffix('then press Enter: ')}then confirm.{emulated}").strip()
         return self._answer
 
@@ -102,7 +102,7 @@ class _Person(PersonChanger):
 
 
 class _Forwarding(Observer):
-    """Forwards to the observer of the live scan, if there is one."""
+    """Observer that forwards all calls to the live state of the current scan, if any."""
 
     watches_motion = True
 
@@ -110,20 +110,20 @@ class _Forwarding(Observer):
         self._scan = scan
 
     def on_plan(self, total: int, done: int) -> None:
-        """Forward the number of pictures to the live scan."""
+        """Forward the number of planned pictures."""
         if (scan := self._scan()) is not None:
             scan.live.on_plan(total, done)
 
     def on_look(self, look: Look) -> None:
-        """Forward a picture to the live scan."""
+        """Forward a picture."""
         if (scan := self._scan()) is not None:
             scan.live.on_look(look)
 
     def on_drop(self, files: list[str]) -> None:
-        """Forward rejected pictures to the live scan."""
+        """Forward the names of rejected pictures."""
         if (scan := self._scan()) is not None:
             scan.live.on_drop(files)
 
     def holds(self) -> bool:
-        """Return whether the scan is paused."""
+        """Return whether the current scan is paused."""
         return (scan := self._scan()) is not None and scan.live.holds()

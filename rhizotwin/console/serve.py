@@ -1,4 +1,4 @@
-"""Serve the console with uvicorn, in a thread of its own."""
+"""Web server of the console (uvicorn in a separate thread)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from rhizotwin.console.console import Console
 from rhizotwin.scenes.errors import UserError
 
 MOST_PORTS = 20
-"""Ports that are tried, from the given one."""
+"""Number of consecutive ports that are tried."""
 START_S = 30.0
+"""Timeout for the start of the server, s."""
 
 
 @dataclass(frozen=True)
 class Served:
-    """A running server."""
+    """Running web server of the console."""
 
     host: str
     port: int
@@ -33,30 +34,35 @@ class Served:
 
     @property
     def address(self) -> str:
-        """Address to open in a browser."""
+        """Address of the console's page, including the token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/?token={self.access.token}"
 
     def stop(self) -> None:
-        """End the server; open requests are cut."""
+        """Stop the server, and abort open requests."""
         self._server.should_exit = self._server.force_exit = True
         self._thread.join()
 
 
 def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
-    """Start the server; where the port is in use, at the next free one.
+    """Start the web server of a console; if the port is in use, the next free port is used.
 
     Parameters
     ----------
     console, access : Console, Access
-        Served to those who know a secret of ``access``.
+        Console, and secrets that grant access to it.
     host, port : str, int
-        Address of this computer, and first port.
+        Network address of this computer, and first port to try.
+
+    Returns
+    -------
+    Served
+        Running server.
 
     Raises
     ------
     UserError
-        Where nothing can be served at the address.
+        If the server cannot be started at the address.
     """
     bound = _bind(host, port)
     config = uvicorn.Config(
@@ -68,7 +74,7 @@ def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
     end_s = time.monotonic() + START_S
     while not server.started:
         if not thread.is_alive() or time.monotonic() > end_s:
-            raise UserError(f"the console could not be served at {host}:{port}")
+            raise UserError(f"the web server of the console could not be started at {host}:{port}; choose another --port")
         time.sleep(0.01)
     return Served(host, bound.getsockname()[1], access, server, thread)
 
@@ -92,4 +98,4 @@ def _bind(host: str, port: int) -> socket.socket:
                 return bound
     except OSError as error:
         reason = error.strerror or str(error)
-    raise UserError(f"nothing can be served at {host}:{port} ({reason}); choose another --host or --port")
+    raise UserError(f"the console cannot use the address {host}:{port} ({reason}); choose another --host or --port")

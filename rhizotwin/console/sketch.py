@@ -1,7 +1,8 @@
-"""Sketch of the roots during a scan: cells that no picture shows empty, halved while there are few.
+"""Coarse visual hull of the roots during a scan, called sketch, for display but not for measurements.
 
-The sketch is for a person who follows a scan, not for measurements: each camera is calibrated from the markers of its
-own picture, the empty backlight of a pixel is its maximum so far, and the smallest cells have an edge of 1 mm.
+Cells that a picture shows empty are removed, and the remaining cells are subdivided while their number is small. Each
+camera is estimated from the markers in its own picture, the empty backlight of a pixel is the maximum value so far, and
+the smallest cells have an edge of 1 mm.
 """
 
 from __future__ import annotations
@@ -22,48 +23,49 @@ from rhizotwin.scenes.picture_codec import Grey
 Array = NDArray[np.float64]
 
 WIDEST_PX = 400
-"""Width to which pictures are reduced: 250 mm are then 0.6 mm per pixel, finer than the cells."""
+"""Width to which pictures are reduced. A field of view of 250 mm then has 0.6 mm per pixel, finer than the cells."""
 DARK = 0.85
-"""Fraction of the backlight below which a pixel is covered: noise and panel vary by a few per cent, and a root of
-0.2 mm covers a third of such a pixel."""
+"""Maximum brightness of a covered pixel, relative to the empty backlight. Noise and panel vary by a few per cent, and a
+root of 0.2 mm covers a third of a pixel of 0.6 mm."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
+"""Edge lengths of the initial cells and of the smallest cells."""
 MOST_CELLS = 40_000
-"""Number of cells beyond which they are not halved, so that a browser draws them without delay."""
+"""Maximum number of cells, which a browser can draw without delay."""
 SPARE_PX = 1.0
-"""Error of a projection by the camera of a single picture (px)."""
+"""Tolerance for projection errors of a camera estimated from a single picture, px."""
 LEAST_SEEN = 3
-"""Cells that fewer pictures show are left out."""
+"""Minimum number of pictures that must show a cell for the cell to be retained."""
 _REACH = 0.95
-"""Fraction of the radius that every view shows (R_o / n_water) which is used."""
+"""Radius of the cells' grid, relative to the radius that is visible in all views (R_o / n_water)."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A small picture with its camera."""
+    """Reduced picture with its camera."""
 
     file: str
     view: View
     image: NDArray[np.float32]
     water: NDArray[np.bool_]
-    """(H, W) mask of the water."""
+    """Mask (H, W) of the pixels that show water."""
 
 
 @dataclass(frozen=True)
 class _Outline:
-    """Empty part of a picture."""
+    """Empty part of a picture, as a distance image."""
 
     seen: _Seen
     away_px: NDArray[np.float32]
-    """(H, W) distance from each pixel to the nearest covered one."""
+    """Distance (H, W) from each pixel to the nearest covered pixel."""
 
 
 class Sketch:
-    """Shape from the silhouettes of the pictures so far.
+    """Computes a coarse visual hull from the pictures taken so far.
 
     Parameters
     ----------
     scene : Scene
-        With the calibrated lens.
+        Scene with the calibrated lens.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -79,11 +81,11 @@ class Sketch:
         Parameters
         ----------
         file, ring : str, int
-            Name of the picture, by which it can be dropped; its ring.
+            File name of the picture, by which it can be removed, and number of its ring.
         image : (H, W) uint8 or uint16 array
-            The picture.
+            Picture with linear values.
         cam_from_canister : (4, 4) array
-            Its camera, OpenCV axes, mm.
+            Camera pose with OpenCV axes, mm.
         """
         small = cv2.resize(image, self._camera.image_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
         view = View(camera=self._camera, cam_from_canister=cam_from_canister)
@@ -91,14 +93,14 @@ class Sketch:
         self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max, water))
 
     def drop(self, file: str) -> None:
-        """Remove a picture."""
+        """Remove a picture by its file name."""
         for ring, seen in self._seen.items():
             self._seen[ring] = [one for one in seen if one.file != file]
 
     def evenness(self, ring: int) -> tuple[float, float] | None:
-        """Return the 5th and 95th percentile of the panel's brightness behind the water (fractions of full scale).
+        """Return the 5th and 95th percentile of the panel's brightness behind the water, as fractions of full scale.
 
-        None before the first picture.
+        The value is None before the first picture of the ring.
         """
         seen = self._seen.get(ring)
         if not seen:
@@ -111,7 +113,13 @@ class Sketch:
         return float(low), float(high)
 
     def carve(self) -> tuple[Array, float]:
-        """Return the centres (N, 3) of the cells that no picture shows empty, and their edge (mm), canister frame."""
+        """Compute the visual hull.
+
+        Returns
+        -------
+        tuple of ((N, 3) float64 array, float)
+            Centres of the remaining cells in the canister frame, mm, and their edge length, mm.
+        """
         outlines = [found for seen in self._seen.values() for found in self._outlines(seen)]
         edge_mm = COARSEST_MM
         middles = self._grid(edge_mm)
@@ -128,7 +136,7 @@ class Sketch:
             middles = (middles[:, None] + corner).reshape(-1, 3)
 
     def _grid(self, edge_mm: float) -> Array:
-        """Return the cells of the part of the water that every view at their height shows."""
+        """Return the centres (N, 3) of cells in the part of the water that all views at the same height show."""
         optics = self._optics
         reach = _REACH * min(optics.inner_radius_mm, optics.outer_radius_mm / optics.n_water)
         side = np.arange(-reach, reach + edge_mm, edge_mm)
@@ -137,7 +145,7 @@ class Sketch:
         return np.column_stack([x, y, z])[np.hypot(x, y) < reach]
 
     def _outlines(self, seen: list[_Seen]) -> list[_Outline]:
-        """Return the empty parts of a ring's pictures; none before there are enough for the backlight."""
+        """Return the empty parts of a ring's pictures; the list is empty if the ring has fewer than three pictures."""
         if len(seen) < LEAST_SEEN:
             return []
         panel = np.max([one.image for one in seen], axis=0)
@@ -149,14 +157,14 @@ class Sketch:
         return found
 
     def _look(self, middles: Array, edge_mm: float, outline: _Outline) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which cells (N,) a picture shows, and which of them it shows empty."""
+        """Return masks (N,) of the cells that a picture shows, and of the cells that it shows empty."""
         view, water = outline.seen.view, outline.seen.water
         px = cameras.project_inner(view, self._optics, middles)
         height, width = water.shape
         at = np.round(np.nan_to_num(px, nan=-1.0)).astype(np.int64)
         seen = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
         seen[seen] = water[at[seen, 1], at[seen, 0]]
-        # half the diagonal of the cell nearest to the camera, with the magnification of the water
+        # half the diagonal of the cell nearest to the camera, px, including the magnification by the water
         half_px = (
             view.camera.focal_px[0] * 0.5 * np.sqrt(3.0) * edge_mm * self._optics.n_water / (view.rho_mm - self._optics.outer_radius_mm)
         )

@@ -1,4 +1,4 @@
-"""The console's state as JSON values, as its clients show it."""
+"""State of the console as JSON values for its clients."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 
 class StateView:
-    """Collects the state of a console.
+    """Collects the state of a console for its clients.
 
     Parameters
     ----------
     console : Console
-        The console.
+        Console whose state is collected.
     """
 
     def __init__(self, console: Console) -> None:
@@ -26,9 +26,9 @@ class StateView:
         self._sketch: tuple[int, Any] = (0, None)
 
     def plain(self, client: str) -> dict[str, Any]:
-        """Return everything that a client shows."""
+        """Return the complete state for a client, as JSON values."""
         console = self._console
-        version = console.version  # before the rest, so that a later change is not missed
+        version = console.version  # read first, so that a later change is not missed
         queue = console.queue.plain()
         plants, visits = console.plants.plain()
         return {
@@ -75,7 +75,7 @@ class StateView:
         return {"name": experiment.name, "state": state, "growth": self._console.folders.growth() is not None, **visits}
 
     def _sketch_state(self) -> dict[str, object]:
-        """Return the number of the sketch, which changes with it, and the size of the canister."""
+        """Return the version and size of the sketch, and the size of the canister, as JSON values."""
         scan, can = self._console.scan, self._console.bench.scene.canister
         cells = None if scan is None else scan.live.cells_mm
         with self._lock:

@@ -1,4 +1,4 @@
-"""What Dr.Jit takes from the system and a bare Linux lacks: one function of libatomic."""
+"""Substitute for the system library libatomic, which Dr.Jit requires and a minimal Linux system lacks."""
 
 import ctypes
 import platform
@@ -6,18 +6,18 @@ import sys
 from pathlib import Path
 
 ATOMIC = Path(__file__).with_name("atomic_x86_64.so")
-"""Built from the C file beside it, whose first lines give the command."""
+"""Shared library with the required function, compiled by the command in the first lines of the C file next to it."""
 
 
 def ensure_libatomic() -> bool:
-    """Load a stand-in for libatomic.so.1 where the system has none.
+    """Load the substitute for libatomic.so.1 if the system does not provide this library.
 
-    A library that was loaded under the same internal name is taken by all that are loaded after it.
+    The substitute has the same internal name, so libraries that are loaded later use it.
 
     Returns
     -------
     bool
-        Whether the stand-in was loaded.
+        Whether the substitute was loaded.
     """
     if sys.platform != "linux" or platform.machine().lower() not in ("x86_64", "amd64"):
         return False

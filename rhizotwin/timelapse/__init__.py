@@ -1,1 +1,1 @@
-"""Time-lapse experiments: the same plants scanned again and again by a schedule."""
+"""Time-lapse experiments, in which plants are scanned repeatedly according to a schedule."""

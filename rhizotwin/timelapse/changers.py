@@ -1,4 +1,4 @@
-"""Who puts the canister of a plant on the table: a person, a carousel, or the emulated rig's own."""
+"""Placement of a plant's canister on the turntable by a person, by a carousel, or on the emulated rig."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -10,55 +10,55 @@ from rhizotwin.timelapse.experiment import Member
 
 
 class Changer(Protocol):
-    """Interface for placing canisters on the turntable."""
+    """Interface of a device or person that places canisters on the turntable."""
 
     def change(self, member: Member, *, reason: str = "") -> None:
-        """Put the canister of a plant on the table; return when it is there.
+        """Place the canister of a plant on the turntable, and return when it is in place.
 
         Parameters
         ----------
         member : Member
-            Plant that is scanned next.
+            Plant to be scanned next.
         reason : str
-            Message of the failure if this is another try, for example because another plant was on the table.
+            Message of the previous failed attempt, for example because of a wrong plant on the turntable.
 
         Raises
         ------
         UserError
-            If there is no one to ask, or the carousel fails.
+            If no person is available, or the carousel fails.
         """
 
 
 class PersonChanger:
-    """A person, who is asked to put the canister on the table.
+    """Changer that asks a person to place the canister on the turntable.
 
     Parameters
     ----------
     ask : Ask or None
-        Asks a question and returns the answer; None: there is no one to ask.
+        Function that asks a question and returns the answer; None if no person is available.
     """
 
     def __init__(self, ask: Ask | None) -> None:
         self._ask = ask
 
     def change(self, member: Member, *, reason: str = "") -> None:
-        """Ask for the canister, and wait for the answer."""
+        """Ask a person to place the canister on the turntable, and wait for confirmation."""
         if self._ask is None:
             raise UserError(
-                f"plant {member.name} is due, but there is no one to put its canister on the table: run it in a terminal or from the "
-                'console, or use a carousel ([schedule] change = "carousel")'
+                f"the scan of plant {member.name} needs a person who puts its canister on the turntable; run the command in a terminal, "
+                'start it from the console, or use a carousel ([schedule] change = "carousel")'
             )
         start = f"{reason[0].upper()}{reason[1:]}. " if reason else ""
-        self._ask(f"{start}Put canister {member.canister} (plant {member.name}) on the table, then press Enter: ")
+        self._ask(f"{start}Put canister {member.canister} (plant {member.name}) on the turntable, then press Enter: ")
 
 
 class CarouselChanger:
-    """A carousel, in which each canister stands in the place of its number.
+    """Changer that uses a carousel, in which the number of a canister is that of its position.
 
     Parameters
     ----------
     carousel : Carousel
-        Its driver.
+        Driver of the carousel.
     """
 
     def __init__(self, carousel: Carousel) -> None:
@@ -66,7 +66,7 @@ class CarouselChanger:
         self._is_ready = False
 
     def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
-        """Load the canister."""
+        """Load the canister from the carousel."""
         if not self._is_ready:
             self._carousel.prepare()
             self._is_ready = True
@@ -74,17 +74,17 @@ class CarouselChanger:
 
 
 class EmulatedHand:
-    """An emulated person who puts the right canister on the emulated table at once.
+    """Emulated person who always places the right canister on the emulated turntable.
 
     Parameters
     ----------
     put : callable
-        Called with the number of the canister.
+        Function that is called with the number of the canister.
     """
 
     def __init__(self, put: Callable[[int], object]) -> None:
         self._put = put
 
     def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
-        """Put the canister on the table."""
+        """Place the canister on the emulated turntable."""
         self._put(member.canister)

@@ -1,4 +1,4 @@
-"""Time of day in an experiment: that of the computer, or virtual time for the emulated rig."""
+"""Clocks of an experiment: time of the computer, or virtual time for the emulated rig."""
 
 import time
 from collections.abc import Callable
@@ -6,58 +6,58 @@ from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
 STEP_S = 1.0
-"""Interval at which a wait looks whether the run shall end."""
+"""Polling interval at which a waiting clock checks whether the run is to end, s."""
 
 
 class Calendar(Protocol):
-    """Time of day."""
+    """Interface of a clock."""
 
     def now(self) -> datetime:
-        """Return the time, UTC."""
+        """Return the current time, UTC."""
 
     def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:
-        """Return at a time, or as soon as ``stop`` returns True."""
+        """Wait until a given time, or until ``stop`` returns True."""
 
     def advance(self, seconds: float) -> None:
-        """Let the time pass that an emulated scan has taken; real scans take theirs by themselves."""
+        """Advance virtual time by the duration of an emulated scan; the time of the computer is not affected."""
 
 
 class SystemCalendar:
-    """Time of the computer."""
+    """Clock with the time of the computer."""
 
     def now(self) -> datetime:
-        """Return the time, UTC."""
+        """Return the current time of the computer, UTC."""
         return datetime.now(UTC)
 
     def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:
-        """Sleep."""
+        """Sleep until a given time, or until ``stop`` returns True."""
         while (left_s := (then - self.now()).total_seconds()) > 0.0 and not stop():
             time.sleep(min(left_s, STEP_S))
 
     def advance(self, seconds: float) -> None:
-        """Do nothing."""
+        """Do nothing, because real time passes during a scan."""
 
 
 class VirtualCalendar:
-    """Time that passes at once when somebody waits.
+    """Virtual clock, which is set forward instead of waiting.
 
     Parameters
     ----------
     now : datetime
-        Time at the start, UTC.
+        Initial time, UTC.
     """
 
     def __init__(self, now: datetime) -> None:
         self._now = now
 
     def now(self) -> datetime:
-        """Return the time, UTC."""
+        """Return the virtual time, UTC."""
         return self._now
 
     def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:  # noqa: ARG002 - the wait is over at once
-        """Go to the time at once."""
+        """Set the virtual time to ``then`` without waiting, unless it is already later."""
         self._now = max(self._now, then)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the virtual time by the given number of seconds."""
         self._now += timedelta(seconds=seconds)

@@ -1,16 +1,16 @@
-"""The example of an experiment file."""
+"""Example of an experiment file."""
 
 _EXPERIMENT = """\
 # A time-lapse experiment: six radishes in two treatments, one scan a day for ten days.
 # It runs as it is on the emulated rig: rhizotwin timelapse run THIS_FILE
 name = "low nitrogen"
 
-# Rig file ("rhizotwin rig example" writes one), or "twin": the emulated rig, in virtual time.
+# Rig file ("rhizotwin rig example" writes an example), or "twin" for the emulated rig in virtual time.
 rig = "twin"
-# Scene of the rig: canister, strip, calibrated camera and plan; a name from "rhizotwin scenes", or a file.
+# Scene of the rig (canister, marker strip, calibrated camera and scan plan): a name from "rhizotwin scenes", or a file.
 scene = "radish_day15a"
 
-# Catalogue, datasets and results, relative to this file.
+# Catalogue file, and folders of datasets and results, relative to the folder of this file.
 catalogue = "low_nitrogen.rhizotwin"
 scans = "scans"
 results = "results"
@@ -19,19 +19,19 @@ results = "results"
 start = "2026-12-01T09:00"  # local time
 every_h = 24
 rounds = 10
-late_h = 12                 # a scan that has not begun by then is recorded as missed
-change = "person"           # who puts the canisters on the table: person, or carousel
-tries = 3                   # a scan that fails is tried so often ...
-pause_min = 5               # ... with so many minutes between
+late_h = 12                 # maximum delay of a scan; a later scan is recorded as missed
+change = "person"           # who or what puts the canisters on the turntable: person or carousel
+tries = 3                   # number of attempts if a scan fails
+pause_min = 5               # pause between two attempts
 
-[twin]                      # only for rig = "twin"
+[twin]                      # options of the emulated rig
 profile = "bench"
-fidelity = "sketch"         # render: pictures that can be reconstructed, which takes minutes for each scan
+fidelity = "sketch"         # sketch: marker strip only; render: pictures that can be reconstructed (minutes per scan)
 
 [reconstruction]
 run = true
 
-# The strip on the pot of canister N is strip N of "rhizotwin markers SCENE --labels 6 -o strips.pdf"."""
+# Canister N has the marker strip number N printed by "rhizotwin markers SCENE --labels 6 -o strips.pdf"."""
 _PLANT = """
 [[plants]]
 name = "P{number}"
@@ -41,7 +41,7 @@ treatment = "{treatment}"
 sown = "2026-11-26"
 """
 _LOW_N = """\
-growth = 0.85               # on the emulated rig
+growth = 0.85               # growth factor of the simulated plant on the emulated rig
 
 [plants.solution]
 recipe = "kliman_2022"
@@ -54,4 +54,4 @@ EXAMPLE = "".join(
         *((_PLANT + _LOW_N).format(number=number, treatment="low N") for number in (4, 5, 6)),
     ]
 )
-"""Text of the example."""
+"""Text of an experiment file with six plants in two treatments."""

@@ -1,4 +1,4 @@
-"""The experiment file: plants, schedule, rig and folders of a time-lapse experiment (TOML, validated)."""
+"""Experiment file (TOML) with the plants, schedule, rig and folders of a time-lapse experiment."""
 
 import re
 from dataclasses import dataclass, field, replace
@@ -20,109 +20,114 @@ from rhizotwin.scenes.subject import Subject, check_subject
 
 Changing = Literal["person", "carousel"]
 EVERY_H = (0.25, 10000.0)
-"""Limits of an interval: datasets are named after the day with two decimals, and 0.01 day is 0.24 h."""
+"""Minimum and maximum interval between two scans of a plant, h. The names of datasets contain the day with two
+decimals, so that intervals below 0.24 h could not be distinguished."""
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
 def _limits(name: str) -> tuple[float, float]:
-    """Return the limits of a number of the subject of a dataset."""
+    """Return the minimum and maximum of a numeric field of `Subject`."""
     low, high = Subject.__dataclass_fields__[name].metadata["limits"]
     return low, high
 
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """A plant of the experiment, or a phantom."""
+    """Plant or phantom of the experiment."""
 
     name: str
-    """Name of the plant, the same on every day."""
+    """Name of the plant."""
     canister: int = bounded(1, 1, 500)
-    """Number of its strip: `rhizotwin markers SCENE --labels N` prints the strips 1 to N."""
+    """Number of the canister and its marker strip; `rhizotwin markers SCENE --labels N` prints the strips 1 to N."""
     species: str = ""
     """Latin name, such as Raphanus sativus."""
     treatment: str = ""
-    """Treatment, for example 'low N'."""
+    """Treatment of the plant, such as 'low N'."""
     replicate: int | None = field(default=None, metadata={"limits": _limits("replicate")})
-    """Which of the plants that were treated alike."""
+    """Number of the replicate within the treatment."""
     sown: str = ""
-    """Date of sowing, as 2026-11-26; empty: that of [schedule] start, which is then day 0."""
+    """Date of sowing, such as 2026-11-26; empty: date of `start` in [schedule]."""
     notes: str = ""
-    """Anything else."""
+    """Free text."""
     scene: str = ""
-    """Specimen on the emulated rig: a scene whose specimen is in this canister; empty: that of the experiment."""
+    """Scene whose specimen is in this canister of the emulated rig; empty: scene of the experiment."""
     growth: float = bounded(1.0, 0.1, 10.0)
-    """On the emulated rig, factor by which the roots grow faster and longer than those of the scene."""
+    """Factor by which the roots of a simulated plant grow faster and longer than in the scene (emulated rig only)."""
     every_h: float | None = field(default=None, metadata={"limits": EVERY_H})
-    """Hours between its scans, for example 168 for a phantom; empty: as in [schedule]."""
+    """Interval between the scans of this plant, h, such as 168 for a phantom; empty: as in [schedule]."""
     phantom: bool = False
-    """Whether it is a phantom of known shape, which is left out of the curves of growth."""
+    """Whether the canister contains a phantom of known shape, which is excluded from the growth curves."""
     solution: Solution = field(default_factory=Solution)
     """Nutrient solution."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """When the plants are scanned."""
+    """Times at which the plants are scanned, and handling of delays and failures."""
 
     start: str
-    """Date and time of the first round, as 2026-12-01T09:00; local time unless it has an offset such as +01:00."""
+    """Date and time of the first round of scans, such as 2026-12-01T09:00; local time unless an offset such as +01:00
+    is appended."""
     every_h: float = bounded(24.0, *EVERY_H)
-    """Hours from round to round."""
+    """Interval between two rounds, h."""
     rounds: int = bounded(10, 1, 10000)
-    """Number of rounds."""
+    """Number of rounds, in each of which all plants are scanned."""
     late_h: float = bounded(12.0, 0.1, 10000.0)
-    """A scan that has not begun so many hours after it was due is recorded as missed."""
+    """Maximum delay of a scan, h; a scan that has not started by then is recorded as missed."""
     change: Changing = "person"
-    """Who puts the canisters on the table: a person, who is asked to, or a carousel."""
+    """Method of placing canisters on the turntable: by a person, who is prompted, or by a carousel."""
     tries: int = bounded(3, 1, 100)
-    """Number of times that a scan is tried before it is recorded as missed."""
+    """Maximum number of attempts before a scan is recorded as missed."""
     pause_min: float = bounded(5.0, 0.0, 1000.0)
-    """Minutes between two tries."""
+    """Pause between two attempts, min."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwinPart:
-    """The emulated rig, for rig = "twin"."""
+    """Options of the emulated rig, used with rig = "twin"."""
 
     profile: str = "bench"
-    """Errors of the rig: clean, bench, harsh, or a file."""
+    """Simulated imperfections of the rig: clean, bench, camera, harsh, real, or a file."""
     seed: int = bounded(0, 0, 2**31)
+    """Random seed for all simulated errors and noise."""
     fidelity: Literal["render", "sketch"] = "sketch"
-    """render: pictures as `rhizotwin simulate` makes them; sketch: strip and panel only, which cannot be
-    reconstructed."""
+    """Rendering of the pictures: render (realistic, as by `rhizotwin simulate`) or sketch (marker strip and panel only,
+    which cannot be reconstructed)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
-    """What is done with a finished scan."""
+    """Options for the reconstruction of finished scans."""
 
     run: bool = True
-    """Whether scans are reconstructed and the curves of growth updated."""
+    """Whether finished scans are reconstructed and the growth curves updated."""
     voxel_mm: float | None = field(default=None, metadata={"limits": (0.01, 10.0)})
-    """Edge of the smallest voxels; empty: the default of `rhizotwin reconstruct`."""
+    """Edge length of the smallest voxels, mm; empty: default of `rhizotwin reconstruct`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A time-lapse experiment."""
+    """Time-lapse experiment, as described in an experiment file."""
 
     name: str
+    """Name of the experiment."""
     rig: str
-    """Rig file, or "twin": the emulated rig, which runs in virtual time."""
+    """Rig file, or "twin" for the emulated rig, which runs in virtual time."""
     scene: str
-    """Scene of the rig, with its canister, strip, calibrated camera and plan."""
+    """Name or file of the rig's scene, with canister, marker strip, calibrated camera and scan plan."""
     plants: tuple[Member, ...]
+    """Plants and phantoms."""
     schedule: Schedule
     catalogue: str = ""
-    """Catalogue file; empty: the name of the experiment file with the ending .rhizotwin."""
+    """Catalogue file; empty: name of the experiment file with the suffix .rhizotwin."""
     scans: str = "scans"
     """Folder of the datasets."""
     results: str = "results"
-    """Folder of the results, with the curves of growth in ``growth``."""
+    """Folder of the results, with the growth curves in the subfolder ``growth``."""
     twin: TwinPart = TwinPart()
     reconstruction: Reconstruction = Reconstruction()
     file: str = field(default="", compare=False)
-    """The experiment file; set by `load_experiment`. Other paths are relative to its folder."""
+    """Path of the experiment file, to whose folder other paths are relative; set by `load_experiment`."""
 
     @property
     def folder(self) -> Path:
@@ -131,7 +136,7 @@ class Experiment:
 
     @property
     def catalogue_path(self) -> Path:
-        """The catalogue file."""
+        """Path of the catalogue file."""
         return self.folder / self.catalogue if self.catalogue else Path(self.file).with_suffix(SUFFIX)
 
     @property
@@ -146,7 +151,7 @@ class Experiment:
 
     @property
     def start_utc(self) -> datetime:
-        """Time of the first round."""
+        """Time of the first round of scans, UTC."""
         return datetime.fromisoformat(self.schedule.start).astimezone(UTC)
 
     @property
@@ -155,17 +160,19 @@ class Experiment:
         return self.rig == "twin"
 
     def member(self, name: str) -> Member:
-        """Return a plant by its name.
+        """Return the plant with the given name.
 
         Raises
         ------
         UserError
-            If the experiment has none of this name.
+            If the experiment file has no plant with this name.
         """
         for one in self.plants:
             if one.name == name:
                 return one
-        raise UserError(f"{self.file}: has no plant {name!r}, but the catalogue plans a scan of it; restore it in [[plants]]")
+        raise UserError(
+            f"{self.file}: the plant {name!r} is missing, although the catalogue has a planned scan of this plant; restore it in [[plants]]"
+        )
 
     def base_scene(self) -> Scene:
         """Return the scene of the rig."""
@@ -173,7 +180,7 @@ class Experiment:
         return files.load_scene(str(path) if path.suffix == ".toml" else self.scene)
 
     def plant(self, member: Member) -> Plant:
-        """Return the entry of a plant for the catalogue."""
+        """Return the catalogue entry of a plant."""
         return Plant(
             name=member.name,
             species=member.species,
@@ -187,11 +194,11 @@ class Experiment:
         )
 
     def sown(self, member: Member) -> date:
-        """Return the date of sowing."""
+        """Return the sowing date of a plant."""
         return date.fromisoformat(member.sown) if member.sown else datetime.fromisoformat(self.schedule.start).date()
 
     def visits(self) -> list[tuple[str, str]]:
-        """Return plant and due time (UTC, ISO 8601) of every scan, in the order in which they are due."""
+        """Return the plant and planned time (UTC, ISO 8601) of each scan, sorted by time."""
         length_h = self.schedule.every_h * self.schedule.rounds
         found: list[tuple[datetime, int, str]] = []
         for number, one in enumerate(self.plants):
@@ -201,17 +208,20 @@ class Experiment:
         return [(name, due.isoformat(timespec="seconds")) for due, _, name in sorted(found)]
 
     def day(self, member: Member, due_utc: str) -> float:
-        """Return the days since sowing at which a scan is due; whole numbers at the time of day of the first round."""
+        """Return the age of a plant at a planned scan, in days since sowing.
+
+        The age is a whole number at the time of day of the first round.
+        """
         first = datetime.fromisoformat(self.schedule.start).date()
         days = (datetime.fromisoformat(due_utc) - self.start_utc) / timedelta(days=1)
         return round((first - self.sown(member)).days + days, 4)
 
     def scan_folder(self, member: Member, due_utc: str) -> Path:
-        """Return the folder of a scan's dataset, the same in every run."""
+        """Return the folder of a planned scan's dataset, which depends only on plant and planned time."""
         return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{self.day(member, due_utc):06.2f}"
 
     def known_scene(self, member: Member, due_utc: str) -> Scene:
-        """Return the scene of a scan as a laboratory knows it: strip, subject and nutrient solution of the plant."""
+        """Return the nominal scene of a planned scan, with marker strip, subject and nutrient solution of the plant."""
         base = self.base_scene()
         when = datetime.fromisoformat(due_utc).astimezone(datetime.fromisoformat(self.schedule.start).tzinfo)
         whose = Subject(
@@ -228,12 +238,12 @@ class Experiment:
 
 
 def load_experiment(path: Path | str) -> Experiment:
-    """Read and check an experiment file.
+    """Read and validate an experiment file.
 
     Raises
     ------
     UserError
-        With the line, for an unknown key or a value that cannot be.
+        If a key is unknown or a value is invalid. The message states the line.
     """
     path = Path(path)
     table, text = files.read_toml(path)
@@ -246,7 +256,7 @@ def load_experiment(path: Path | str) -> Experiment:
 
 
 def _check(experiment: Experiment, place: Place) -> None:
-    """Reject dates, plants, canisters and folders that cannot be."""
+    """Raise UserError for invalid dates, plants, canisters or paths."""
     for name in ("name", "rig", "scene", "catalogue", "scans", "results"):
         if not getattr(experiment, name).isprintable():
             raise place.at(name).error("must be one line of printable characters", ascii(getattr(experiment, name)))
@@ -254,16 +264,16 @@ def _check(experiment: Experiment, place: Place) -> None:
     try:
         end_utc = (experiment.start_utc + timedelta(hours=experiment.schedule.every_h * experiment.schedule.rounds)).isoformat()
     except ValueError:
-        raise start.error("must be a date and time as 2026-12-01T09:00", experiment.schedule.start) from None
+        raise start.error("must be a date and time such as 2026-12-01T09:00", experiment.schedule.start) from None
     except OverflowError:
-        raise start.error("must place all scans between the years 1 and 9999", experiment.schedule.start) from None
+        raise start.error("must be such that all scans are between the years 1 and 9999", experiment.schedule.start) from None
     if not experiment.plants:
-        raise place.at("plants").error("has no plants; add [[plants]]")
+        raise place.at("plants").error("must contain at least one plant; add a table [[plants]]")
     if experiment.catalogue and not experiment.catalogue.endswith(SUFFIX):
-        raise place.at("catalogue").error(f"must end in {SUFFIX}", experiment.catalogue)
+        raise place.at("catalogue").error(f"must end with {SUFFIX}", experiment.catalogue)
     scene = experiment.base_scene()
     if scene.plants:
-        raise place.at("scene").error("has several plants in one canister, which a time-lapse experiment does not plan", experiment.scene)
+        raise place.at("scene").error("must be a scene with one plant in the canister, not several", experiment.scene)
     names: dict[str, str] = {}
     canisters: dict[int, str] = {}
     for number, one in enumerate(experiment.plants):
@@ -272,10 +282,10 @@ def _check(experiment: Experiment, place: Place) -> None:
         check_solution(one.solution, here.at("solution"))
         safe = _UNSAFE.sub("_", one.name)
         if not one.name or safe in names:
-            other = f"is too much like the name {names[safe]!r}" if one.name else "is empty"
-            raise here.at("name").error(f"{other}; folders are named after the plants, so that each needs a name of its own", one.name)
+            other = f"is too similar to the name {names[safe]!r}" if one.name else "must not be empty"
+            raise here.at("name").error(f"{other}, because the folders of scans are named after the plants", one.name)
         if one.canister in canisters:
-            raise here.at("canister").error(f"is the canister of plant {canisters[one.canister]}; each plant has its own", one.canister)
+            raise here.at("canister").error(f"is already the canister of plant {canisters[one.canister]}; use another number", one.canister)
         names[safe], canisters[one.canister] = one.name, one.name
         try:
             check_scene(replace(scene, strip=strip_for_canister(scene.strip, one.canister)), where=str(here.where))

@@ -1,4 +1,4 @@
-"""Reconstruct finished scans of an experiment, and update its curves of growth."""
+"""Reconstruction of an experiment's finished scans, and update of its growth curves."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,33 +11,33 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.timelapse.experiment import Experiment
 
 GROWTH = "growth"
-"""Folder of the curves of growth in the folder of the results."""
+"""Name of the subfolder of growth curves in the folder of the results."""
 
 
 def reconstruct_scans(experiment: Experiment, catalogue: Catalogue, *, leave_out: set[Path], say: Callable[[str], object]) -> set[Path]:
-    """Reconstruct every complete scan that has no result, as `rhizotwin batch` does, and update the curves of growth.
+    """Reconstruct all complete scans without a result, as `rhizotwin batch` does, and update the growth curves.
 
     Parameters
     ----------
     experiment : Experiment
-        Its settings.
+        Experiment with the options of the reconstruction.
     catalogue : Catalogue
-        Results are added to it.
+        Catalogue of the scans, to which the results are added.
     leave_out : set of Path
-        Datasets that were tried before.
+        Datasets to skip, because an earlier attempt failed.
     say : callable
-        Receives lines for people.
+        Function that is called with each line of output.
 
     Returns
     -------
     set of Path
-        Datasets that were tried.
+        Datasets whose reconstruction was attempted.
     """
     known = {one.scan for one in catalogue.results()}
     waiting = [one for one in catalogue.scans() if one.complete and one.path not in known and one.path not in leave_out]
     sketches, pictures = [one for one in waiting if one.sketch], [one for one in waiting if not one.sketch]
     if sketches:
-        say(f"reconstruction of {_count(sketches)} skipped: sketches of the emulated rig show no roots")
+        say(f"the reconstruction of {_count(sketches)} was skipped, because sketches of the emulated rig show no roots")
     if pictures:
         _reconstruct(experiment, catalogue, pictures, say)
         _update_growth(experiment, catalogue, say)
@@ -58,7 +58,7 @@ def _reconstruct(experiment: Experiment, catalogue: Catalogue, scans: list[Scan]
         except UserError as error:
             say(f"{job.name}: {error}")
     for job, sentence in made.failed:
-        say(f"{job.name} was not reconstructed: {sentence}")
+        say(f"the reconstruction of {job.name} failed: {sentence}")
 
 
 def _update_growth(experiment: Experiment, catalogue: Catalogue, say: Callable[[str], object]) -> None:
@@ -67,7 +67,7 @@ def _update_growth(experiment: Experiment, catalogue: Catalogue, say: Callable[[
     try:
         growth_files.write(results, experiment.results_folder / GROWTH, replace=True)
     except UserError as error:
-        say(f"no curves of growth yet: {error}")
+        say(f"the growth curves could not be computed: {error}")
 
 
 def _count(scans: list[Scan]) -> str:

@@ -1,8 +1,8 @@
-"""Run a time-lapse experiment: wait, change canisters, check the tag, scan, reconstruct, update the curves of growth.
+"""Execution of a time-lapse experiment: change of canisters, scans, reconstruction, and update of the growth curves.
 
-The catalogue holds the state of every planned scan, so that a run that was interrupted at any point, also by a power
-cut, goes on where it stopped: a scan is recorded as begun before anything moves, and as done in the same transaction
-that adds its dataset. The folder of a dataset depends on plant and due time alone, so that no scan is made twice.
+The catalogue stores the state of each planned scan, so that a run can be continued after any interruption, including a
+power failure. A scan is recorded as started before the rig moves, and as finished in the same transaction that adds its
+dataset. The folder of a dataset depends only on plant and planned time, so that no scan is repeated.
 """
 
 from collections.abc import Callable
@@ -32,49 +32,51 @@ from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
 
 @dataclass(frozen=True, kw_only=True)
 class Listener:
-    """Receives the events of a run; the console or the command line."""
+    """Callbacks for the events of a run, provided by the console or the command line."""
 
     say: Callable[[str], None] = lambda _: None
-    """Receives lines for people."""
+    """Function that is called with each line of output for the user."""
     say_devices: Callable[[str], None] | None = None
-    """Receives the lines of the devices; None: as ``say``."""
+    """Function that is called with each line of output about devices; None: same as ``say``."""
     on_visit: Callable[[Visit], object] = lambda _: None
-    """Called after each change of a planned scan."""
+    """Function that is called after each change of a planned scan's state."""
     stop: Callable[[], bool] = lambda: False
-    """Whether the run shall end before the next scan."""
+    """Function that returns True if the run is to end before the next scan."""
     ask: Ask | None = None
-    """Asks a person a question; None: there is no one to ask."""
+    """Function that asks the user a question and returns the answer; None if no user is available."""
     observer: Observer = field(default_factory=Observer)
-    """Receives the pictures of the scan, and may hold it."""
+    """Receiver of the pictures of a scan, which can also pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
-    """Receives the progress of the scan."""
+    """Receiver of the progress of a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """State of an experiment when a run ends."""
+    """State of an experiment at the end of a run."""
 
     scanned: int
+    """Number of finished scans."""
     missed: tuple[Visit, ...]
+    """Missed scans."""
     open: tuple[Visit, ...]
-    """Scans that are still to be made."""
+    """Planned scans that are neither finished nor missed."""
     growth: Path | None
-    """Page with the curves of growth; None: there are none."""
+    """Path of the page with the growth curves; None if there are none yet."""
 
 
 class Runner:
-    """Runs an experiment.
+    """Runs a time-lapse experiment.
 
     Parameters
     ----------
     experiment : Experiment
-        As `load_experiment` returns it.
+        Experiment from `load_experiment`.
     listener : Listener or None
-        Receives the events.
+        Callbacks for the events of the run.
     changer : Changer or None
-        Who puts the canisters on the table; None: as the schedule says.
+        Device or person that places canisters on the turntable; None: as in the schedule.
     calendar : Calendar or None
-        Time of day; None: that of the computer, and virtual time on the emulated rig.
+        Clock; None: time of the computer, or virtual time for the emulated rig.
     """
 
     def __init__(
@@ -86,26 +88,31 @@ class Runner:
         self._calendar = calendar
         self._numbers = {visit: number for number, visit in enumerate(experiment.visits())}
         self.table: RealTable | EmulatedTable | None = None
-        """The rig, once the run has begun."""
+        """Rig of the experiment; None before the run has started."""
 
     def prepare(self) -> None:
-        """Create the catalogue if there is none, and add the plants and planned scans; what is known stays as it is.
+        """Create the catalogue if necessary, and add plants and planned scans that are not yet listed.
 
         Raises
         ------
         UserError
-            If the experiment contradicts the catalogue.
+            If the experiment is inconsistent with the catalogue.
         """
         with Catalogue.open_or_create(self.experiment.catalogue_path) as catalogue:
             self._prepare(catalogue)
 
     def run(self) -> Outcome:
-        """Make all scans that are due, until the schedule is done or the listener stops it.
+        """Perform all planned scans at their times, until the schedule is complete or the listener stops the run.
+
+        Returns
+        -------
+        Outcome
+            State of the experiment at the end of the run.
 
         Raises
         ------
         UserError
-            If another run works on the experiment, or the catalogue, the folders or the rig file cannot be used.
+            If another run uses the experiment, or the catalogue, the folders or the rig file cannot be used.
         """
         path = self.experiment.catalogue_path
         with lock_file(path.with_name(f".{path.name}.lock"), what=self.experiment.file), Catalogue.open_or_create(path) as catalogue:
@@ -137,7 +144,7 @@ class Runner:
         return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
 
     def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
-        """Make a scan that is due, or record it as missed."""
+        """Perform a scan whose time has come, or record the scan as missed."""
         member = self.experiment.member(visit.plant)
         folder = self.experiment.scan_folder(member, visit.due_utc)
         if self._is_complete(folder, member):
@@ -145,7 +152,9 @@ class Runner:
             return
         late = timedelta(hours=self.experiment.schedule.late_h)
         if self._now() > datetime.fromisoformat(visit.due_utc) + late:
-            note = visit.note or ("was interrupted and not continued in time" if visit.state == "scanning" else "was not begun in time")
+            note = visit.note or (
+                "the scan was interrupted and not continued in time" if visit.state == "scanning" else "the scan was not started in time"
+            )
             self._change(catalogue, visit, state="missed", note=note)
             return
         reason = ""
@@ -155,7 +164,7 @@ class Runner:
                 self._scan(catalogue, visit, member, folder, reason=reason)
             except (RigError, identity.WrongPlantError) as error:
                 reason = str(error)
-                self.listener.say(f"{member.name}: try {attempt} of {self.experiment.schedule.tries} failed: {reason}")
+                self.listener.say(f"{member.name}: attempt {attempt} of {self.experiment.schedule.tries} failed: {reason}")
                 if self.listener.stop():
                     return
                 if attempt < self.experiment.schedule.tries and isinstance(error, RigError):
@@ -166,9 +175,9 @@ class Runner:
         self._change(catalogue, visit, state="missed", note=reason)
 
     def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path, *, reason: str) -> None:
-        """Change the canister, check its tag in the first picture, and scan."""
+        """Place the canister on the turntable, and scan the plant after verifying its identity in the first picture."""
         if self.table is None or self._changer is None or self._calendar is None:
-            raise RuntimeError("the run has not begun")
+            raise RuntimeError("the run has not started")
         self._changer.change(member, reason=reason)
         scene = self.experiment.known_scene(member, visit.due_utc)
         number = self._numbers.get((visit.plant, visit.due_utc), 0)
@@ -190,16 +199,16 @@ class Runner:
             self._calendar.advance(bench.clock.now_s() - begin_s)
 
     def _finish(self, catalogue: Catalogue, visit: Visit, folder: Path) -> None:
-        """Add the dataset and record the scan as made, in one transaction."""
+        """Add the dataset to the catalogue and record the scan as finished, in a single transaction."""
         with catalogue.writing():
             adding.add_scan(catalogue, folder)
             done = catalogue.update_visit(visit, state="scanned", at_utc=self._now().isoformat(timespec="seconds"), scan=folder)
         pictures = len(load_dataset(folder).frames)
-        self.listener.say(f"{visit.plant}: scan of {visit.due_utc} done, {pictures} pictures in {folder}")
+        self.listener.say(f"{visit.plant}: the scan planned for {visit.due_utc} is finished, with {pictures} pictures in {folder}")
         self.listener.on_visit(done)
 
     def _reconstruct(self, catalogue: Catalogue, *, leave_out: set[Path]) -> set[Path]:
-        """Reconstruct the scans that have no result yet; return those that were tried."""
+        """Reconstruct scans that have no result yet; return the datasets whose reconstruction was attempted."""
         if not self.experiment.reconstruction.run:
             return set()
         return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
@@ -207,17 +216,19 @@ class Runner:
     def _change(self, catalogue: Catalogue, visit: Visit, *, state: State, note: str) -> Visit:
         changed = catalogue.update_visit(visit, state=state, at_utc=self._now().isoformat(timespec="seconds"), note=note)
         if state == "missed":
-            self.listener.say(f"{visit.plant}: scan of {visit.due_utc} missed: {note}")
+            self.listener.say(f"{visit.plant}: the scan planned for {visit.due_utc} was missed: {note}")
         self.listener.on_visit(changed)
         return changed
 
     def _is_complete(self, folder: Path, member: Member) -> bool:
-        """Return whether a run that was interrupted has finished a scan, but not recorded it."""
+        """Return whether an interrupted run has finished a scan without recording it in the catalogue."""
         if not (folder / "dataset.json").is_file():
             return False
         dataset = load_dataset(folder)
         if dataset.scene.subject.plant != member.name:
-            raise UserError(f"{folder}: is a scan of plant {dataset.scene.subject.plant!r}, not of {member.name}; move it away")
+            raise UserError(
+                f"{folder}: the folder contains a scan of plant {dataset.scene.subject.plant!r} instead of {member.name}; move it elsewhere"
+            )
         return dataset.origin.get("complete") is True
 
     def _now(self) -> datetime:
@@ -229,7 +240,7 @@ class Runner:
 
 
 def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
-    """Return the state of an experiment."""
+    """Return the current state of an experiment from its catalogue."""
     visits = catalogue.visits()
     page = experiment.results_folder / reconstruction.GROWTH / "growth.html"
     return Outcome(
@@ -241,5 +252,5 @@ def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
 
 
 def _next_visit(catalogue: Catalogue) -> Visit | None:
-    """Return the first scan that is neither made nor missed."""
+    """Return the earliest planned scan that is neither finished nor missed; None if there is none."""
     return next((one for one in catalogue.visits() if one.state in ("due", "scanning")), None)

@@ -1,4 +1,4 @@
-"""The rig of an experiment with the canister that is on its table."""
+"""Rig of an experiment, real or emulated, with the canister on its turntable."""
 
 from dataclasses import replace
 
@@ -15,52 +15,52 @@ from rhizotwin.timelapse.changers import CarouselChanger, Changer, EmulatedHand,
 from rhizotwin.timelapse.experiment import Experiment, Member
 
 SEEDS_APART = 1000
-"""Scan number k has the seed `TwinPart.seed` times this plus k, so that each scan has errors of its own."""
+"""Multiplier of `TwinPart.seed`, to which the number of a scan is added to obtain a different seed for each scan."""
 
 
 class RealTable:
-    """A real rig."""
+    """Turntable of a real rig."""
 
     def __init__(self, experiment: Experiment) -> None:
         path = experiment.folder / experiment.rig
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
     def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
-        """Return the rig for a scan.
+        """Return the rig with the scene of a scan; the second value is None, because the rig is real.
 
         Parameters
         ----------
         scene : Scene
-            Scene of the scan as a laboratory knows it.
+            Nominal scene of the scan.
         due_utc, number : str, int
-            Not used.
+            Planned time and number of the scan, which a real rig ignores.
         """
         return replace(self._bench, scene=scene), None
 
 
 class EmulatedTable:
-    """The emulated rig: the scan shows the canister that was put on its table, whichever was wanted."""
+    """Turntable of the emulated rig; a scan shows the canister that was placed on it, even if it is the wrong one."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
         self.canister = 0
-        """Number of the canister on the table; 0: there is none."""
+        """Number of the canister on the turntable; 0 if the turntable is empty."""
         if experiment.twin.fidelity == "render":
             engine.ensure("auto")
 
     def put(self, canister: int) -> None:
-        """Put a canister on the table."""
+        """Place a canister on the turntable."""
         self.canister = canister
 
     def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, rigs.TwinPictures]:
-        """Return the rig for a scan, with its calibrated lens, and how the twin makes its pictures.
+        """Return the emulated rig for a scan, with calibrated lens, and the options of its pictures.
 
         Parameters
         ----------
         scene : Scene
-            Scene of the scan as a laboratory knows it.
+            Nominal scene of the scan.
         due_utc : str
-            Time at which the scan is due.
+            Planned time of the scan, UTC (ISO 8601).
         number : int
             Number of the scan in the experiment.
         """
@@ -69,7 +69,7 @@ class EmulatedTable:
         there = next((one for one in self._experiment.plants if one.canister == self.canister), None)
         if there is not None:
             true = true_scene(self._experiment, there, due_utc)
-        else:  # a canister that belongs to no plant of the experiment, or none
+        else:  # no canister, or a canister without a plant of the experiment
             base = self._experiment.base_scene()
             strip = strip_for_canister(base.strip, self.canister) if self.canister else replace(base.strip, rows=0)
             true = replace(scene, strip=strip, specimen=base.specimen)
@@ -78,13 +78,14 @@ class EmulatedTable:
 
 
 def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
-    """Return the scene of a canister on the emulated rig, with its plant as it has grown by then.
+    """Return the true scene of a canister on the emulated rig, with the plant grown to its age at the planned time.
 
-    The plants of a grown scene have seeds of their own; sketches show no roots, so that no growth is computed for them.
+    Simulated plants of the experiment are grown from different seeds. Growth is not simulated for sketches, because
+    they show no roots.
     """
     known = experiment.known_scene(member, due_utc)
     own = experiment.base_scene() if not member.scene else files.load_scene(member.scene)
-    if own.plants:  # such as the wires of a phantom, which are one member of the experiment
+    if own.plants:  # for example the wires of a phantom, which is one member of the experiment
         return replace(known, specimen=None, plants=own.plants, subject=replace(known.subject, plant=""))
     if experiment.twin.fidelity == "sketch" or not isinstance(own.specimen, GrownSpecimen):
         return replace(known, specimen=own.specimen)
@@ -99,21 +100,21 @@ def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
 
 
 def changer_of(experiment: Experiment, table: RealTable | EmulatedTable, *, ask: Ask | None) -> Changer:
-    """Return who puts the canisters on the table.
+    """Return the device or person that places canisters on the turntable.
 
     Parameters
     ----------
     experiment : Experiment
-        Its schedule says who.
+        Experiment whose schedule specifies a person or a carousel.
     table : RealTable or EmulatedTable
-        The rig.
+        Turntable of the rig.
     ask : callable or None
-        Asks a person.
+        Function that asks the user a question; None if no user is available.
 
     Raises
     ------
     UserError
-        For a carousel on a real rig, for which there is no driver yet.
+        If the schedule specifies a carousel on a real rig, because no driver is available.
     """
     if isinstance(table, EmulatedTable):
         if experiment.schedule.change == "person":
@@ -122,7 +123,7 @@ def changer_of(experiment: Experiment, table: RealTable | EmulatedTable, *, ask:
         return CarouselChanger(TwinCarousel(VirtualClock(), places, table.put))
     if experiment.schedule.change == "carousel":
         raise UserError(
-            f'{experiment.file}: [schedule] change = "carousel" needs the driver of a carousel (rig.devices.Carousel), and this '
-            'program has the emulated one only; use change = "person", or give a driver from Python'
+            f'{experiment.file}: [schedule] change = "carousel" needs a carousel driver (rig.devices.Carousel), but this '
+            'program has only an emulated carousel; use change = "person", or provide a driver in Python'
         )
     return PersonChanger(ask)

@@ -40,7 +40,7 @@ def test_twin_says_what_to_use_instead(tmp_path: Path) -> None:
     done = run(tmp_path, "twin")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(
-        "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which Windows does not have; use 'rhizotwin scan --rig twin'"
+        "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which are not available on Windows; use 'rhizotwin scan --rig twin'"
     )
 
 

@@ -86,7 +86,7 @@ def test_tables_of_growth_and_biomass_are_frames(tmp_path: Path, command: Comman
     assert model.relations
     predicted = rt.biomass(volumes, model=tmp_path / "model.json", output=tmp_path / "predicted.csv")
     assert len(predicted) > 5
-    with pytest.raises(rt.UserError, match="either masses"):
+    with pytest.raises(rt.UserError, match="exactly one of masses and model"):
         rt.biomass(volumes, output=tmp_path / "none.csv")
     tables = rt.growth(masses, tmp_path / "growth")
     assert "masses" in tables

@@ -84,7 +84,7 @@ def test_checksums_tables_and_copies_are_those_of_the_sources(published: Path, m
 def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, study: Path, tmp_path: Path, command: Command) -> None:
     goal = tmp_path / "data"
     command.fails("export", made, "--publish", goal, named=["--study", "title", "licence", "authors"])
-    command.fails("export", made, "-o", tmp_path / "x", "--publish", goal, named=["cannot be combined with -o"])
+    command.fails("export", made, "-o", tmp_path / "x", "--publish", goal, named=["cannot be used with -o"])
     command.fails("export", made, made, "-o", tmp_path / "x.ply", named=["one result"])
     command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["does not exist"])
     (tmp_path / "empty").mkdir()

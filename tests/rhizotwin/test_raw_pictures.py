@@ -72,10 +72,10 @@ def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> Non
 
 def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_dng(tmp_path / "a.dng")
-    with pytest.raises(UserError, match="must be an even multiple"):
+    with pytest.raises(UserError, match="is not an even multiple"):
         read_raw(tmp_path / "a.dng", image_wh=WH)
     (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:400])
-    with pytest.raises(UserError, match="cannot be read as a raw picture"):
+    with pytest.raises(UserError, match="the raw picture could not be read"):
         read_raw(tmp_path / "b.dng", image_wh=(WH[0] // 2, WH[1] // 2))
     monkeypatch.setattr(raw_pictures, "find_spec", lambda _: None)
     with pytest.raises(UserError, match="pip install"):

@@ -63,7 +63,7 @@ def test_centre_lines_and_traits(result: Path, tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_exported_is_said(result: Path, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="--roots is for meshes"):
+    with pytest.raises(UserError, match="--roots applies to meshes"):
         exports.export(result, tmp_path / "a.nrrd", roots="order")
     (result / "roots.rsml").unlink()
     for name, roots in (("a.rsml", None), ("a.glb", "order")):

@@ -21,7 +21,7 @@ def test_one_result_is_printed_with_units(results: list[Path], command: Command)
     out = command.works("traits", results[0]).out
     (volume,) = [line for line in out.splitlines() if line.startswith("  volume ")]
     assert volume.split()[:6] == ["volume", "905", "mm3", "850", "to", "950"]
-    assert "no centre lines were found" in out
+    assert "no roots were found" in out
 
 
 def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, command: Command) -> None:

@@ -155,7 +155,9 @@ def test_empty_masks(rig: Path, tmp_path: Path, command: Command) -> None:
     (tmp_path / "cameras.json").write_text(
         json.dumps({**lens, "frames": [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k in range(4)]})
     )
-    command.fails(*words, "--cameras", tmp_path / "cameras.json", named=["masks", "all silhouettes are empty", "roots must be white"])
+    command.fails(
+        *words, "--cameras", tmp_path / "cameras.json", named=["masks", "all silhouettes are completely black", "roots must be white"]
+    )
     nothing_left(tmp_path, "masks", "cameras.json")
 
 
@@ -249,5 +251,5 @@ def test_no_llvm(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
         command.fails(f"{words} -o out --device cpu", named=["no LLVM", "17 or newer", "install"])
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(dataset / "libLLVM-19.so"))
-        command.fails(f"{words} -o out --device cpu", named=["libLLVM-19.so is no file", "unset it"])
+        command.fails(f"{words} -o out --device cpu", named=["libLLVM-19.so does not exist", "unset the variable"])
     nothing_left(tmp_path, "dataset")

@@ -1,4 +1,4 @@
-// The console's page: asks for the state again and again, shows it, and sends what a person does.
+// Page of the console: polls the state, displays it, and sends the user's actions.
 
 import { Sketch } from "/sketch.js";
 
@@ -17,7 +17,7 @@ function stored(storage, key, make) {
   return found;
 }
 
-// Create an element with texts or elements inside.
+// Create an element with the given properties and children.
 function make(tag, properties, ...inside) {
   const element = Object.assign(document.createElement(tag), properties);
   element.append(...inside.filter((one) => one !== null));
@@ -37,7 +37,7 @@ async function send(method, path, body) {
   throw new Error(text);
 }
 
-// Do something for a person, and show its error.
+// Send an action of the user, and show the error message if it fails.
 async function act(method, path, body) {
   warn("");
   try {
@@ -53,7 +53,7 @@ function warn(text) {
   by("alert").hidden = text === "";
 }
 
-// --- showing the state
+// --- display of the state
 
 function show(next) {
   state = next;
@@ -92,7 +92,7 @@ function row(kind, name, text, soft = "") {
 function showControl() {
   const { name, since, own, idle_s: idle } = state.controls;
   const away = idle > 60 ? `, last connected ${Math.round(idle / 60)} min ago` : "";
-  by("holder").textContent = own ? `You (${name}) control the rig` : name === null ? "No one controls the rig" : `${name} controls the rig since ${since}${away}`;
+  by("holder").textContent = own ? `You (${name}) control the rig` : name === null ? "No one controls the rig" : `${name} has controlled the rig since ${since}${away}`;
   by("holder").className = own ? "own" : "";
   by("take").textContent = name === null ? "Take control" : "Take over";
   by("take").hidden = by("name").hidden = own;
@@ -110,8 +110,8 @@ function showScan(running) {
   by("scan-bar").max = Math.max(scan.total, 1);
   by("scan-bar").value = scan.done;
   const left = scan.left_s === null ? "" : `, about ${duration(scan.left_s)} left`;
-  const words = { running: `running${left}`, paused: "paused: lights on, motor and arm hold", stopping: "stopping: lights off, arm parked; the pictures are kept", ended: scan.done === scan.total && scan.total ? "complete" : scan.done ? "ended; finish it in the list of scans" : "ended before its first picture" };
-  by("scan-state").textContent = scan.total === 0 && running ? "not begun yet" : `${scan.done} of ${scan.total} pictures, ${words[scan.state]}`;
+  const words = { running: `running${left}`, paused: "paused with lights, motor and arm switched on", stopping: "stopping: lights are switched off, and the arm is parked; the pictures are kept", ended: scan.done === scan.total && scan.total ? "complete" : scan.done ? "ended; finish the scan in the list of scans" : "ended before the first picture" };
+  by("scan-state").textContent = scan.total === 0 && running ? "not started yet" : `${scan.done} of ${scan.total} pictures, ${words[scan.state]}`;
   by("scan-error").textContent = scan.error;
   by("scan-error").hidden = scan.error === "";
   by("pause").hidden = scan.state !== "running";
@@ -133,13 +133,13 @@ function showSchedule() {
   by("schedule-bar").max = Math.max(schedule.planned, 1);
   by("schedule-bar").value = schedule.scanned + schedule.missed_count;
   const words = { running: "running", stopping: "ends after this scan", stopped: "not running" };
-  by("schedule-state").textContent = `${schedule.scanned} of ${schedule.planned} scans made, ${schedule.missed_count} missed; ${words[schedule.state]}`;
+  by("schedule-state").textContent = `${schedule.scanned} of ${schedule.planned} scans finished, ${schedule.missed_count} missed; ${words[schedule.state]}`;
   by("growth").hidden = !schedule.growth;
   const group = (title, visits) => (visits.length ? [make("tr", {}, make("th", { colSpan: 3 }, title)), ...visits.map((one) => make("tr", {}, make("td", {}, one.due), make("td", {}, one.plant), make("td", { className: one.state === "missed" ? "wrong" : "" }, one.state + (one.note ? `: ${one.note}` : ""))))] : []);
   by("visits").replaceChildren(...group("Today", schedule.today), ...group("Next", schedule.next), ...group("Missed", schedule.missed));
 }
 
-// Give a cell its title, which stands before it on narrow screens.
+// Set the title of a cell, which is displayed before the cell on narrow screens.
 function labelled(cell, title) {
   cell.dataset.title = title;
   return cell;
@@ -152,7 +152,7 @@ function showPlants() {
   by("known-plants").replaceChildren(...state.plants.map((one) => make("option", { value: one.name })));
   const titles = Array.from(by("plants").tHead.rows[0].cells, (cell) => cell.textContent);
   const rows = state.plants.map((one) => make("tr", {}, ...[one.name, one.treatment, one.day ?? "", one.scans, one.last, one.tag].map((cell, k) => labelled(make("td", {}, `${cell}`), titles[k]))));
-  if (rows.length === 0) rows.push(make("tr", {}, make("td", { colSpan: 6, className: "soft" }, "No plants yet: the first scan of a plant adds it")));
+  if (rows.length === 0) rows.push(make("tr", {}, make("td", { colSpan: 6, className: "soft" }, "No plants yet; the first scan of a plant adds the plant")));
   by("plants").tBodies[0].replaceChildren(...rows);
 }
 
@@ -199,9 +199,9 @@ function showScans() {
 }
 
 function result(scan, job) {
-  if (job?.state === "waiting") return "waiting for its reconstruction";
+  if (job?.state === "waiting") return "waiting for reconstruction";
   if (job?.state === "running") return make("span", {}, `reconstructing: ${job.stage}`, make("progress", { max: 1, value: job.fraction }));
-  if (job?.state === "failed") return make("span", { className: "wrong" }, `not reconstructed: ${job.error}`);
+  if (job?.state === "failed") return make("span", { className: "wrong" }, `reconstruction failed: ${job.error}`);
   return scan.result === null ? "" : scan.result.volume;
 }
 
@@ -212,7 +212,7 @@ function showMessages() {
   by("messages").replaceChildren(...state.messages.map((one) => make("li", { className: one.kind }, make("time", {}, one.time), one.text)));
 }
 
-// --- what a person does
+// --- actions of the user
 
 by("name").value = localStorage.getItem("rhizotwin-name") ?? "";
 by("control").addEventListener("submit", (event) => {
@@ -251,7 +251,7 @@ onSubmit("start", (fields) => {
   act("POST", "/api/scans", { ...texts, day, reconstruct: by("reconstruct").checked });
 });
 
-// --- following the state
+// --- polling of the state
 
 async function follow() {
   for (;;) {
@@ -267,7 +267,7 @@ async function follow() {
     } catch (error) {
       by("activity").textContent = "no connection";
       by("activity").className = "pill lost";
-      if (error.message.startsWith("401")) warn("The console was started again: open the address that it printed, or log in again.");
+      if (error.message.startsWith("401")) warn("The console was restarted. Open the new address that it printed, or log in again.");
       else if (!(error instanceof TypeError)) warn(error.message);
       await new Promise((go) => setTimeout(go, RETRY_MS));
     }

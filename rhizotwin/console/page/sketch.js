@@ -1,4 +1,4 @@
-// Draws the cells of the sketch and the canister on a canvas; dragging turns the view.
+// Draws the cells of the sketch and the canister on a canvas; dragging rotates the view.
 
 const LAYERS = 12;
 

@@ -54,11 +54,11 @@ def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
 
 
 def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    command.fails("batch", tmp_path, "-o", tmp_path / "r", named=["there is no dataset"])
+    command.fails("batch", tmp_path, "-o", tmp_path / "r", named=["no dataset was found"])
     pytest.importorskip("distributed")
     monkeypatch.setattr("rhizotwin.batches.cluster.WAIT_S", 0.5)
     words = ("batch", dataset(tmp_path / "scans" / "a").parent, "-o", tmp_path / "r", "--cluster", "tcp://127.0.0.1:9")
-    assert "no Dask scheduler answers there" in command(*words).err
+    assert "the Dask scheduler could not be reached" in command(*words).err
 
 
 def test_what_is_finished_is_known_by_dataset_settings_and_code(
@@ -187,7 +187,7 @@ def test_addresses_are_found_fetched_and_put(elsewhere: str, tmp_path: Path) -> 
     assert places.read(f"{elsewhere}/jobs/a.json") == b"{}"
     assert places.read(f"{elsewhere}/jobs/b.json") is None
     assert fsspec.filesystem("memory").exists("/batch/scans/one/dataset.json")
-    with pytest.raises(UserError, match="cannot be reached"):
+    with pytest.raises(UserError, match="could not be opened"):
         places.find_datasets("nowhere://x")
 
 
@@ -246,7 +246,7 @@ def test_what_lies_in_the_way_of_a_batch_is_one_sentence(tmp_path: Path, monkeyp
     pytest.importorskip("dask_jobqueue")
     scan = dataset(tmp_path / "scans" / "ball")
     monkeypatch.setenv("PATH", "")
-    command.fails("batch", scan, "-o", tmp_path / "r", "--cluster", "slurm", named=["there is no sbatch"])
+    command.fails("batch", scan, "-o", tmp_path / "r", "--cluster", "slurm", named=["sbatch was not found"])
     (scan / "dataset.json").unlink()
     os.mkfifo(scan / "dataset.json")  # it fails by itself, and holds nobody up
     (one,) = collect.reconstructions([str(scan)], str(tmp_path / "r"), voxel_mm=None, settings=None, device="cpu")

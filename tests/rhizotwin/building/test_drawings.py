@@ -101,6 +101,6 @@ def test_one_part_alone_is_the_one_of_the_whole(tmp_path) -> None:
     written = tmp_path / "canister_ring"
     assert {path.name for path in written.rglob("*.*")} == {"canister_ring.stl", "canister_ring.svg", "parameters.csv", "parameters.json"}
     assert (written / "canister_ring.stl").read_bytes() == stl_bytes(canister_ring(Scene(), Measures()).printed)
-    with pytest.raises(UserError, match="unknown part 'nose'; available: net_pot, "):
+    with pytest.raises(UserError, match="the part 'nose' is unknown; choose from net_pot, "):
         write("nose")
     assert not (tmp_path / "nose").exists()

@@ -160,7 +160,7 @@ def test_what_cannot_be_printed_is_refused() -> None:
             net_pot(replace(Scene(), net_pot=pot), MEASURES)
     with pytest.raises(UserError, match=r"clearance.floor_z_mm -165 leaves"):
         table.table_foot(Scene(), MEASURES, -165.0)
-    with pytest.raises(UserError, match="does not fit the build volume of 150 x 150"):
+    with pytest.raises(UserError, match="does not fit the printer's build volume of 150 x 150"):
         check_bed(PARTS["scene"][0], (150.0, 150.0, 200.0))
 
 
@@ -182,7 +182,7 @@ def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_i
         assert (probe.translate((x, y, floor_mm + TANK.tank.wall_mm + tank.GLIDE_MM)) ^ above).volume() < 1e-6
         assert (bore ^ below).volume() > 1.0  # the pockets have a floor
     wet = replace(TANK, tank=replace(TANK.tank, level_mm=-6.5))
-    with pytest.raises(UserError, match=r"strip.bottom_mm is 3.5 mm above tank.level_mm, but the meniscus on a wetted wall reaches 3.9 mm"):
+    with pytest.raises(UserError, match=r"is only 3.5 mm above the water of the tank \(tank.level_mm\), which rises by 3.9 mm"):
         tank.parts(wet, MEASURES, -300.0)
     with pytest.raises(UserError, match=r"for the posts of the tank"):
         tank.parts(TANK, MEASURES, -160.0)

@@ -37,16 +37,16 @@ def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Com
     _results(make_dataset, ball_result)
     (tmp_path / "masses.csv").write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
     words = ("catalogue", "add", file, tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
-    assert "4 datasets, 4 results and 1 tables of masses added" in command.works(*words).out
+    assert "added 4 datasets, 4 results and 1 mass tables" in command.works(*words).out
     assert command.works("catalogue", "list", file).out.split()[:4] == ["plants", "2", "scans", "4"]
     assert "low N" in command.works("catalogue", "list", file, "plants").out
     assert "2 rows" in command.works("catalogue", "list", file, "scans", "--plant", "P2").out
     assert "2 rows" in command.works("catalogue", "list", file, "results", "--plant", "P2").out
     assert "P1" not in command.works("catalogue", "list", file, "rig_numbers", "--plant", "P2").out
     assert command.works("catalogue", "list", file, "--plant", "P2").out.split()[:6] == ["plants", "1", "scans", "2", "results", "2"]
-    command.fails("catalogue", "list", file, "scans", "--plant", "P9", named=["has no plant 'P9'; its plants are P1, P2"])
+    command.fails("catalogue", "list", file, "scans", "--plant", "P9", named=["no plant is named 'P9'; known plants: P1, P2"])
     assert "P1" in command.works("catalogue", "query", file, "SELECT name FROM plants ORDER BY name LIMIT 1").out
-    command.fails("catalogue", "query", file, "DELETE FROM plants", named=["does more than read"])
+    command.fails("catalogue", "query", file, "DELETE FROM plants", named=["must only read the catalogue"])
     assert "no difference" in command.works("catalogue", "check", file).out
     command.works("catalogue", "export", file, "-o", tmp_path / "tables")
     assert (tmp_path / "tables" / "masses.csv").read_text().startswith("plant,day,kind,grams,source\nP1,6,root_fresh,0.9,masses.csv\n")
@@ -105,7 +105,7 @@ def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
     file, scene, canister_2 = tmp_path / "my.rhizotwin", tmp_path / "scene.toml", tmp_path / "canister_2.toml"
     save_scene(SCENE, scene)
     save_scene(replace(SCENE, strip=replace(SCENE.strip, first_id=22)), canister_2)
-    command.fails("catalogue", "plant", file, "P1", "--canister", "1", named=["--canister and --scene belong together"])
+    command.fails("catalogue", "plant", file, "P1", "--canister", "1", named=["--canister and --scene must be given together"])
     for number, treatment in ((1, "control"), (2, "low N")):
         words = ("catalogue", "plant", file, f"P{number}", "--canister", number, "--scene", scene)
         command.works(*words, "--treatment", treatment, "--sown", "2026-11-20")
@@ -114,9 +114,9 @@ def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
     assert load_dataset(tmp_path / "d").scene.subject.plant == "P2"
     with Catalogue.open(file) as opened:
         assert [(one.plants, one.day) for one in opened.scans()] == [(("P2",), 11.0)]
-    command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is that of plant P2, not P1: put P1 on the table"])
+    command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is P2 instead of P1; put P1 on the turntable"])
     assert not list(tmp_path.glob("e/images/*"))
-    command.fails(*scan, tmp_path / "f", "--plant", "P7", named=["has no plant 'P7'"])
+    command.fails(*scan, tmp_path / "f", "--plant", "P7", named=["no plant is named 'P7'"])
 
 
 def test_strips_of_canisters(tmp_path: Path, command: Command):
@@ -133,5 +133,5 @@ def test_time_lapse_commands(tmp_path: Path, command: Command):
     save_scene(SCENE, tmp_path / "scene.toml")
     text = file.read_text().replace("radish_day15a", "scene.toml").replace("rounds = 10", "rounds = 1").replace('"bench"', '"clean"')
     file.write_text(text)
-    assert "6 scans made, 0 missed, 0 still to be made" in command.works("timelapse", "run", file, "--quiet").out
+    assert "6 scans are finished, 0 were missed, and 0 are still planned" in command.works("timelapse", "run", file, "--quiet").out
     assert command.works("timelapse", "status", file, "--every").out.count("scanned") == 6

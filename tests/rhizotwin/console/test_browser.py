@@ -124,7 +124,7 @@ def test_a_scan_survives_the_console(browser: Any, tmp_path: Path) -> None:
             popup.value.get_by_text("ml").first.wait_for()
             assert "P7" in popup.value.content()
             page.get_by_text("Focus", exact=True).wait_for()
-            page.get_by_text("After the turn", exact=True).wait_for()
+            page.get_by_text("Motion", exact=True).wait_for()
         dataset = load_dataset(folders[0])
         assert dataset.origin["complete"]
         assert len(dataset.frames) == VIEWS

@@ -18,17 +18,19 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def test_mistakes(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(PASSWORD_VARIABLE, raising=False)
-    command.fails("console", named=["give --rig and -o, or --experiment"])
+    command.fails("console", named=["either --rig RIG and --output FOLDER, or --experiment FILE"])
     command.fails("console", "--rig", tmp_path / "rig.toml", "-o", tmp_path / "lab", named=["--scene is missing"])
-    command.fails("console", "--rig", "twin", "--experiment", tmp_path / "e.toml", named=["leave --rig and -o out"])
+    command.fails(
+        "console", "--rig", "twin", "--experiment", tmp_path / "e.toml", named=["--rig and --output cannot be used with --experiment"]
+    )
     words = ("console", "--rig", "twin", "-o", tmp_path / "lab", "--fidelity", "sketch", "--no-browser")
-    command.fails(*words, "--host", "0.0.0.0", named=["requires a password", PASSWORD_VARIABLE])
+    command.fails(*words, "--host", "0.0.0.0", named=["needs a password", PASSWORD_VARIABLE])
     monkeypatch.setenv(PASSWORD_VARIABLE, "short")
     command.fails(*words, "--host", "0.0.0.0", named=["at least 8 characters"])
-    command.fails(*words, "--host", "localhost.invalid.", named=["requires a password"])
+    command.fails(*words, "--host", "localhost.invalid.", named=["needs a password"])
     assert not (tmp_path / "lab").exists()
     monkeypatch.setenv(PASSWORD_VARIABLE, "long enough")
-    command.fails(*words, "--host", "192.0.2.1", named=["nothing can be served at 192.0.2.1"])
+    command.fails(*words, "--host", "192.0.2.1", named=["cannot use the address 192.0.2.1"])
 
 
 def test_ctrl_c_leaves_the_rig_safe(tmp_path: Path, scene_file: Path) -> None:

@@ -75,7 +75,7 @@ def test_measurements_of_a_picture():
     assert found["Exposure"].state == "bad"
     assert found["Exposure"].value.startswith("8 % of full scale")
     assert found["Panel"].state == "fair"
-    assert found["After the turn"].value == "2.0 % of the picture still moves"
+    assert found["Motion"].value == "2.0 % of the picture still moves"
     assert "Focus" not in found
     assert shown.jpeg.startswith(b"\xff\xd8")
     import cv2

@@ -40,7 +40,7 @@ def states(queue: Queue) -> dict[object, object]:
 def test_refusals(folders: ScanFolders) -> None:
     queue = open_queue(folders)
     try:
-        for name, words in (("P8", "not complete"), ("none", "no scan"), ("../P7", "not a name"), ("", "not a name")):
+        for name, words in (("P8", "not complete"), ("none", "does not exist"), ("../P7", "not a valid name"), ("", "not a valid name")):
             with pytest.raises(UserError, match=words):
                 queue.add(name)
         with pytest.raises(UserError, match="not in the queue"):
@@ -52,7 +52,7 @@ def test_refusals(folders: ScanFolders) -> None:
 def test_an_interrupted_reconstruction_begins_again(folders: ScanFolders) -> None:
     queue = open_queue(folders)
     queue.add("P7")
-    with pytest.raises(UserError, match="in the queue already"):
+    with pytest.raises(UserError, match="already in the queue"):
         queue.add("P7")
     until(lambda: states(queue)["P7"] == "running")
     queue.close()  # kills its process, as the end of the console does
@@ -94,9 +94,9 @@ def test_reconstructions_end_with_a_report_or_a_reason(folders: ScanFolders) -> 
 def test_a_damaged_queue_is_named(folders: ScanFolders) -> None:
     path = folders.root / "queue.json"
     for text, words in (
-        ("{", "cannot be read"),
+        ("{", "could not be read"),
         ('{"schema_version": 2, "jobs": []}', "schema_version 2"),
-        ('{"schema_version": 1, "jobs": [{"scan": "../x"}]}', "not a name"),
+        ('{"schema_version": 1, "jobs": [{"scan": "../x"}]}', "not a valid name"),
         ('{"schema_version": 1, "jobs": [{"scn": "x"}]}', "scn"),
     ):
         path.write_text(text)

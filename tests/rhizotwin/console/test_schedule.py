@@ -86,7 +86,7 @@ def test_the_schedule_asks_checks_and_continues(lab: ScheduleLab) -> None:
     with pytest.raises(UserError, match="busy: schedule of two plants"):
         lab.client.command("pose")
     lab.client.answer("2")
-    assert lab.question("P1").startswith("The canister on the table is that of plant P2, not P1: put P1 on the table.")
+    assert lab.question("P1").startswith("The plant on the turntable is P2 instead of P1; put P1 on the turntable.")
     assert not list(lab.experiment.scans_folder.rglob("*.png"))
     lab.client.answer("")
     lab.question("P2")
@@ -118,7 +118,7 @@ def test_nothing_is_written_under_a_wrong_name(lab: ScheduleLab) -> None:
     """The emulated table has canister 1, that of P1."""
     for plant in ("P2", "a new plant", ""):
         lab.client.start_scan(plant=plant, reconstruct=False)
-        with pytest.raises(UserError, match=f"is that of plant P1, not {plant or 'a plant without a name'}"):
+        with pytest.raises(UserError, match=f"is P1 instead of {plant or 'a plant without a name'}"):
             lab.client.wait_for_scan(timeout_s=LONG_S)
         assert not list(lab.experiment.scans_folder.rglob("*.png"))
     with pytest.raises(UserError, match="the treatment of plant P1 is 'control' in the catalogue, not 'low N'"):
@@ -134,7 +134,7 @@ def test_a_canister_without_a_strip_is_not_scanned(lab: ScheduleLab) -> None:
     lab.client.start_schedule()
     lab.question("P1")
     lab.client.answer("7")
-    assert "that of no plant in the catalogue" in lab.question("P1")
+    assert "matches no plant in the catalogue" in lab.question("P1")
     lab.client.stop_schedule()
 
 
@@ -142,7 +142,7 @@ def test_no_schedule_without_an_experiment(lab: ScheduleLab, tmp_path: Path) -> 
     console = Console(rigs.twin_bench(lab.experiment.base_scene(), replace(TWIN)), tmp_path / "other", twin=TWIN)
     try:
         assert console.state("")["schedule"] is None
-        with pytest.raises(UserError, match="start the console with --experiment"):
+        with pytest.raises(UserError, match="start it with --experiment"):
             console.start_schedule()
     finally:
         console.close()

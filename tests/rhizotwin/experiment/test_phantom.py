@@ -68,7 +68,7 @@ def test_command(tmp_path: Path, command: Command):
     write_rsml(tmp_path / "roots.rsml", [_wire(diameter, 60.0, 10.0 * k) for k, diameter in enumerate(WIRES)])
     assert command.works("phantom", tmp_path).out.count("measured within 3 %") == 4
     assert command("phantom", tmp_path, "--mg-per-m", "60,283,1129,4493").code == 1
-    command.fails("phantom", tmp_path, "--wires-mm", "0.1", "--mg-per-m", "60", named=["exclude each other"])
+    command.fails("phantom", tmp_path, "--wires-mm", "0.1", "--mg-per-m", "60", named=["cannot be used together"])
 
 
 @pytest.mark.slow

@@ -41,9 +41,9 @@ def test_each_scan_has_a_folder_at_the_shortest_interval(make_experiment):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("canister = 2", "canister = 1", r"\[plants 2\] canister = 1: is the canister of plant P1"),
-        ('"P2"', '"P1"', r"is too much like the name 'P1'"),
-        ('"P2"', '""', "is empty"),
+        ("canister = 2", "canister = 1", r"\[plants 2\] canister = 1: is already the canister of plant P1"),
+        ('"P2"', '"P1"', r"is too similar to the name 'P1'"),
+        ('"P2"', '""', "must not be empty"),
         ("canister = 2", "canister = 27", "enough for 26 strips of 22"),
         ("rounds = 2", "rounds = 0", "rounds = 0"),
         ("2026-12-01T09:00:00", "noon", "must be a date and time"),
@@ -55,7 +55,7 @@ def test_each_scan_has_a_folder_at_the_shortest_interval(make_experiment):
         ("canister = 2", "canister = 2\nevery_h = 0.1", "every_h = 0.1"),
         ("2026-12-01T09:00:00", "9999-12-31T23:00:00", "between the years 1 and 9999"),
         ('scene = "small.toml"', 'scene = "small.toml"\nscans = "a\\u0000b"', "printable"),
-        ('scene = "small.toml"', 'scene = "small.toml"\ncatalogue = "x.db"', "must end in .rhizotwin"),
+        ('scene = "small.toml"', 'scene = "small.toml"\ncatalogue = "x.db"', "must end with .rhizotwin"),
     ],
 )
 def test_mistakes_are_named(make_experiment, old: str, new: str, words: str):

@@ -72,11 +72,11 @@ def test_wrong_canister_is_not_scanned(make_experiment):
     hand.runner = Runner(experiment, listener=Listener(ask=hand.ask), changer=PersonChanger(hand.ask))
     assert hand.runner.run().scanned == 2
     first, other, none, unknown, second = hand.questions
-    assert first == "Put canister 1 (plant P1) on the table, then press Enter: "
-    assert "is that of plant P2, not P1" in other
-    assert "cannot be read" in none
-    assert "is that of no plant in the catalogue (APRILTAG_36h11 markers 1" in unknown
-    assert second == "Put canister 2 (plant P2) on the table, then press Enter: "
+    assert first == "Put canister 1 (plant P1) on the turntable, then press Enter: "
+    assert "is P2 instead of P1" in other
+    assert "could not be read" in none
+    assert "(APRILTAG_36h11 markers 1" in unknown
+    assert second == "Put canister 2 (plant P2) on the turntable, then press Enter: "
     for scan, ids in (("P1_day_000.00", 0), ("P2_day_000.00", 22)):
         dataset = load_dataset(experiment.scans_folder / scan)
         assert dataset.scene.strip.first_id == ids
@@ -87,13 +87,13 @@ def test_wrong_canister_to_the_end_is_missed_and_leaves_nothing(make_experiment)
     hand = Hand([5, 5, 5])
     hand.runner = Runner(experiment, listener=Listener(ask=hand.ask), changer=PersonChanger(hand.ask))
     (missed,) = hand.runner.run().missed
-    assert "is that of no plant" in missed.note
+    assert "matches no plant" in missed.note
     assert not list(experiment.scans_folder.rglob("*.png"))
 
 
 def test_nobody_there(make_experiment):
     experiment = load_experiment(make_experiment(plants=1, rounds=1))
-    with pytest.raises(UserError, match="there is no one to put its canister"):
+    with pytest.raises(UserError, match="needs a person who puts its canister"):
         Runner(experiment, changer=PersonChanger(None)).run()
     assert Runner(experiment).run().scanned == 1
 
@@ -104,8 +104,8 @@ def test_late_scans_are_missed(make_experiment):
     outcome = Runner(experiment, calendar=calendar).run()
     assert outcome.scanned == 1
     assert [(one.due_utc[:10], one.note) for one in outcome.missed] == [
-        ("2026-12-01", "was not begun in time"),
-        ("2026-12-02", "was not begun in time"),
+        ("2026-12-01", "the scan was not started in time"),
+        ("2026-12-02", "the scan was not started in time"),
     ]
 
 
@@ -164,7 +164,7 @@ def test_dataset_of_another_plant_is_not_recorded(make_experiment):
     experiment.catalogue_path.unlink()
     (experiment.scans_folder / "P1_day_000.00").rename(experiment.scans_folder / "x")
     (experiment.scans_folder / "P2_day_000.00").rename(experiment.scans_folder / "P1_day_000.00")
-    with pytest.raises(UserError, match="is a scan of plant 'P2', not of P1"):
+    with pytest.raises(UserError, match="contains a scan of plant 'P2' instead of P1"):
         Runner(experiment).run()
 
 
