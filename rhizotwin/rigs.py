@@ -280,7 +280,9 @@ def asker() -> Callable[[str], str] | None:
         try:
             return input(question)
         except EOFError:
-            raise UserError("a question was not answered; run the command again, or answer in advance with the option in --help") from None
+            raise UserError(
+                "a question was not answered; run the command again, or answer in advance with an option (see --help)"
+            ) from None
 
     return ask
 

@@ -15,7 +15,7 @@ _UNITS_MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1000.0),
     **dict.fromkeys(("inch", "inches", "in"), 25.4),
 }
-_SET_UNIT = "specify it with --specimen-unit UNIT, or with unit in a scene file"
+_SET_UNIT = "give the size of one coordinate unit, such as '0.1 mm', with --specimen-unit, or as unit in a scene file"
 THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 """Pattern of the name of a property or function for the thickness, optionally with its unit: "diameter", "radius
 [m]"."""
@@ -64,20 +64,16 @@ class Units:
             marked = {m[2] for e in self.document.iter() if (m := THICKNESS.fullmatch(rsml_xml.attribute(e, "name") or "")) and m[2]}
             if len(marked) == 1:  # "radius [m]": the only unit in the file is also used for its points
                 return self.unit_mm(marked.pop(), "a function's name")
-            raise UserError(f"{self.path}: the file states no unit; {_SET_UNIT} (mm, cm, m, um or inch, or a step such as 0.1 mm)")
+            raise UserError(f"{self.path}: the file states no unit; {_SET_UNIT}")
         if written.lower() not in _UNITS_MM:
-            raise UserError(f'{self.path}: the file has the unknown unit "{written}"; {_SET_UNIT}, as the size of a step such as 0.1 mm')
+            raise UserError(f'{self.path}: the file has the unknown unit "{written}"; {_SET_UNIT}')
         unit_mm = _UNITS_MM[written.lower()]
         text = self.metadata("resolution")
         if not text and unit_mm == 25.4:
-            raise UserError(
-                f"{self.path}: the file has the unit inch but no resolution in dpi; {_SET_UNIT}, as the size of a step such as 0.1 mm"
-            )
+            raise UserError(f"{self.path}: the file has the unit inch but no resolution in dpi; {_SET_UNIT}")
         resolution = self.number(text or "1", "resolution")
         if resolution <= 0.0:
-            raise UserError(
-                f"{self.path}: the file has the resolution {text}, which must be above 0; {_SET_UNIT}, as the size of a step such as 0.1 mm"
-            )
+            raise UserError(f"{self.path}: the file has the resolution {text}, which must be above 0; {_SET_UNIT}")
         return unit_mm / resolution if resolution > 1.0 else unit_mm * resolution
 
     def properties_mm(self) -> dict[str, float]:

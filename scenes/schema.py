@@ -87,7 +87,7 @@ def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
         If a key is unknown or missing, or a value has a wrong type or is beyond the limits of its field.
     """
     if not isinstance(mapping, Mapping):
-        raise place.error(f"must be a table of keys, not {_type_name(mapping)}", mapping)
+        raise place.error(f"must be a table (key = value), not {_type_name(mapping)}", mapping)
     hints = get_type_hints(kind)
     known = {f.name: f for f in fields(kind) if f.init}
     for key in mapping:
@@ -118,7 +118,7 @@ def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
         return _tuple(arguments, value, f, place)
     if origin is dict:
         if not isinstance(value, Mapping):
-            raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
+            raise place.error(f"must be a table (key = value), not {_type_name(value)}", value)
         return {str(key): _value(arguments[1], item, f, place.at(str(key))) for key, item in value.items()}
     if isinstance(hint, type) and is_dataclass(hint):
         return from_plain(hint, value, place)
@@ -161,7 +161,7 @@ def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
     """Create one of several dataclasses, which is selected by the key ``kind``."""
     kinds = {union_tag(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
-        raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
+        raise place.error(f"must be a table (key = value), not {_type_name(value)}", value)
     named = ", ".join(f'"{k}"' for k in kinds)
     if "kind" not in value:
         raise place.at("kind").error(f"is missing, but must be one of {named}")

@@ -144,7 +144,7 @@ def run(
         Command line of the method, in which {dataset} and {output} are replaced by folders; or a method of this
         program: ours, thesis, regularised or hull (see 'rhizotwin reconstruct').
     output : Path
-        JSON file of results to write.
+        JSON file to which the results are written.
     options : RunOptions
         Options for running the method.
     device : str
@@ -213,7 +213,7 @@ def score(
     outputs : Path
         Folder with the output of the method, with one subfolder per case, named after the case.
     output : Path
-        JSON file of results to write.
+        JSON file to which the results are written.
     label : str
         Name of the method in tables.
     cases : tuple of str

@@ -109,8 +109,8 @@ def read(path: Path, result_folder: Path) -> Log:
         raise UserError(f"{path} could not be read as a log of corrections: {error}") from None
     if log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
         raise UserError(
-            f"{path} contains corrections of another result and cannot be applied to {result_folder}; "
-            "after a new reconstruction, make the corrections again"
+            f"{path} contains corrections of a different result and cannot be applied to {result_folder}; "
+            "if the scan was reconstructed again, repeat the corrections"
         )
     return log
 

@@ -31,8 +31,8 @@ motor's magnetic field."""
 MOST_SLIPPED_DEG = 1.0
 """Maximum deviation from the commanded angle, deg, for a picture to count as taken at that angle, with any motor."""
 UNSURE_DEG = 0.1
-"""Error of the angle measured with the markers in a single picture, deg (0.6 px at 350 px of the strip's radius in
-400x300 pixels). Smaller deviations do not count as slip."""
+"""Error, in degrees, of the table angle measured from the markers of a single picture. It corresponds to a fifth of a
+pixel at the edge of the strip in pictures of 400x300. Smaller deviations do not count as slip."""
 
 Taken = tuple[float, Path]
 """Commanded table angle, deg, and file of a picture."""

@@ -150,7 +150,7 @@ UNKNOWN = {
 @pytest.mark.parametrize("metadata", UNKNOWN.values(), ids=UNKNOWN.keys())
 def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> None:
     path = write(f"<root>{LINE}{THICK}</root>", metadata)
-    with pytest.raises(UserError, match=r"wild\.rsml: .*(--specimen-unit UNIT, or with unit in a scene file|resolution)"):
+    with pytest.raises(UserError, match=r"wild\.rsml: .*(with --specimen-unit, or as unit in a scene file|resolution)"):
         read_rsml(path)
     assert one(path, unit="cm").points_mm[0, 2] == -10.0
     assert one(path, unit="0.5 mm").points_mm[0, 2] == -0.5
