@@ -55,9 +55,7 @@ def read_table(path: Path) -> list[Row]:
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
         where = f"{path}, line {number}"
         if len(cells) > len(head):
-            raise UserError(
-                f"{where}: the row has {len(cells)} cells, but the header has {len(head)}; if numbers contain decimal commas, replace them by points"
-            )
+            raise UserError(f"{where}: the row has {len(cells)} cells, but the header has {len(head)}; replace decimal commas by points")
         made.append(Row(where=where, cells=dict(zip(head, [cell.strip() for cell in cells], strict=False))))
     return made
 
