@@ -22,7 +22,7 @@ threshold, some markers may be misidentified. OpenCV's corners deviate by 0.1 to
 corners of a misidentified marker by at least the side of a marker."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
 """Two parameters of RANSAC: the inlier distance, px, and the number of trials. If half of the corners belong to
-misidentified markers, nine of 300 samples of five corners contain only correct corners."""
+misidentified markers, about nine of 300 random samples of five corners are free of such corners."""
 _ENOUGH_MM = 1e-5
 """Camera displacement per step below which the single-view fit ends, mm. The value is a thousandth of the accuracy of a
 single view."""
@@ -50,8 +50,8 @@ class Sightings:
 class Linearised:
     """Linearised least-squares problem of one picture about a camera pose.
 
-    The unknowns are the left-hand twist of the pose (rad and mm), the inset (px), and the relative change of the focal
-    lengths.
+    The unknowns are a twist of the pose applied from the left (rad and mm), the inset (px), which enlarges the markers
+    on each side, and the relative change of the focal lengths.
     """
 
     normal: Array
