@@ -166,15 +166,15 @@ class MarkerCalibration(StripCalibration):
 
     table_sigma: Array | None
     """(4,) standard deviations of the canister's tilt about x and y on the table, degrees, and its offset in x and y,
-    mm. The values combine the errors of the markers with those of the canister's edges."""
+    mm. They include the errors of the markers and those of the canister's edges."""
     table_correction_deg: float | None
     """Standard deviation of the differences between estimated and commanded table angles, degrees. It is None if no
     angles were commanded."""
     canister: CanisterPose | None
     """Pose of the canister in the strip; None if the canister's edges were not visible."""
     blur_px: float | None = None
-    """Median standard deviation of the blur at the markers, px, including 0.29 px of the pixel itself; None if not
-    measured."""
+    """Standard deviation of the blur at the markers, px, including 0.29 px of the pixel itself. It is the median over
+    all markers, or None if the blur was not measured."""
     refocus_px: float | None = None
     """Standard deviation of the additional blur of the least sharp picture relative to the sharpest, px. It is the
     square root of the difference between the variances of the two blurs. It is None if too few markers were

@@ -53,8 +53,8 @@ LEAST_RISE = 0.25
 """Minimum contrast of an accepted edge. The contrast is the rise of the brightness within three pixels, divided by the
 brightness outside the canister."""
 LEAST_EDGES = 200
-"""Minimum number of edge points from which the pose is estimated. Two views show about 200 points (52 heights, two
-sides), and a single view does not determine the tilt towards the camera."""
+"""Minimum number of edge points from which the pose is estimated. It is reached by two views, which show about 200
+points (52 heights, two sides). A single view does not determine the tilt towards the camera."""
 _SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1, 4e-3])
 """Scale of each unknown, rad or mm, for the optimiser and for finite differences. A change by one scale moves the edges
 by a similar distance for all unknowns. A tilt of one milliradian moves an edge by 0.08 mm at half the canister's
@@ -271,9 +271,8 @@ class _Edges:
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
     """Return the covariance of tilt and offset, and their derivatives with respect to the shared camera errors.
 
-    The shapes are (K, K) and (K, S).
-
-    K is 4, or 5 with a tank, whose rotation comes last.
+    The covariance has the shape (K, K), and the derivatives have the shape (K, S). K is 4 without a tank. With a tank,
+    K is 5, and the last unknown is the rotation of the tank.
 
     The errors of edge points on one side of a view are correlated. With a static camera, the errors of edge points on
     the same pixels are also correlated between views, because the position of an edge between two pixels determines its

@@ -1,4 +1,4 @@
-"""Test of whether the pictures are linear in light, from the edges of the markers.
+"""Verification that the pictures are linear in light, by the edges of the markers.
 
 A lens blurs light symmetrically, so the middle of an edge between black and white has a brightness halfway between
 black and white. The greys of an edge are too bright or too dark if the camera's transfer curve was not inverted, or if
@@ -36,7 +36,7 @@ _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
 
 
 def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
-    """Test with the marker edges whether the pictures were decoded with the correct transfer curve.
+    """Verify, by the edges of the markers, that the pictures were decoded with the correct transfer curve.
 
     If the edges clearly contradict the curve, the pictures are read again with the estimated curve.
 

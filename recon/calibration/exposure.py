@@ -1,4 +1,4 @@
-"""Exposure of each picture, measured on the empty panel beside the canister.
+"""Exposure of each picture, measured on the part of the backlight panel that is visible beside the canister.
 
 Lines of sight beside the canister show the panel directly. A static camera shows the same part of the panel in every
 view. The exposure of a picture is the ratio of these pixels to the same pixels in all pictures of the station.
@@ -38,8 +38,8 @@ _LIT, _BRIGHT = 0.5, 0.9
 """Two parameters of the selection of panel pixels. The second value is the level of a quantile of the brightness beside
 the canister. A pixel shows the panel if its brightness exceeds the first value times this quantile."""
 _LEAST_PIXELS = 200
-"""Minimum number of empty-panel pixels for an exposure to be measured. A noise of a few per cent per pixel then
-averages to a few per mille."""
+"""Minimum number of panel pixels from which an exposure is measured. Noise of a few per cent per pixel is then averaged
+to a few per mille."""
 _LEAST_PATCH = 20
 """Minimum number of pixels of a patch of the panel for its mean brightness to be used."""
 _ROWS = 2.0

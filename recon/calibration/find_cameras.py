@@ -154,7 +154,10 @@ def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optic
 
 
 def _table_deg(pictures: Pictures) -> list[float]:
-    """Return the commanded table angles, which are the initial values for cameras without markers, degrees."""
+    """Return the commanded table angles, degrees.
+
+    They are the initial values of the table angles if there are no markers.
+    """
     angles = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
     if len(angles) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(

@@ -24,11 +24,11 @@ GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Values of s and of t at which the pattern is tabulated. The marker itself covers the range [-1, 1] in both
 coordinates."""
 FLAT: Final = 6.0
-"""Distance from a step beyond which the blurred step is treated as constant, in standard deviations of the blur. The
-error is below 1e-8. Smaller factors would lead to denormal float32 numbers, which are slow."""
+"""Distance from an edge of the pattern beyond which the blurred edge is treated as constant, in standard deviations of
+the blur. The error is below 1e-8. Smaller factors would lead to denormal float32 numbers, which are slow."""
 BLUR_PX: Final = (0.25, 6.0)
-"""Minimum and maximum standard deviation of the blur in the fit, px. A pixel alone has 0.29 px, and 6 px exceed half a
-module of the largest markers."""
+"""Minimum and maximum standard deviation of the blur in the fit, px. The square pixel alone causes a standard deviation
+of 0.29 px. The maximum exceeds half a module of the largest markers."""
 FIRST_BLUR_PX: Final = 1.2
 """Initial standard deviation of the blur for the first marker of a picture, px. The fit of each further marker starts
 with the blur of the preceding marker."""
@@ -51,9 +51,9 @@ MOST_SHIFT, MOST_SHIFT_PX = 0.1, 2.5
 """Two limits for the total displacement of the corners from their initial positions. The first is a fraction of the
 marker's side, and the second is given in pixels. A marker is rejected if its displacement exceeds both limits."""
 MOST_BULGE: Final = 0.5
-"""Maximum sagitta of a marker's curved sides in the picture, in halves of the marker's side. The sagitta of an arc a is
-tan(a / 4) times half its chord, so the limit corresponds to 106 degrees. A marker of the thesis's strip (13 mm on a
-radius of 80 mm) spans 9 degrees and has a sagitta of 0.04."""
+"""Maximum sagitta of a marker's curved sides in the picture, as a fraction of half the marker's side. The sagitta of an
+arc with the angle a is tan(a / 4) times half its chord, so the limit corresponds to an arc of 106 degrees. A marker of
+the thesis's strip (13 mm on a radius of 80 mm) spans 9 degrees and has a sagitta of 0.04."""
 FULL: Final = 0.985
 """Brightness above which a pixel is saturated, as a fraction of full scale."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

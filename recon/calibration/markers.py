@@ -23,8 +23,8 @@ in the picture. The id of a foreign marker is not on the strip. The nearest mark
 as the markers at its left and right edges, where d is the distance of the camera from the axis, and R is the radius of
 the net pot. This ratio is 1.2 for the thesis's rig, and 1.4 for d = 2.5 R."""
 _WINDOWS_PX = 7, 37, 10
-"""Smallest window, largest window and window increment of OpenCV's adaptive threshold, px, tuned on pictures of the
-strip."""
+"""Three parameters of OpenCV's adaptive threshold, px: the smallest window, the largest window, and the increment of
+the window. They were tuned on pictures of the strip."""
 _BRIGHTEST = 99.5
 """Brightness percentile that is mapped to white before markers are detected. Brighter pixels are clipped, so that the
 reflection of a lamp does not reduce the contrast of the strip."""

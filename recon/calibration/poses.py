@@ -31,8 +31,7 @@ views scatter more, they were not taken by a static camera, and are calibrated i
 LEAST_RING = 5
 """Minimum number of views in a ring for views in which the camera moved to be searched."""
 OUTLIER_WEIGHT = 0.1
-"""Cauchy weight below which a marker counts as an outlier. This is the weight of a residual of nine standard
-deviations."""
+"""Cauchy weight below which a marker counts as an outlier. A residual of nine standard deviations has this weight."""
 AS_CALIBRATED = 1e-7
 """Prior standard deviation of the relative focal length in fits that keep the calibrated focal length. It is so small
 that the focal length does not change."""

@@ -25,8 +25,8 @@ FREE_PRIOR_RAD = 0.3
 """Prior standard deviation of a table angle that was not commanded, rad. The prior mean is the azimuth of the camera
 relative to the strip, which is inaccurate if the canister is misaligned with the table."""
 TAIL = 4.0
-"""Degrees of freedom of Student's t distribution for the camera's movement in single views. With these heavy tails, a
-view in which the camera moved does not affect the other views."""
+"""Degrees of freedom of the Student's t distribution that models the camera's movement in single views. Because of its
+heavy tails, a view in which the camera moved does not affect the other views."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
 """Minimum standard deviation of the camera's movement in single views, rad and mm."""
 LEAST_SCALE = 0.3
@@ -66,7 +66,8 @@ class Rig:
     focal_scale: float
     """Ratio of the focal lengths to those of the calibrated lens."""
     spread: Array
-    """(R, 2) standard deviation of ``own`` on each axis, rad and mm."""
+    """(R, 2) standard deviations of the movements ``own``: rotation about each axis, rad, and shift along each axis,
+    mm."""
 
     def rig_pose(self, view: int) -> Array:
         """Return ``cam_from_canister`` (4, 4) of a view, neglecting the small movement of the camera in this view."""

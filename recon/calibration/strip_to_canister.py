@@ -23,8 +23,8 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 UNSEEN = np.array([np.deg2rad(0.1), np.deg2rad(0.1), 0.2, 0.2])
-"""Standard deviations of the canister's misalignment in the strip if its edges were not visible: tilt about x and y,
-rad, and offset in x and y, mm."""
+"""Standard deviations of the canister's misalignment in the strip that are assumed if its edges were not visible: tilt
+about x and y, rad, and offset in x and y, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)

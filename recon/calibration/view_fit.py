@@ -17,9 +17,9 @@ model, the print, and the pattern model."""
 UNKNOWN_PX = 0.1
 """Standard deviation assumed for a corner whose covariance is unknown, px."""
 _MISREAD_PX = 1.5, 10.0
-"""Two thresholds for the median and the largest reprojection error of the initial pose (SQPNP), px. Above either
-threshold, some markers may be misidentified. OpenCV's corners deviate by 0.1 to 0.2 px (`docs/calibration.md`), and the
-corners of a misidentified marker by at least the side of a marker."""
+"""Two thresholds for the reprojection error of the initial pose (SQPNP), px. The first applies to the median error, and
+the second to the largest. Above either threshold, some markers may be misidentified. OpenCV's corners deviate by 0.1 to
+0.2 px (`docs/calibration.md`), and the corners of a misidentified marker by at least the side of a marker."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
 """Two parameters of RANSAC: the inlier distance, px, and the number of trials. If half of the corners belong to
 misidentified markers, about nine of 300 random samples of five corners are free of such corners."""
@@ -171,7 +171,10 @@ def single_view(sightings: Sightings, *, polish: bool = True) -> Array | None:
 
 
 def twist(step: Array) -> Array:
-    """Return the transform (4, 4) of a small rotation vector, rad, and shift, mm, concatenated in one vector (6,)."""
+    """Return the transform (4, 4) of a small motion.
+
+    The motion (6,) consists of a rotation vector, rad, followed by a shift, mm.
+    """
     return frames.from_rotvec(step[:3], step[3:])
 
 

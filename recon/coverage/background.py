@@ -21,22 +21,22 @@ _MARGIN_MM = 0.1
 """Minimum clearance of a line of sight from opaque parts for its pixel to be used, mm. The clearance allows for errors
 of the cameras and of the canister's dimensions."""
 _STEP = 4
-"""Spacing of the pixels in both directions for which lines of sight are computed, px. Other pixels are interpolated."""
+"""Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
 _FLANK = 0.98
 """Fraction of the canister's width within which pixels are used. Closer to the edges, the wall reflects nearly all
 light."""
 _LEAST_SHARE = 0.5
 """Minimum fraction of the views that must show the water at a pixel for its background to be estimated."""
 _RIM_PX = 11
-"""Side of the square around each glare pixel that is also classified as glare, px. The square extends the glare by five
-pixels in each direction, to include its blurred rim."""
+"""Side of the square around each glare pixel in which all pixels are classified as glare, px. The square extends the
+glare by five pixels in each direction, to include its blurred rim."""
 _GLARE_PX = 1.0
 """Standard deviation of the Gaussian smoothing before glare detection, px. Beside roots, JPEG compression makes single
 pixels 5 % too bright in every fifth view. Without smoothing, such pixels were classified as glare, and the squares
 around them (`_RIM_PX`) hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
-"""Two parameters of the background estimate. The first is the fraction of the views that are brighter than the
-reference brightness of a pixel. The second is the relative tolerance: views that differ less from the reference
+"""Two parameters of the background estimate. The first determines the reference brightness of a pixel, which is
+exceeded in this fraction of the views. The second is a relative tolerance: views that differ less from the reference
 brightness also show the panel, and are averaged. Roots may cover a pixel in four of five views. The tolerance is three
 times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too bright by 0.03 times the noise, or
 by a third of the noise at a quarter of the light (from the moments of a normal distribution)."""
@@ -48,8 +48,8 @@ _CORE = 0.85
 residual of the surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98. There, small camera
 errors leave a part of the variation of the wall's transmittance in the background."""
 _SAMPLES = 40_000
-"""Approximate number of pixels to which the smooth surface is fitted, almost a thousand for each of its 45
-coefficients."""
+"""Approximate number of pixels to which the smooth surface is fitted. There are almost a thousand pixels for each of
+its 45 coefficients."""
 _FITS = 8
 """Number of successive fits of the smooth surface. After each fit, the tolerance for pixels brighter than the surface
 is halved. It is large at first, because roots lower the first surfaces, and small at the end, because the flanks of a

@@ -49,7 +49,10 @@ def level_distance(value: Image) -> Image:
 
 
 def _edge_distance(value: Image, inside: Mask) -> Image:
-    """Return the distance (H * W,) to the level for samples next to the level, in samples; 0 for other samples."""
+    """Return the distance (H * W,) from samples next to the level to the level, in samples.
+
+    The distance is 0 for all other samples.
+    """
     inverse_2 = np.zeros(value.size, np.float32)
     size, flat = np.abs(value).ravel(), inside.ravel()
     for step in (value.shape[1], 1):
@@ -133,7 +136,7 @@ def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
 
 
 def _distance_above(inside: Mask) -> NDArray[np.int16]:
-    """Return the distance (H, W) from each sample to the last outside sample above it, at most `_WIDEST` samples."""
+    """Return the distance (H, W) from each sample to the nearest outside sample above it, up to `_WIDEST` samples."""
     ways = np.empty(inside.shape, np.int16)
     way = np.full(inside.shape[1], _WIDEST, np.int16)
     for row, is_inside in enumerate(inside):

@@ -323,7 +323,7 @@ def _estimate_backgrounds(
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
     """Estimate the empty backlight of each view, its glare, and the light that the wall reflects.
 
-    Views of a ring with a static camera are processed together, with the exposures (``gain``) divided out. Other
+    Views of a ring with a static camera are divided by their exposures (``gain``), and processed together. Other
     pictures are processed separately, without glare and reflections.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames

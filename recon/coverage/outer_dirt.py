@@ -30,8 +30,9 @@ _WIDEST_MM = 3.0
 """Maximum width of dirt, mm. Seams are 1 to 2 mm wide. Wider objects are ignored, because thick roots are also dark in
 many views."""
 _ALWAYS = 0.85
-"""Minimum fraction of the views of a texel in which dirt is dark. One view in seven may miss the dirt due to pose
-errors and rounding. Elsewhere on the wall, the fraction was 0.1 to 0.4 in a scan with 1.6 m of roots."""
+"""Fraction of the views of a texel in which it must be dark to be classified as dirt. One view in seven may miss the
+dirt due to pose errors and rounding. Elsewhere on the wall, the fraction was 0.1 to 0.4 in a scan with 1.6 m of
+roots."""
 _SHARPER = 0.15
 """Minimum difference between two fractions for a texel to be classified as dirt. They are the fraction of views in
 which the texel is dark on the outer face, and the corresponding fraction on the inner face. The difference is 0.6 or
@@ -147,7 +148,7 @@ def _dark_texels(
 
 
 def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
-    """Return the pixels (H, W) that dirt on the near or far outer wall hides.
+    """Return the pixels (H, W) that are hidden by dirt on the near or far outer wall.
 
     Pixels in front of a thick root are not included.
 

@@ -29,7 +29,7 @@ _TEXEL_MM = 1.0
 """Edge length of a texel of the unrolled wall, mm. A texel spans a few sampled pixels (`_COLUMNS`), which are averaged
 in each view."""
 _STEP = 8
-"""Spacing of the pixels in both directions for which lines of sight are computed, px. Other pixels are interpolated."""
+"""Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
 _COLUMNS = 400
 """Approximate number of columns that are sampled in a picture, which yields a few pixels per texel. The rows are
 sampled with the same spacing."""
@@ -58,8 +58,9 @@ class Crossings:
     """Texel coordinates at which a view's lines of sight cross the near and the far wall."""
 
     coarse: Image
-    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `_STEP`. The axes are near and far wall,
-    column and row, grid rows, and grid columns. Full resolution would need more memory than all pictures."""
+    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `_STEP`. The axes are the wall (near,
+    far), the coordinate (column, row), the grid row, and the grid column. Full resolution would need more memory than
+    all pictures."""
     image_wh: tuple[int, int]
     """Width and height of the picture, px."""
 

@@ -87,9 +87,9 @@ def matrix(camera: Camera) -> Array:
 
 
 def camera_directions(camera: Camera, px: Array) -> Array:
-    """Return the unit directions (N, 3) of pixels (N, 2) in the camera's frame, without lens distortion.
+    """Return the unit directions (N, 3) of pixels (N, 2) in the camera's frame, corrected for lens distortion.
 
-    The lens distortion is inverted to 1e-10.
+    The lens distortion is inverted with an accuracy of 1e-10.
     """
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
     flat = np.ascontiguousarray(px, np.float64).reshape(-1, 1, 2)

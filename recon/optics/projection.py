@@ -264,7 +264,7 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
 def _first_ray(
     bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool
 ) -> tuple[Bool, Float, Float, Float]:
-    """Return the initial rays to points in the azimuth frame from the start tables of the views.
+    """Return the initial rays to points in the azimuth frame, interpolated from the start tables of the views.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Ray tracing in kernels: through wall and water past a point, and back through the lens (Dr.Jit, float32).
+"""Ray tracing in kernels: through the wall and the water to a point, and through the lens to a pixel (Dr.Jit, float32).
 
 The mathematics and symbols are those of `recon.optics.refraction` and, for lines in a tank's liquid, of
 `recon.optics.tank`. A ray is defined by its impact parameter b and its vertical component p outside the outer wall. All
@@ -177,7 +177,7 @@ whether the ray is in front of the camera, and the derivatives of column and row
 
 
 def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
-    """Return the pixels of rays of cameras without a tank, with derivatives with respect to (b, p).
+    """Return the pixels of rays from cameras without a tank, and their derivatives with respect to (b, p).
 
     Parameters
     ----------
@@ -194,9 +194,9 @@ def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
 
 
 def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tuple[Float, ...], by_2: tuple[Float, ...]) -> Pixel:
-    """Project directions to pixels through the rotation and the lens of a camera, with derivatives.
+    """Project directions to pixels, using the rotation and the lens of a camera.
 
-    The derivatives are with respect to two unknowns.
+    The derivatives of the pixels with respect to two unknowns are also computed.
 
     Parameters
     ----------

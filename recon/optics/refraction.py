@@ -37,8 +37,8 @@ _SCANNED = 96
 """Number of intervals of the impact parameter in which `images` searches for images. If an interval contains two
 images, they are found by `_near_fold`."""
 _MOST_IMAGES = 3
-"""Number of images for which memory is allocated per point. Points in the marginal zone beyond 0.75 of the radius may
-have two images, and other points have one. The additional image would reveal an error."""
+"""Number of images for which memory is allocated per point. Points beyond 0.75 of the radius may have two images, and
+other points have one. A third image would reveal an error."""
 _CLOSE_MM = 1e-7
 """Distance of the ray from the point below which Newton's method ends, mm. It is far below the tolerance of the fast
 kernel, 3e-4 mm."""
@@ -387,7 +387,7 @@ def _near_fold(
 
 
 def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array) -> Array:
-    """Return the unit directions (..., 3) of camera rays in the azimuth frame from their invariants.
+    """Return the unit directions (..., 3) of camera rays in the azimuth frame, computed from their invariants.
 
     Parameters
     ----------
