@@ -39,11 +39,12 @@ LEAST_VIEWS = 12
 """Minimum number of views in a turn. The centre of mass of each row has three unknowns, and each view adds an unknown
 angle, so fewer views leave little redundancy."""
 MOST_AGREEMENT_PX = 3.0
-"""Maximum scatter of the rows' centres of mass about the motion of rotating points, px. Larger values indicate
-refraction, a wrong canister, or a table that did not turn."""
+"""Largest accepted residual of the rows' centres of mass, as a robust standard deviation, px. The centre of mass of
+each row is fitted as a point that rotates with the table. Larger residuals indicate refraction, a wrong canister, or a
+table that did not turn."""
 HEIGHTS_AGREE_MM = 1.0
-"""Maximum difference between the floor's height in the pictures and in the scene that causes no warning, mm. The limit
-exceeds the height of a meniscus."""
+"""Tolerance for the height of the canister's floor, mm. The user is notified if the height in the pictures and the
+height in the scene differ by more. The tolerance exceeds the height of a meniscus."""
 CALLIPER_MM = 0.1
 """Standard deviation of a diameter measured with callipers, mm. The resolution of callipers is 0.02 mm, but the wall of
 a tube yields by a tenth of a millimetre."""
@@ -65,12 +66,13 @@ class BareCanister:
     floor_z_mm: float | None
     """Height of the canister's floor in the pictures, mm; None if the floor is not visible."""
     inner_radius_mm: float
-    """Half the width over which the panel is visible through the canister, mm."""
+    """Inner radius of the canister as it appears in the pictures, mm. It is half the width over which the backlight
+    panel is visible through the canister."""
     uncertainty: BareUncertainty
     """Standard deviations of the estimated cameras."""
 
     def notes(self, scene: Scene) -> tuple[str, ...]:
-        """Return notes for the user about the estimated cameras and contradictions between pictures and scene."""
+        """Return notes for the user: the estimated cameras, and differences between the pictures and the scene."""
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
         found = [
             f"the cameras were estimated from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel for a diameter of "
@@ -149,7 +151,7 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
 
 
 def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, axis_px: Array, middle: float, zero_row: float) -> Array:
-    """Return the pose (4, 4) of a camera that points at the canister's axis from an azimuth and elevation.
+    """Return the pose (4, 4) of a camera that points at the canister's axis, computed from its azimuth and elevation.
 
     The roll and the lateral shift are determined by the canister's edges.
     """

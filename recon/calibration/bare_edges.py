@@ -1,4 +1,4 @@
-"""Detection of the canister's edges, the water surface and the empty panel in pictures without markers."""
+"""Detection of the canister's edges, the water surface and the empty backlight panel in pictures without markers."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ Array = NDArray[np.float64]
 Stack = NDArray[np.uint8 | np.uint16]
 
 BARE_QUANTILE = 0.85
-"""Quantile of a pixel's values over the turn that estimates the empty panel. Roots cover a pixel in less than a seventh
-of the views."""
+"""Quantile of a pixel's values over the turn that is used as the brightness of the pixel without roots. Roots cover a
+pixel in less than a seventh of the views."""
 EDGE_REACH_PX = 12
 """Half-width of the search range around each edge of the mean picture, px. The canister may be a few pixels off the
 table's axis."""
 EDGE_WIDTH_PX = 4
-"""Width over which the brightness falls from bright to dark at an edge in focus, px."""
+"""Width of the intensity transition at an edge in focus, px."""
 PANEL_SHARE = 0.85
-"""Minimum brightness of pixels that show the empty panel, relative to the panel's typical brightness."""
+"""Brightness above which a pixel shows the empty backlight panel, as a fraction of the 95th percentile of the
+picture."""
 WATER_QUANTILE = 0.25
-"""Quantile of a row's brightness across the canister from which rows with water are detected. A row is bright if three
-quarters of the row show the panel."""
+"""Quantile of a row's brightness across the canister that decides whether the row shows the water. It is high if the
+backlight panel is visible in at least three quarters of the row."""
 BAND = 0.06
-"""Fraction of the water's height that is excluded at the water surface and at the floor, where reflections occur."""
+"""Fraction of the water's height that is excluded both at the water surface and at the floor, where reflections
+occur."""
 
 
 @dataclass(frozen=True)
@@ -35,23 +37,27 @@ class Edges:
     """Position of the canister in the pictures."""
 
     axis_px: Array
-    """(V, 2) column of the canister's axis at the row ``middle``, px, and the change of the column per row."""
+    """(V, 2) position of the canister's axis in each view: its column at the row ``middle``, px, and the change of the
+    column per row."""
     width_px: float
     """Median width between the outer edges of the canister, px."""
     inner_px: float
-    """Width over which the panel is visible through the canister, px."""
+    """Width over which the backlight panel is visible through the canister, px."""
     middle: float
     """Row at which the columns in ``axis_px`` are given."""
     rows: tuple[int, int]
     """First row of the water, and the row after its last row."""
     columns: tuple[int, int]
-    """First column through which the panel is visible, and the column after the last one."""
+    """First column in which the backlight panel is visible through the canister, and the column after the last one."""
     floor_seen: bool
     """Whether the floor of the canister is visible in the pictures."""
 
 
 def empty_panel(stack: Stack) -> NDArray[np.float32]:
-    """Estimate the picture (H, W) of the empty panel, in blocks of rows to limit memory."""
+    """Estimate the picture (H, W) of the empty backlight panel from the pictures of a turn.
+
+    The picture is computed in blocks of rows to limit the memory.
+    """
     bare = np.empty(stack.shape[1:], np.float32)
     for first in range(0, len(bare), 64):
         bare[first : first + 64] = np.quantile(stack[:, first : first + 64], BARE_QUANTILE, axis=0)
@@ -117,9 +123,10 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
 
 
 def _fit_edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
-    """Fit a line to the panel's edge; return its column at the row ``middle`` and the column's change per row.
+    """Fit a straight line to the boundary between the bright panel and the canister.
 
-    The search starts at the column ``at``, and the fit is robust against outliers.
+    Return the column of the line at the row ``middle``, and the change of the column per row. The search starts at the
+    column ``at``, and the fit is robust against outliers.
 
     The edge lies at half the brightness between the panel and the darkest of the few pixels behind the edge, which may
     not be black.

@@ -1,4 +1,4 @@
-"""Estimation of table angles from the rows of telecentric pictures, without detecting roots (`bare_canister`)."""
+"""Estimation of table angles from the coverage of the rows of telecentric pictures (see `bare_canister`)."""
 
 from __future__ import annotations
 
@@ -16,36 +16,38 @@ from rhizotwin.scenes.errors import UserError
 Array = NDArray[np.float64]
 
 LEAST_COVERAGE = 0.08
-"""Minimum coverage that contributes to the moments. Lower values are noise, compression artefacts, and dirt on the
-panel."""
+"""Coverage below which a pixel does not contribute to the moments of its row. Lower values are noise, compression
+artefacts, and dirt on the panel."""
 TENSOR_PX = 2.0
-"""Standard deviation of the Gaussian by which the structure tensor is averaged to determine a root's direction, px. The
-average includes both sides of a root, but not neighbouring roots."""
+"""Standard deviation of the Gaussian window of the structure tensor, from which the direction of a root is determined,
+px. The window includes both sides of a root, but not neighbouring roots."""
 ANGLE_SIGMA_RAD = np.deg2rad(1.5)
-"""Initial standard deviation of the table angles about equal steps, rad. The standard deviation of a real table with 72
-steps was 0.8 degrees."""
+"""Initial value of the standard deviation by which table angles deviate from equal steps, rad. A real table with 72
+steps had a standard deviation of 0.8 degrees."""
 LEAST_ANGLE_SIGMA_RAD = np.deg2rad(0.01)
-"""Minimum standard deviation of the table angles, rad. The value is a tenth of a sixteenth step of a plain motor with
-200 steps."""
+"""Lower limit of the estimated standard deviation of the table angles, rad. The value is about a tenth of a microstep
+of a stepper motor with 200 steps per turn and 16 microsteps per step."""
 SHIFT_SIGMA_PX = 1.0
 """Initial standard deviation of the canister's vertical displacement between views, px."""
 LEAST_SHIFT_PX = 0.02
-"""Minimum standard deviation of the canister's vertical displacement between views, px. The position of an edge in a
-picture is not known more precisely."""
+"""Lower limit of the estimated standard deviation of the canister's vertical displacement between views, px. Edges in a
+picture cannot be located more precisely."""
 ROWS_TOGETHER = 8.0
-"""Number of neighbouring rows that share the error of one root, and therefore count as one independent row."""
+"""Number of neighbouring rows whose errors are correlated because they cut the same root. Together, they have the
+weight of one independent row."""
 STEPS_AGREE = 0.15
-"""Maximum relative deviation of the total turn from the commanded turn. The deviation of a real table was 0.01 to 0.02.
-A deviation of one view in six or more indicates a plan with the wrong number of views."""
+"""Tolerance for the total rotation of the table, as a fraction of the commanded rotation. A real table deviated by 0.01
+to 0.02. A deviation of one view in six or more indicates a plan with the wrong number of views."""
 _ROUNDS = 200
-"""Number of relaxation steps. The first quarter of the steps estimates only the scale of the whole turn."""
+"""Number of iterations in which the table angles are improved. During the first quarter of the iterations, only a
+common scale factor for all table angles is estimated."""
 
 
 def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[Array, Array]:
     """Return the mass (V, R), px, and the first two moments (2, V, R) of the coverage of each row.
 
-    The mass is the total coverage of a row. The moments are the centre of mass, px, and the mean square, px^2, of the
-    distance from the canister's axis.
+    The mass is the sum of the coverage over a row. The first moment is the centre of mass, px, and the second moment is
+    the mean square, px^2, both measured from the canister's axis.
     """
     margin = round(BAND * (edges.rows[1] - edges.rows[0]))
     rows = np.arange(edges.rows[0] + margin, edges.rows[1] - margin)
@@ -163,9 +165,9 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
 
 
 def find_lift(mass: Array, nearer: Array) -> tuple[Array, Array, float]:
-    """Estimate the vertical shifts (V,), px, their standard deviations (V,), px, and the elevation, rad.
+    """Estimate the vertical shift of each view and the elevation of the camera from the masses of the rows.
 
-    The estimates are computed from the masses of the rows.
+    Return the shifts (V,), px, their standard deviations (V,), px, and the elevation, rad.
 
     ``nearer`` (V, R) is the distance of a row's centre of mass in front of the axis, px. A point that is nearer by n
     appears lower by elevation * n. The mass of a row therefore changes by the outflow d(mass * nearer) / d row per unit

@@ -35,7 +35,7 @@ class Camera:
     cam_from_tank: Array | None = None
     """(4, 4) pose of the camera in the tank's frame, mm; None if there is no tank or if the pose is unknown."""
     sway: Sway = STILL
-    """Displacement of the roots in this picture, estimated from the roots."""
+    """Movement of the root system in the water when this picture was taken, estimated from the reconstructed roots."""
     reprojection_px: float | None = None
     """Root mean square reprojection error of the measured marker corners, px, with outliers down-weighted."""
     single_view_px: float | None = None
@@ -48,12 +48,14 @@ class Camera:
     table_deg: float | None = None
     """Table angle estimated from the pictures, degrees; None if unknown."""
     covariance: Array | None = None
-    """(6, 6) covariance of the left-hand twist of ``cam_from_canister``, in the camera's frame. The twist consists of a
-    rotation vector, rad, and a shift, mm."""
+    """(6, 6) covariance of the error of ``cam_from_canister``. The error is a twist in the camera's frame, applied from
+    the left: a rotation vector, rad, and a shift, mm."""
     position_sigma_mm: float | None = None
-    """Standard deviation of the camera's position, mm, combined over the three axes."""
+    """Standard deviation of the camera's position, mm. It is the square root of the summed variances along the three
+    axes."""
     rotation_sigma_deg: float | None = None
-    """Standard deviation of the camera's rotation, degrees, combined over the three axes."""
+    """Standard deviation of the camera's rotation, degrees. It is the square root of the summed variances about the
+    three axes."""
     sha256: str = ""
     """SHA-256 hash of the picture's file; empty if not computed."""
 
@@ -70,7 +72,10 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """Static camera of one station: a turn of the table, or the part of a turn with one placement of the camera."""
+    """Camera of one station.
+
+    A station is a full turn of the table, or the part of a turn that was taken from one placement of the camera.
+    """
 
     ring: int
     """Index of the ring."""
@@ -79,18 +84,22 @@ class Ring:
     cam_from_rig: Array
     """(4, 4) pose of the static camera in the rig's frame, mm."""
     covariance: Array
-    """(6, 6) covariance of the left-hand twist of ``cam_from_rig``: rotation vector, rad, and shift, mm."""
+    """(6, 6) covariance of the error of ``cam_from_rig``. The error is a twist applied from the left: a rotation
+    vector, rad, and a shift, mm."""
     own_deg: float
-    """Standard deviation of the camera's rotation between the views, degrees per axis, estimated from the pictures; 0
-    for a static camera."""
+    """Standard deviation of the camera's small rotations between the views of the station, degrees per axis. It is
+    estimated from the pictures, and is 0 if the camera did not move."""
     own_mm: float
-    """Standard deviation of the camera's translation between the views, mm per axis, estimated from the pictures; 0 for
-    a static camera."""
+    """Standard deviation of the camera's small translations between the views of the station, mm per axis. It is
+    estimated from the pictures, and is 0 if the camera did not move."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BareUncertainty:
-    """Standard deviations of cameras calibrated without markers, as root mean squares over the views."""
+    """Standard deviations of camera parameters that were estimated without markers.
+
+    Standard deviations of the individual views are combined by their root mean square.
+    """
 
     scale: float
     """Relative standard deviation of the scale, due to the measured diameter of the canister and the measured positions
@@ -110,9 +119,9 @@ class RigUncertainty:
     station: NDArray[np.int64]
     """(F,) index of each frame's station."""
     covariance: Array
-    """(5 + 6 R, 5 + 6 R) covariance of the rig parameters for R stations. The parameters are the focal scale, the
-    canister's tilt about x and y, rad, its offset in x and y, mm, in its own frame, and the left-hand twist of each
-    station's camera, rad and mm."""
+    """(5 + 6 R, 5 + 6 R) covariance of the rig parameters for R stations. The parameters are, in this order, the focal
+    scale, the canister's tilt about x and y, rad, its offset in x and y, mm, both in the canister's own frame, and the
+    twist of each station's camera, rad and mm, applied from the left."""
     turn: Array
     """(F,) standard deviation of each frame's table angle, rad."""
 
@@ -124,48 +133,52 @@ class RigUncertainty:
 
 @dataclass(frozen=True, kw_only=True)
 class StripCalibration:
-    """Calibration of the cameras from the markers of all pictures together."""
+    """Joint calibration of all cameras from the markers in all pictures."""
 
     rings: tuple[Ring, ...] = ()
     """Static cameras of the stations."""
     table_from_canister: Array | None = None
-    """(4, 4) pose of the canister on the table, mm: tilt and offset. While the pose of the canister is unknown, this is
-    the pose of the strip."""
+    """(4, 4) pose of the canister relative to the turntable, mm, which consists of a tilt and an offset. It is the pose
+    of the marker strip until the pose of the canister in the strip is known."""
     inset_px: float = 0.0
-    """Apparent enlargement of the markers on each side, px. Blur enlarges markers in pictures that are not linear in
-    light."""
+    """Distance by which each side of a marker appears shifted outwards in the pictures, px. Blur causes this
+    enlargement if pixel values are not proportional to light intensity."""
     focal_scale: float = 1.0
-    """Ratio of the focal lengths in use to the focal lengths of the calibrated lens."""
+    """Ratio of the focal lengths used in the reconstruction to those of the calibrated lens."""
     focal_found: float | None = None
-    """Estimated ratio of the focal lengths to those of the calibrated lens, even if it was not significant and not
-    used; None if not estimated."""
+    """Estimated ratio of the focal lengths to those of the calibrated lens. The estimate is stored even if it did not
+    differ significantly from 1 and was therefore not used. It is None if the ratio was not estimated."""
     focal_sigma: float | None = None
     """Standard deviation of ``focal_found``; None if not estimated."""
     before_px: float | None = None
-    """Median reprojection error of the views before the fit, px, with the commanded table angles and one nominal pose
-    of the canister."""
+    """Median reprojection error of the views before the joint fit, px. It is computed with the commanded table angles
+    and one nominal pose of the canister."""
     after_px: float | None = None
     """Median reprojection error of the views after the fit, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerCalibration(StripCalibration):
-    """Calibration from the markers, with the canister's pose from its edges, and the sharpness of the pictures."""
+    """Calibration from the markers, together with the canister's pose and the sharpness of the pictures.
+
+    The pose of the canister in the strip is estimated from the canister's edges.
+    """
 
     table_sigma: Array | None
     """(4,) standard deviations of the canister's tilt about x and y on the table, degrees, and its offset in x and y,
-    mm. The values combine the errors of the markers with those of the canister's edges."""
+    mm. They include the errors of the markers and those of the canister's edges."""
     table_correction_deg: float | None
-    """Standard deviation of the estimated table angles about the commanded angles, degrees; None if no angles were
-    commanded."""
+    """Standard deviation of the differences between estimated and commanded table angles, degrees. It is None if no
+    angles were commanded."""
     canister: CanisterPose | None
     """Pose of the canister in the strip; None if the canister's edges were not visible."""
     blur_px: float | None = None
-    """Median standard deviation of the blur at the markers, px, including 0.29 px of the pixel itself; None if not
-    measured."""
+    """Standard deviation of the blur at the markers, px, including 0.29 px of the pixel itself. It is the median over
+    all markers, or None if the blur was not measured."""
     refocus_px: float | None = None
-    """Additional blur of the least sharp picture relative to the sharpest, px, as the root of the difference of the
-    variances. None if too few markers were measured."""
+    """Standard deviation of the additional blur of the least sharp picture relative to the sharpest, px. It is the
+    square root of the difference between the variances of the two blurs. It is None if too few markers were
+    measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,11 +198,11 @@ class RootCalibration:
     nodes: int
     """Number of root nodes used in the estimate."""
     before_px: float
-    """Root mean square lateral distance between roots and fitted tubes in the pictures before the calibration, px, with
-    each node at its best-fitting position."""
+    """Root mean square distance between the observed roots and the fitted root tubes before the calibration, px. It is
+    measured in the pictures across the roots, with each node at its best-fitting position."""
     after_px: float
-    """Root mean square lateral distance between roots and fitted tubes in the pictures after the calibration, px, with
-    each node at its best-fitting position."""
+    """Root mean square distance between the observed roots and the fitted root tubes after the calibration, px. It is
+    measured in the pictures across the roots, with each node at its best-fitting position."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +273,10 @@ class Cameras:
         return replace(self, all=every, order=order, warnings=(*self.warnings, *notes))
 
     def with_views(self, views: Sequence[View], optics: Optics) -> Cameras:
-        """Replace the poses of the used views (V,), which share one lens, and the optics."""
+        """Return the cameras with other poses of the used views (V,) and with other optics.
+
+        The lens is also replaced by that of the views, which share one lens.
+        """
         every = list(self.all)
         for k, view in zip(self.order, views, strict=True):
             every[k] = replace(every[k], cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank, sway=view.sway)

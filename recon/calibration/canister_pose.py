@@ -43,37 +43,41 @@ from rhizotwin.scenes.picture_codec import Grey
 LEVELS_MM = 2.5
 """Vertical spacing of the heights at which the edges are measured, mm."""
 MARGIN_MM = 8.0
-"""Vertical distance from the net pot's skirt and the canister's base within which edges are not measured, mm."""
+"""Minimum vertical distance of the measured edge points from the net pot's skirt, the surfaces of the liquids, and the
+canister's base, mm."""
 REACH_MM = 4.0
 """Half-width of the search range around the edges of an aligned canister, mm."""
 STEP_PX = 0.25
-"""Spacing of the brightness samples across an edge, px; two samples for a blur of half a pixel."""
+"""Spacing of the brightness samples across an edge, px. Two samples then fall within a blur of half a pixel."""
 LEAST_RISE = 0.25
-"""Minimum rise of the brightness within three pixels for an edge to be accepted, relative to the brightness outside the
-edge."""
+"""Minimum contrast of an accepted edge. The contrast is the rise of the brightness within three pixels, divided by the
+brightness outside the canister."""
 LEAST_EDGES = 200
-"""Minimum number of edge points from which the pose is estimated. Two views show about 200 points (52 heights, two
-sides), and a single view does not determine the tilt towards the camera."""
+"""Minimum number of edge points from which the pose is estimated. It is reached by two views, which show about 200
+points (52 heights, two sides). A single view does not determine the tilt towards the camera."""
 _SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1, 4e-3])
-"""Steps of the unknowns (rad and mm) that have a similar effect on the edges. A tilt of one milliradian moves an edge
-by 0.08 mm at half the canister's height. A rotation of the tank has a quarter of this effect over its depth, so its
-step is four times as large."""
+"""Scale of each unknown, rad or mm, for the optimiser and for finite differences. A change by one scale moves the edges
+by a similar distance for all unknowns. A tilt of one milliradian moves an edge by 0.08 mm at half the canister's
+height. A rotation of the tank has a quarter of this effect over its depth, so its scale is four times as large."""
 _POSE_SCALE = np.array([1e-3] * 3 + [0.1] * 3)
-"""Steps of a camera's twist (rad and mm) that have a similar effect on the edges."""
+"""Scale of each component of a camera's twist, rad or mm, for finite differences. A change by one scale moves the edges
+by a similar distance for all components."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25, np.deg2rad(2.0)])
-"""Prior standard deviations of the unknowns: tilt (2 values, rad) and offset (2 values, mm) of a net pot, distance of
-the edges from the nominal radius (mm), ovality of cast tube as sold (2 values, mm, from half a millimetre between the
-largest and smallest diameter), and rotation of a tank placed by eye (rad)."""
+"""Prior standard deviations of the unknowns. In this order, the unknowns are the tilt of the net pot (2 values, rad),
+its offset (2 values, mm), the distance of the edges from the nominal radius (mm), the ovality (2 values, mm), and the
+rotation of the tank (rad). The ovality is that of cast tube as sold, whose largest and smallest diameters differ by
+half a millimetre. The rotation is that of a tank placed by eye."""
 _OPEN = 7
-"""Number of unknowns of a scan without a tank."""
+"""Number of unknowns of a scan without a tank. A tank adds its rotation as the last unknown."""
 
 TOGETHER_MM = 20.0
-"""Length along an edge over which the errors of edge points are correlated, mm. The edge is almost vertical and lies
-between the same two pixel columns over this length. The correlation is 0.7, 0.5, 0.3 and 0.1 at distances of 2.5, 5, 10
-and 20 mm (bench, 400x300 pixels)."""
+"""Length along an edge over which the position errors of edge points are correlated, mm. Over this length, the almost
+vertical edge lies between the same two pixel columns. The correlation is 0.7, 0.5, 0.3 and 0.1 at distances of 2.5, 5,
+10 and 20 mm (bench, 400x300 pixels)."""
 LEAST_STIFFNESS = 0.1
-"""Minimum mean derivative of the psi function of the Cauchy loss. The mean derivative is 0.14 if the edges scatter by
-twice the scale of the loss, and 0.03 at five times the scale."""
+"""Lower limit of the mean second derivative of the Cauchy loss, which scales the normal matrix from which the
+covariance is computed. The mean is 0.14 if the edge points scatter by twice the scale of the loss, and 0.03 if they
+scatter by five times the scale."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,18 +85,19 @@ class CanisterPose:
     """Pose of the canister's axis in the frame of the strip."""
 
     canister_from_strip: Array
-    """(4, 4) transform, mm, without height and rotation about the axis, which the edges do not determine."""
+    """(4, 4) transform from the frame of the strip to the canister frame, mm. The shift along the axis and the rotation
+    about it are zero, because the edges do not determine them."""
     covariance: Array
-    """(4, 4) covariance of the tilt about x and y, rad, and the offset in x and y, mm, without the errors shared by all
-    cameras."""
+    """(4, 4) covariance of the canister's tilt about x and y, rad, and its offset in x and y, mm. The errors shared by
+    all cameras are not included."""
     by_cameras: Array
-    """(4, S) derivatives of tilt, rad, and offset, mm, with respect to the S errors shared by all cameras
-    (`PoseErrors`)."""
+    """(4, S) derivatives of the canister's tilt, rad, and offset, mm, with respect to the S errors that all cameras
+    share (`PoseErrors`)."""
     sigma: Array
     """(4,) standard deviations of the tilt about x and y, degrees, and of the offset in x and y, mm, including the
     errors shared by all cameras."""
     radius_excess_mm: float
-    """Mean distance of the edges outside the nominal outer radius, mm."""
+    """Radius at which the edges are found, minus the nominal outer radius, mm."""
     oval_mm: float
     """Half the difference between the largest and the smallest outer radius, mm."""
     oval_deg: float
@@ -100,7 +105,8 @@ class CanisterPose:
     edges: int
     """Number of edge points used in the fit."""
     tank_turn_deg: float
-    """Rotation of the tank relative to the scene, degrees; 0 without a tank."""
+    """Rotation of the tank about the vertical axis, relative to its orientation in the scene, degrees. It is 0 without
+    a tank."""
     tank_sigma_deg: float
     """Standard deviation of the tank's rotation, degrees; 0 without a tank."""
     before_mm: float
@@ -110,7 +116,7 @@ class CanisterPose:
 
 
 def _sigmas(covariance: Array, by_cameras: Array, errors: PoseErrors | None) -> Array:
-    """Return the standard deviations (N,) of the estimates, including the errors shared by all cameras."""
+    """Return the standard deviations (N,) of the estimates, including the propagated errors that all cameras share."""
     shared = np.zeros((1, 1)) if errors is None else errors.shared
     return np.asarray(np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T)))
 
@@ -187,7 +193,7 @@ class _Edges:
     view: NDArray[np.int64]
     """(N,) index of the view of each line."""
     side: NDArray[np.int64]
-    """(N,) side of the canister, 0 or 1."""
+    """(N,) side of the canister on which the line passes: 0 at the smaller azimuth, 1 at the larger azimuth."""
     ray: Array
     """(N, 3) direction of each line in the camera's frame."""
     place: NDArray[np.int64]
@@ -237,10 +243,10 @@ class _Edges:
         return np.einsum("nij,nj->ni", here[:, :3, :3], point) + here[:, :3, 3], np.einsum("nij,nj->ni", here[:, :3, :3], p)
 
     def off(self, unknown: Array) -> Array:
-        """Return the distance (N,) of the lines outside the wall, mm.
+        """Return the signed distance (N,) of each line from the outer wall, mm, positive outside the wall.
 
-        The unknowns of the wall are the tilt (2 values), the offset (2 values), the excess of the radius, the ovality
-        (2 values), and the rotation of the tank.
+        The elements of ``unknown`` are the tilt (2 values), the offset (2 values), the excess of the radius, the
+        ovality (2 values), and the rotation of the tank.
         """
         canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
         origin, direction = self.lines(float(unknown[_OPEN]) if len(unknown) > _OPEN else 0.0)
@@ -255,16 +261,18 @@ class _Edges:
         return replace(self, **rows)
 
     def displace(self, step: Array) -> _Edges:
-        """Return the lines through the same pixels after a left-hand twist (6,) of every ``cam_from_canister``."""
+        """Return the lines through the same pixels after a small motion of all cameras.
+
+        The motion is a twist (6,) that multiplies every ``cam_from_canister`` from the left.
+        """
         return replace(self, views=[view.move_camera(twist(step)) for view in self.views])
 
 
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
     """Return the covariance of tilt and offset, and their derivatives with respect to the shared camera errors.
 
-    The shapes are (K, K) and (K, S).
-
-    K is 4, or 5 with a tank, whose rotation comes last.
+    The covariance has the shape (K, K), and the derivatives have the shape (K, S). K is 4 without a tank. With a tank,
+    K is 5, and the last unknown is the rotation of the tank.
 
     The errors of edge points on one side of a view are correlated. With a static camera, the errors of edge points on
     the same pixels are also correlated between views, because the position of an edge between two pixels determines its
@@ -349,7 +357,10 @@ def _liquid(scene: Scene, around: Tank) -> Optics:
 
 
 def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
-    """Return the pixels (M, 2) of the edge near the tangent points, one per height at which the edge is distinct."""
+    """Return the pixels (M, 2) of one edge of the canister, searched near the given tangent points.
+
+    One pixel is returned for each height at which the edge is distinct.
+    """
     outward = at - inner
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     reach_px = max(REACH_MM * view.camera.focal_px[0] / view.rho_mm, 6.0)
@@ -366,9 +377,9 @@ def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
 
 
 def _find_steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the offset (N,) at which each profile (N, S) rises most steeply, and whether the rise is distinct.
+    """Return the offset (N,) of the edge in each profile (N, S), and whether the edge is distinct.
 
-    The offset is the centroid of the rise around its steepest part.
+    The offset is the centroid of the brightness increase in the steepest part of the profile.
     """
     span = round(3.0 / STEP_PX)
     rise = np.maximum(np.diff(profile, axis=1), 0.0)

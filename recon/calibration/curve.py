@@ -1,4 +1,4 @@
-"""Test of whether the pictures are linear in light, from the edges of the markers.
+"""Verification that the pictures are linear in light, by the edges of the markers.
 
 A lens blurs light symmetrically, so the middle of an edge between black and white has a brightness halfway between
 black and white. The greys of an edge are too bright or too dark if the camera's transfer curve was not inverted, or if
@@ -32,11 +32,11 @@ LEAST_MARKERS = 10
 _SOME = 8
 """Number of pictures that are tested, evenly spaced over the scan."""
 _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
-"""Gamma values that are tried after the stated curve if no known curve fits."""
+"""Exponents of the power functions that are tried, after the stated transfer curve, if no known curve fits."""
 
 
 def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
-    """Test with the marker edges whether the pictures were decoded with the correct transfer curve.
+    """Verify, by the edges of the markers, that the pictures were decoded with the correct transfer curve.
 
     If the edges clearly contradict the curve, the pictures are read again with the estimated curve.
 
@@ -99,9 +99,10 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
 
 
 def _find_gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
-    """Find the gamma that, applied after the stated curve, removes the bend; return the curve and its bend.
+    """Find the gamma that removes the bend if it is applied after the stated transfer curve.
 
-    If ``best`` has a smaller bend ``least``, these are returned instead.
+    Return the resulting curve and its bend. If the curve ``best`` has a smaller bend, ``best`` and its bend ``least``
+    are returned.
     """
     tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_append_gamma(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T

@@ -1,4 +1,4 @@
-"""Exposure of each picture, measured on the empty panel beside the canister.
+"""Exposure of each picture, measured on the part of the backlight panel that is visible beside the canister.
 
 Lines of sight beside the canister show the panel directly. A static camera shows the same part of the panel in every
 view. The exposure of a picture is the ratio of these pixels to the same pixels in all pictures of the station.
@@ -30,25 +30,26 @@ Mask = NDArray[np.bool_]
 _STEP = 4
 """Spacing of the sampled pixels in both directions, px."""
 _DARKEST = 1.0 / 255.0
-"""Minimum brightness of the panel relative to the station, one level of 8 bits. Pictures that are half black have a
-lower brightness."""
+"""Lower limit of the panel's brightness, relative to the other pictures of the station. It is one level of 8 bits, and
+is reached by pictures that are half black."""
 _MARGIN_MM = 2.0
-"""Margin beside the canister and the net pot within which pixels are not sampled, mm."""
+"""Distance from the canister and the net pot within which the panel is not sampled, mm."""
 _LIT, _BRIGHT = 0.5, 0.9
-"""Two values: the minimum brightness of the panel relative to a quantile of the brightness beside the canister, and the
-level of this quantile."""
+"""Two parameters of the selection of panel pixels. The second value is the level of a quantile of the brightness beside
+the canister. A pixel shows the panel if its brightness exceeds the first value times this quantile."""
 _LEAST_PIXELS = 200
-"""Minimum number of empty-panel pixels for an exposure to be measured. A noise of a few per cent per pixel then
-averages to a few per mille."""
+"""Minimum number of panel pixels from which an exposure is measured. Noise of a few per cent per pixel is then averaged
+to a few per mille."""
 _LEAST_PATCH = 20
-"""Minimum number of pixels of a panel patch whose mean brightness is evaluated."""
+"""Minimum number of pixels of a patch of the panel for its mean brightness to be used."""
 _ROWS = 2.0
-"""Standard deviation of the Gaussian by which the panel's brightness is smoothed along the rows, in sampled rows. With
-17 pixels beside the canister in each row, a tenth of a pixel's noise remains. Three brightness bands of a lamp in a
-picture of 300 rows keep 99 % of their amplitude."""
+"""Standard deviation of the Gaussian that smooths the brightness of the panel over neighbouring rows, in sampled rows.
+With 17 pixels beside the canister in each row, the remaining noise is a tenth of that of a pixel. In a picture of 300
+rows, three brightness bands of a lamp keep 99 % of their amplitude."""
 UNEVEN = 0.01
-"""Minimum standard deviation of the panel's relative brightness within a picture that is corrected. The value is a
-third of the optical depth of the faintest detected film (`CoverageSettings.film_depth`)."""
+"""Brightness variation within a picture above which the picture is corrected. The variation is the standard deviation
+of the panel's relative brightness. The value is a third of the optical depth of the faintest detected film
+(`CoverageSettings.film_depth`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,7 @@ class Exposures:
     gain: Array
     """(V,) exposure of each picture relative to the station's median picture; 1 if unknown."""
     measured: bool
-    """Whether the exposure could be measured on the panel beside the canister in all pictures."""
+    """Whether the exposures of all pictures could be measured on the panel beside the canister."""
     clipped: Array
     """(V,) fraction of the panel's pixels at full scale."""
     level: Array
@@ -67,8 +68,8 @@ class Exposures:
     """(V,) relative brightness of the panel on both sides of the canister. None if the brightness is uniform, or if one
     side is not visible."""
     uneven: Array = field(default_factory=lambda: np.zeros(0))
-    """(V,) standard deviation of the panel's brightness beside the canister, relative to the station, after division by
-    ``gain`` and ``beside``."""
+    """(V,) standard deviation of the panel's brightness beside the canister that remains after division by ``gain`` and
+    ``beside``. The brightness is relative to the station's median picture."""
 
     def select(self, places: Sequence[int]) -> Exposures:
         """Return the exposures of the pictures with the given indices."""
@@ -88,14 +89,14 @@ class Exposures:
 
     @property
     def wander(self) -> float:
-        """Return the standard deviation of the gain over the pictures."""
+        """Return the standard deviation of ``gain`` over all pictures."""
         return float(np.std(self.gain))
 
     @property
     def bands(self) -> float:
-        """Return the largest brightness variation within a picture that was corrected; 0 if none was.
+        """Return the largest brightness variation that was corrected within a picture.
 
-        The variation is the standard deviation of the panel's relative brightness.
+        The variation is the standard deviation of the panel's relative brightness. It is 0 if no picture was corrected.
         """
         return max((float(np.std(sides.share)) for sides in self.beside if sides is not None), default=0.0)
 
@@ -113,9 +114,10 @@ class Sides:
     rows: Array
     """(R,) picture rows at which the brightness is given."""
     columns: tuple[float, float]
-    """Mean picture columns of the panel to the left and right of the canister."""
+    """Mean column of the panel pixels to the left of the canister, and of those to the right."""
     share: Array
-    """(2, R) brightness on the left and right, relative to the station and divided by the gain."""
+    """(2, R) brightness of the panel on the left and on the right, relative to the station's median picture, and
+    divided by the picture's gain."""
 
     def over(self, image_wh: tuple[int, int]) -> NDArray[np.float32]:
         """Return the relative brightness (H, W) of all pixels.
@@ -172,10 +174,10 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
 
 
 def _measure_unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
-    """Return the relative brightness on both sides of a picture, and the unevenness that remains after correction.
+    """Return the relative brightness of the panel on both sides, and the unevenness that remains after correction.
 
-    The unevenness is the standard deviation between patches of the panel pixels (N,), corrected for noise. A patch is
-    as high as the smoothing, and covers the inner or the outer half of one side.
+    The unevenness is the standard deviation of the mean brightness of patches of the panel pixels (N,), without the
+    contribution of noise. A patch is as high as the smoothing, and covers the inner or the outer half of one side.
     """
     left = column < 0.5 * width
     found = _measure_sides(ratio, row, column, left)
@@ -196,7 +198,10 @@ def _measure_unevenness(ratio: Array, row: Array, column: Array, width: int) -> 
 
 
 def _measure_sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
-    """Return the row-by-row brightness profiles of the panel (N,) on both sides; None if a side is hardly visible."""
+    """Return the brightness of the panel pixels (N,) in each row, to the left and to the right of the canister.
+
+    The result is None if one side has fewer than `_LEAST_PIXELS` pixels.
+    """
     if min(left.sum(), (~left).sum()) < _LEAST_PIXELS:
         return None
     rows = np.unique(row)
@@ -211,7 +216,7 @@ def _measure_sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides
 
 
 def _beside_mask(view: View, optics: Optics, scene: Scene) -> Mask:
-    """Return the mask of pixels, sampled every `_STEP` px, whose line of sight passes beside canister and net pot.
+    """Return the mask of pixels, `_STEP` px apart, whose line of sight passes beside the canister and the net pot.
 
     Only heights between the net pot's skirt and the canister's floor are included.
     """

@@ -23,7 +23,8 @@ from rhizotwin.scenes.monitor import Monitor
 LEAST_VIEWS = 3
 """Minimum number of views for a reconstruction. Two silhouettes do not bound a shape."""
 FOCUS_GIVEN = 1e-4
-"""Relative standard deviation of a calibrated focal length (`docs/calibration.md`: 0.009 %)."""
+"""Relative standard deviation of the focal length of a calibrated lens. A calibration reached 0.009 %
+(`docs/calibration.md`)."""
 
 _LEAST_BLURS = 3
 """Minimum number of markers from which the blur of a picture is computed. A single marker may contain a highlight."""
@@ -137,10 +138,10 @@ def _exact_cameras(pictures: Pictures, lens: model.Camera, poses: Sequence[frame
 
 
 def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
-    """Return straight optics without rim and floor, for masks that were rendered in air.
+    """Return optics with straight rays and without obstacles, for masks that were rendered in air.
 
-    The height limits are extended to the cameras: a line of sight enters the wall at a height between the camera and
-    the point.
+    Neither the rim nor the floor of the canister obstructs rays. The height limits are extended to the cameras, because
+    a line of sight enters the wall at a height between the camera and the point.
     """
     heights = [float(frames.invert(pose)[2, 3]) for pose in poses]
     low, high = min(heights), max(heights)
@@ -153,7 +154,10 @@ def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optic
 
 
 def _table_deg(pictures: Pictures) -> list[float]:
-    """Return the commanded table angles, which are the initial values for cameras without markers, degrees."""
+    """Return the commanded table angles, degrees.
+
+    They are the initial values of the table angles if there are no markers.
+    """
     angles = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
     if len(angles) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
@@ -217,7 +221,8 @@ def _collect_results(
 def _refocus_px(blurs: Sequence[NDArray[np.float64]]) -> float | None:
     """Return the additional blur of the least sharp picture relative to the sharpest, px.
 
-    ``blurs`` contains the blur of each marker in each picture.
+    It is the square root of the difference between the squared blurs of the two pictures. ``blurs`` contains the blur
+    of each marker in each picture.
     """
     medians = [float(np.median(one)) for one in blurs if len(one) >= _LEAST_BLURS]
     return float(np.sqrt(max(medians) ** 2 - min(medians) ** 2)) if medians else None

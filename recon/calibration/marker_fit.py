@@ -16,24 +16,27 @@ from scipy.special import erf
 from rhizotwin.scenes.frames import Array
 
 MARGIN: Final = 0.16
-"""Width of the fitted part of the quiet zone around a marker, in halves of the marker's side."""
+"""Width of the part of the quiet zone around a marker that is included in the fit, as a fraction of half the marker's
+side."""
 TARGET_PX: Final = 90.0
 """Maximum side of a marker for the fit, px. Larger markers are downsampled."""
 GRID: Final = np.linspace(-1.3, 1.3, 209)
-"""Sample positions, along s and t, of the tabulated pattern. A marker covers the range [-1, 1] in both coordinates."""
+"""Values of s and of t at which the pattern is tabulated. The marker itself covers the range [-1, 1] in both
+coordinates."""
 FLAT: Final = 6.0
-"""Distance from a step beyond which the blurred step is treated as constant, in standard deviations of the blur. The
-error is below 1e-8. Smaller factors would lead to denormal float32 numbers, which are slow."""
+"""Distance from an edge of the pattern beyond which the blurred edge is treated as constant, in standard deviations of
+the blur. The error is below 1e-8. Smaller factors would lead to denormal float32 numbers, which are slow."""
 BLUR_PX: Final = (0.25, 6.0)
-"""Minimum and maximum standard deviation of the blur in the fit, px. A pixel alone has 0.29 px, and 6 px exceed half a
-module of the largest markers."""
+"""Minimum and maximum standard deviation of the blur in the fit, px. The square pixel alone causes a standard deviation
+of 0.29 px. The maximum exceeds half a module of the largest markers."""
 FIRST_BLUR_PX: Final = 1.2
 """Initial standard deviation of the blur for the first marker of a picture, px. The fit of each further marker starts
 with the blur of the preceding marker."""
 RETABLE: Final = 0.03
-"""Relative change of the blur above which the pattern is tabulated again."""
+"""Relative change of the blur, since the pattern was last tabulated, above which the pattern is tabulated again."""
 LEAST_PIXELS: Final = 60
-"""Minimum number of pixels for the fit of a marker, at least three for each of the 18 parameters."""
+"""Minimum number of pixels to which a marker is fitted. It corresponds to at least three pixels for each of the 18
+parameters."""
 MOST_STEPS: Final = 15
 """Maximum number of Gauss-Newton steps. The iteration either converges in a few steps or diverges."""
 MOST_MOVE: Final = 0.15
@@ -43,14 +46,14 @@ ENOUGH_PX: Final = 0.003
 a corner (`view_fit.FLOOR_PX`)."""
 LEAST_CORRELATION: Final = 0.9
 """Minimum correlation between the fitted pattern and the picture for a marker to be accepted. Each wrong module of 64
-reduces the correlation of a balanced pattern by 2/64, so three modules may be wrong due to dirt or glare."""
+reduces the correlation of a balanced pattern by 2/64, so dirt or glare may cover up to three modules."""
 MOST_SHIFT, MOST_SHIFT_PX = 0.1, 2.5
-"""Two limits for the total displacement of the corners from their initial positions, in sides of the marker and in
-pixels. A marker is rejected if it exceeds the larger limit."""
+"""Two limits for the total displacement of the corners from their initial positions. The first is a fraction of the
+marker's side, and the second is given in pixels. A marker is rejected if its displacement exceeds both limits."""
 MOST_BULGE: Final = 0.5
-"""Maximum sagitta of a marker's curved sides in the picture, in halves of the marker's side. The sagitta of an arc a is
-tan(a / 4) times half its chord, so the limit corresponds to 106 degrees. A marker of the thesis's strip (13 mm on a
-radius of 80 mm) spans 9 degrees and has a sagitta of 0.04."""
+"""Maximum sagitta of a marker's curved sides in the picture, as a fraction of half the marker's side. The sagitta of an
+arc with the angle a is tan(a / 4) times half its chord, so the limit corresponds to an arc of 106 degrees. A marker of
+the thesis's strip (13 mm on a radius of 80 mm) spans 9 degrees and has a sagitta of 0.04."""
 FULL: Final = 0.985
 """Brightness above which a pixel is saturated, as a fraction of full scale."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -68,10 +71,11 @@ class MarkerFit:
     blur_px: float
     """Standard deviation of the blur, px, including 0.29 px of the pixel itself."""
     bend: float = 0.0
-    """Excess brightness of the greys halfway between the marker's black and white, relative to the contrast.
+    """Amount by which mid-greys at the edges of the marker are too bright, relative to the contrast between black and
+    white.
 
-    Any symmetric blur produces all greys between black and white, equally on both sides of an edge. In pictures that
-    are linear in light, the bend is therefore zero (`recon.calibration.curve`)."""
+    A symmetric blur produces the greys between black and white equally on both sides of an edge. In pictures that are
+    linear in light, the bend is therefore zero (`recon.calibration.curve`)."""
 
 
 class Scratch:
@@ -140,7 +144,10 @@ def fit_marker(
 
 @dataclass(frozen=True)
 class _Window:
-    """Pixels around a marker, in normalised positions (px - centre_px) / scale_px."""
+    """Pixels around a marker.
+
+    Positions are normalised to (px - centre_px) / scale_px.
+    """
 
     light: Array
     """(P,) brightness of the pixels, as a fraction of full scale."""
@@ -157,7 +164,7 @@ class _Window:
 
 
 def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: float) -> _Window | None:
-    """Crop a marker with its margin, downsampled to at most `TARGET_PX`.
+    """Crop a marker and part of its quiet zone, and downsample it to at most `TARGET_PX`.
 
     Return None if the marker extends beyond the picture.
     """
@@ -184,9 +191,10 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
 def _gauss_newton(
     window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
 ) -> tuple[Array, float, Array, float, float] | None:
-    """Fit the marker model to the pixels of a window by Gauss-Newton.
+    """Fit the marker model to the cropped pixels by Gauss-Newton.
 
-    Return H and b (11,), the blur, the covariance (18, 18), the correlation and the bend, or None if the fit diverges.
+    Return, in this order, the parameters H and b (11,), the blur, the covariance (18, 18) of all parameters, the
+    correlation between the model and the picture, and the bend (`MarkerFit.bend`). Return None if the fit diverges.
     Long sums use `_products`, because a multi-threaded BLAS would compete with threads that measure other pictures.
     """
     warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
@@ -242,7 +250,7 @@ def _gauss_newton(
 
 
 def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
-    """Return the excess brightness of greys halfway between black and white (`MarkerFit.bend`).
+    """Return the bend of a marker, which is the excess brightness of mid-greys at its edges (`MarkerFit.bend`).
 
     Parameters
     ----------
@@ -266,7 +274,10 @@ def _products(rows: Array) -> Array:
 
 
 def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
-    """Return the pattern coordinates s (P,) and t (P,) of pixels (2, P), from the homography without the bulge."""
+    """Return initial pattern coordinates s (P,) and t (P,) of pixels (2, P).
+
+    They are computed with the inverse homography, and neglect the curvature of the strip.
+    """
     back = np.linalg.inv(_matrix(warp))
     s, t, _ = _warp(np.append(back.ravel()[:8] / back[2, 2], np.zeros(3)), xy[0], xy[1])
     return s, t
@@ -337,9 +348,9 @@ def _homography_through(corners: Array) -> Array:
 
 
 def _corner_derivatives(warp: Array) -> Array:
-    """Return the derivatives (8, 8) of the corners' x and y with respect to h.
+    """Return the derivatives (8, 8) of the corners' x and y with respect to the homography parameters h.
 
-    The bulge does not move the corners.
+    The corners do not depend on the curvature parameters b.
     """
     found = np.zeros((4, 2, 8))
     for k, ((s, t), (x, y)) in enumerate(zip(CORNERS, _project(_matrix(warp), CORNERS), strict=True)):

@@ -18,17 +18,18 @@ from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 Bytes = NDArray[np.uint8]
 _ALIKE = 0.7, 1.4
-"""Minimum and maximum height of a marker in the picture, relative to the median height of the strip's markers. The
-nearest marker is 1 + R / d times as high as the markers at the flanks, with the distance d of the camera from the axis
-and the radius R of the net pot. This ratio is 1.2 for the thesis's rig, and 1.4 for d = 2.5 R."""
+"""Minimum and maximum height of a foreign marker that is reported, relative to the median height of the strip's markers
+in the picture. The id of a foreign marker is not on the strip. The nearest marker of a strip is 1 + R / d times as high
+as the markers at its left and right edges, where d is the distance of the camera from the axis, and R is the radius of
+the net pot. This ratio is 1.2 for the thesis's rig, and 1.4 for d = 2.5 R."""
 _WINDOWS_PX = 7, 37, 10
-"""Smallest window, largest window and window increment of OpenCV's adaptive threshold, px, tuned on pictures of the
-strip."""
+"""Three parameters of OpenCV's adaptive threshold, px: the smallest window, the largest window, and the increment of
+the window. They were tuned on pictures of the strip."""
 _BRIGHTEST = 99.5
-"""Brightness percentile that is mapped to white for marker detection. The reflection of a lamp then does not reduce the
-contrast of the strip."""
+"""Brightness percentile that is mapped to white before markers are detected. Brighter pixels are clipped, so that the
+reflection of a lamp does not reduce the contrast of the strip."""
 FEW = 6
-"""Minimum number of detected markers. If fewer markers are detected, detection is repeated with the next tone curve."""
+"""Number of detected markers below which the detection is repeated with the next tone curve."""
 OTHER_DICTIONARIES = (
     "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
 )  # fmt: skip
@@ -48,13 +49,14 @@ class Markers:
     """(M, 8, 8) covariance of the x and y coordinates of each marker's corners, px^2. None if the corners were not
     measured, in which case their errors are assumed to be independent with a standard deviation of 0.1 px."""
     bend: Array | None = None
-    """(M,) excess brightness of medium greys at each marker's edges, see `MarkerFit.bend`; None if the corners were not
-    measured."""
+    """(M,) bend of each marker, which is the excess brightness of mid-greys at its edges (`MarkerFit.bend`). It is None
+    if the corners were not measured."""
     blur_px: Array | None = None
     """(M,) standard deviation of the blur at each marker, px, including the pixel itself; None if the corners were not
     measured."""
     foreign: tuple[int, ...] = ()
-    """Ids of markers of similar size in this picture that are in the strip's dictionary, but not in the strip."""
+    """Ids in this picture that belong to the strip's dictionary but are not on the strip. Only markers about as high as
+    those of the strip are included."""
     diagnosis: str | None = None
     """Reason why no markers were found; None if markers were found."""
 
@@ -134,9 +136,10 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
 def _search(
     image: Picture, dictionary: cv2.aruco.Dictionary, strip: MarkerStrip, *, subpix: bool
 ) -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return the ids (M,) and approximate corners (M, 4, 2) of the strip's markers, and foreign ids of similar size.
+    """Find the strip's markers in a picture, and foreign markers of similar size.
 
-    Corners are in pixels of the full-resolution picture.
+    Return the ids (M,) and approximate corners (M, 4, 2) of the strip's markers, and the ids of the foreign markers.
+    The corners are in pixels of the full-resolution picture.
     """
     small, scale = reduce_picture(image)
     detector = _detector(dictionary, subpix=subpix)
@@ -156,12 +159,15 @@ def _search(
 
 
 def _height_px(four: Array) -> float:
-    """Return the mean length of a marker's left and right side, px, which the strip's curvature does not affect."""
+    """Return the mean length of a marker's left and right sides, px.
+
+    The curvature of the strip does not affect these sides.
+    """
     return float(np.linalg.norm(four[[0, 1]] - four[[3, 2]], axis=1).mean())
 
 
 def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:
-    """Return an OpenCV detector with parameters for small, blurred and foreshortened markers.
+    """Return an OpenCV detector whose parameters suit small, blurred and foreshortened markers.
 
     In pictures of the strip, it finds 18 to 20 of 26 markers.
     """
@@ -173,18 +179,21 @@ def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.
 
 
 def _linear(image: Picture) -> Bytes:
-    """Scale a picture to 8 bits; only the brightest 0.5 % of the pixels are clipped."""
+    """Scale the brightness of a picture to 8 bits, and clip the brightest 0.5 % of the pixels."""
     return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, _BRIGHTEST), 1.0)), np.uint8)
 
 
 def _square_root(image: Picture) -> Bytes:
-    """Scale the square root of a picture to 8 bits, which brightens a strip much darker than the backlight."""
+    """Scale the square root of a picture's brightness to 8 bits.
+
+    This brightens a strip that is much darker than the backlight.
+    """
     low, top = _percentile(image, 0.5), _percentile(image, _BRIGHTEST)
     return (255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))).astype(np.uint8)
 
 
 def _percentile(image: Picture, percent: float) -> float:
-    """Return a percentile of a picture's brightness, from every third pixel of every third row."""
+    """Return a percentile of a picture's brightness, estimated from every third pixel of every third row."""
     return float(np.percentile(image[::3, ::3].astype(np.float32), percent))
 
 

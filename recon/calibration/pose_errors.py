@@ -14,7 +14,8 @@ from rhizotwin.scenes.frames import Array
 class PoseErrors:
     """Covariance model of the errors of the views' poses.
 
-    The error of view v, a left-hand twist (rad, mm), is ``carry[v] @ s + e[v]``. Both s and e have zero mean.
+    The error of view v is ``carry[v] @ s + e[v]``, a twist (rad, mm) applied from the left. Both s and e have zero
+    mean.
 
     The S errors s are shared by all views: inset (px), focus (relative), six components for each station's camera, and
     four for the strip on the table (tilt about x and y, offset in x and y).
@@ -25,7 +26,7 @@ class PoseErrors:
     carry: Array
     """(V, 6, S) derivatives of each view's twist with respect to the shared errors s."""
     own: Array
-    """(V, 6, 6) covariance of each view's own error e, which is independent between views."""
+    """(V, 6, 6) covariance of the error e of each view, which is independent of the other views."""
 
     def covariance(self) -> Array:
         """Return the total covariance (V, 6, 6) of each view's pose."""
@@ -34,7 +35,8 @@ class PoseErrors:
     def reorder(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
         """Return the errors of the given views, in the given order.
 
-        None in ``views`` denotes a view without shared errors, whose covariance (6, 6) is taken from ``alone``.
+        None in ``views`` denotes a view that has no shared errors. The covariance (6, 6) of such a view is taken from
+        ``alone``.
         """
         count = self.shared.shape[0]
         carry, own = np.zeros((len(views), 6, count)), np.zeros((len(views), 6, 6))

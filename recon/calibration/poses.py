@@ -22,21 +22,22 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
 STILL_PX = 2.0
-"""Maximum median reprojection error of a ring's views, relative to one common camera pose, for the camera to count as
-static, px. Single views are excluded because of movement only if the camera is otherwise static."""
+"""Median reprojection error of the views of a ring below which their camera is considered static, px. The error is
+computed with one common camera pose for all views of the ring. Single views in which the camera moved are excluded only
+if the camera was otherwise static."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
-"""Maximum scatter of the poses in a ring, rad and mm. A ring with a larger scatter is not a turn in front of a static
-camera, and its views are calibrated independently."""
+"""Maximum standard deviation of the camera's rotation, rad, and translation, mm, between the views of a ring. If the
+views scatter more, they were not taken by a static camera, and are calibrated independently."""
 LEAST_RING = 5
-"""Minimum number of views of a ring for the detection of a view in which the camera moved."""
+"""Minimum number of views in a ring for views in which the camera moved to be searched."""
 OUTLIER_WEIGHT = 0.1
-"""Cauchy weight below which a marker counts as an outlier. This is the weight of a residual of nine standard
-deviations."""
+"""Cauchy weight below which a marker counts as an outlier. A residual of nine standard deviations has this weight."""
 AS_CALIBRATED = 1e-7
-"""Prior standard deviation of the relative focal length with which the calibrated focal length is kept."""
+"""Prior standard deviation of the relative focal length in fits that keep the calibrated focal length. It is so small
+that the focal length does not change."""
 STRANGERS = 3
-"""Minimum number of foreign marker ids, each found in at least two pictures, at which the pictures are rejected. The
-strip in the scene file is then wrong."""
+"""Minimum number of foreign marker ids at which the pictures are rejected, because the scene file then describes a
+wrong strip. Foreign ids are not on the strip, and are counted if they appear in at least two pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +49,7 @@ class Poses(StripCalibration):
     errors: PoseErrors | None = None
     """Errors of all camera poses; None if the views were calibrated independently."""
     turn_sigma_rad: Array | None = None
-    """(F,) standard deviations of the table angles, rad; 0 for views that were calibrated independently."""
+    """(F,) standard deviations of the table angles, rad. They are 0 for views that were calibrated independently."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -115,9 +116,9 @@ def find_poses(
 
 
 def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
-    """Raise a UserError if foreign markers of similar size appear beside the strip's markers.
+    """Raise a UserError if markers of another strip appear beside the markers of the scene's strip.
 
-    Poses from the common part of two different strips would be wrong.
+    Poses that were estimated from the ids common to two different strips would be wrong.
     """
     counts = Counter(marker_id for markers in detected if len(markers.ids) for marker_id in markers.foreign)
     strange = sorted(marker_id for marker_id, count in counts.items() if count > 1)
@@ -158,7 +159,10 @@ def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bo
 
 
 def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
-    """Re-estimate the pose of a view outside the rig fit with the refined focal length."""
+    """Estimate the pose of a view again, with the refined focal length.
+
+    The function is applied to views that were not included in the fit of the rig.
+    """
     pose = view_fit.single_view(replace(sightings, camera=sightings.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
@@ -189,9 +193,9 @@ def _require_camera(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
 def _fit_all_views(
     views: list[Camera], sightings: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
 ) -> Poses:
-    """Fit the rig to the views, exclude views that moved, and fit again.
+    """Fit the rig to the views, exclude views in which the strip or the camera moved, and fit again.
 
-    Views of cameras that were moved freely keep the poses from their own markers.
+    If a camera was moved freely, its views keep the poses that were estimated from their own markers.
     """
     keys = _rig_keys(views, sorted(sightings), scene, captured)
     if not keys:
@@ -256,7 +260,7 @@ def _tank_pose(scene: Scene, cam_from_rig: Array) -> Array | None:
 
 
 def _collect_rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
-    """Return the static camera of each station, and the scatter of its views."""
+    """Return the static camera of each station, and the standard deviations of its small movements."""
     return tuple(
         Ring(
             ring=ring,
@@ -275,14 +279,17 @@ def _view_poses(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
 
 
 def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
-    """Return the numbers of the views whose camera was static, apart from small movements."""
+    """Return the indices of the views whose camera was static except for small movements."""
     first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
     loose = np.any(first.rig.spread > LOOSE, axis=1)
     return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
 def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
-    """Find views whose camera pose deviates from that of the ring; return the reasons, keyed by frame number."""
+    """Find views in which the camera moved.
+
+    Return the reason for the exclusion of each of these views, keyed by frame number.
+    """
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
         members = np.flatnonzero(fit.rig.ring == ring).tolist()

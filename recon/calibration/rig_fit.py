@@ -22,21 +22,21 @@ x and y. Height and rotation about the axis are part of the camera's pose."""
 CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
 """Prior standard deviations of the canister's misalignment: tilt about x and y, rad, and offset in x and y, mm."""
 FREE_PRIOR_RAD = 0.3
-"""Prior standard deviation of a table angle that was not commanded, rad. The prior mean is the camera's azimuth
-relative to the strip, which changes if the canister is misaligned."""
+"""Prior standard deviation of a table angle that was not commanded, rad. The prior mean is the azimuth of the camera
+relative to the strip, which is inaccurate if the canister is misaligned with the table."""
 TAIL = 4.0
-"""Degrees of freedom of Student's t distribution for the camera's movement in single views. With these heavy tails, a
-view in which the camera moved does not affect the other views."""
+"""Degrees of freedom of the Student's t distribution that models the camera's movement in single views. Because of its
+heavy tails, a view in which the camera moved does not affect the other views."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
 """Minimum standard deviation of the camera's movement in single views, rad and mm."""
 LEAST_SCALE = 0.3
-"""Minimum ratio of the corner residuals to their standard deviations. The minimum prevents a few small residuals from
-appearing exact."""
+"""Lower limit of the estimated ratio of the corner residuals to their standard deviations. It prevents the corners from
+being treated as exact if a few residuals are small."""
 MOST_STEPS = 15
 """Maximum number of Gauss-Newton steps. The iteration either converges in a few steps or diverges."""
 SPREAD_STEPS = 10
-"""Number of fixed-point iterations for the camera's movement within each Gauss-Newton step. Both iterations converge
-together."""
+"""Number of fixed-point iterations for the standard deviation of the camera's movement, within each Gauss-Newton step.
+The fixed-point iterations and the Gauss-Newton steps converge together."""
 _CHI2_MEDIAN = 7.34
 """Median of the chi-squared distribution with 8 degrees of freedom, one for each coordinate of a marker's four corners
 (`scipy.stats.chi2.median(8)` is 7.344)."""
@@ -58,23 +58,24 @@ class Rig:
     angle_rad: Array
     """(V,) table angle of each view, about +z, rad."""
     own: Array
-    """(V, 4, 4) small movement of the camera in a single view."""
+    """(V, 4, 4) small movement of the camera in each view, relative to the static camera."""
     table_from_canister: Array
-    """(4, 4) pose of the canister on the table, mm, without height and rotation about the axis."""
+    """(4, 4) pose of the canister on the table, mm. It contains neither the height nor the rotation about the axis."""
     inset_px: float
     """Apparent enlargement of the markers on each side, px."""
     focal_scale: float
     """Ratio of the focal lengths to those of the calibrated lens."""
     spread: Array
-    """(R, 2) standard deviation of ``own`` on each axis, rad and mm."""
+    """(R, 2) standard deviations of the movements ``own``: rotation about each axis, rad, and shift along each axis,
+    mm."""
 
     def rig_pose(self, view: int) -> Array:
-        """Return ``cam_from_canister`` (4, 4) of a view without the camera's movement in this view."""
+        """Return ``cam_from_canister`` (4, 4) of a view, neglecting the small movement of the camera in this view."""
         turned = frames.rotation_z(float(self.angle_rad[view])) @ self.table_from_canister
         return np.asarray(self.cam_from_rig[self.ring[view]] @ turned)
 
     def pose(self, view: int) -> Array:
-        """Return ``cam_from_canister`` (4, 4) of a view, including the camera's movement in this view."""
+        """Return ``cam_from_canister`` (4, 4) of a view, including the small movement of the camera in this view."""
         return np.asarray(self.own[view] @ self.rig_pose(view))
 
 
@@ -85,9 +86,9 @@ class RigFit:
     rig: Rig
     """Best-fitting parameters of the rig."""
     views: tuple[Linearised, ...]
-    """(V,) linearised reprojection of each view at the solution."""
+    """(V,) least-squares problem of each view, linearised at the solution."""
     rig_px: Array
-    """(V,) reprojection error of each view without the camera's movement in this view, px."""
+    """(V,) reprojection error of each view, px, neglecting the small movement of the camera in this view."""
     errors: PoseErrors
     """Errors of the views' camera poses."""
     turn_sigma_rad: Array
@@ -101,7 +102,10 @@ class RigFit:
         return float(np.sqrt(self.errors.shared[1, 1]))
 
     def ring_covariance(self, ring: int) -> Array:
-        """Return the covariance (6, 6) of the left-hand twist of one ring's ``cam_from_rig``."""
+        """Return the covariance (6, 6) of the error of one ring's ``cam_from_rig``.
+
+        The error is a twist (rad, mm) applied from the left.
+        """
         own = slice(2 + 6 * ring, 8 + 6 * ring)
         return self.errors.shared[own, own]
 
@@ -161,7 +165,11 @@ def _residual_ratio(views: Sequence[Linearised]) -> float:
 
 
 def _apply_step(rig: Rig, shared: Array, local: Array) -> Rig:
-    """Apply a step of the shared unknowns (2 + 6 R + 4,) and the local unknowns (V, 7) to a rig."""
+    """Update the parameters of a rig by one step of the fit.
+
+    The step consists of the changes of the shared unknowns (2 + 6 R + 4,) and the local unknowns (V, 7), which are
+    listed in `_System`.
+    """
     rings = shared[2:-4].reshape(-1, 6)
     canister = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
     return replace(
@@ -177,10 +185,11 @@ def _apply_step(rig: Rig, shared: Array, local: Array) -> Rig:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations of the rig fit, linearised about a rig.
+    """Normal equations of the rig fit, linearised at the current parameters of the rig.
 
-    The S shared unknowns are the inset, the focus, 6 components per ring, and 4 of the canister's pose. The local
-    unknowns of each view are the table angle and 6 components of the camera's movement.
+    The S shared unknowns are the inset, the focus (focal scale), 6 components of the camera pose of each ring, and 4
+    components of the canister's pose. The local unknowns of each view are the table angle and 6 components of the
+    camera's movement.
     """
 
     rig: Rig
@@ -230,11 +239,12 @@ class _System:
         return prior
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return a step of the shared unknowns (S,) and local unknowns (V, 7), with covariances and gain.
+        """Return the next step of all unknowns, with covariances.
 
-        The covariances are those of the shared unknowns (S, S), and of the local unknowns given the shared unknowns (V,
-        7, 7), both for independent residuals. The gain (V, 7, S) is minus the derivative of the local unknowns with
-        respect to the shared unknowns.
+        Return, in this order, the step of the shared unknowns (S,), the step of the local unknowns (V, 7), the
+        covariance (S, S) of the shared unknowns, the covariance (V, 7, 7) of the local unknowns at fixed shared
+        unknowns, and the gain (V, 7, S). The covariances are valid for independent residuals. The gain is minus the
+        derivative of the local unknowns with respect to the shared unknowns.
         """
         prior = self._prior(spread, weight)
         local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)
@@ -258,7 +268,7 @@ class _System:
         return shared, local, covariance, given, gain
 
     def find_spread(self, spread: Array, weight: Array) -> tuple[Array, Array]:
-        """Estimate the standard deviation (R, 2) of the camera's movement, and the weights (V,) of the views."""
+        """Estimate the standard deviations (R, 2) of small camera movements, and the weights (V,) of views."""
         for _ in range(SPREAD_STEPS):
             _, local, shared, given, gain = self.solve(spread, weight)
             covariance = given + gain @ shared @ gain.transpose(0, 2, 1)
@@ -295,11 +305,12 @@ class _System:
 
 
 def _picture_squares(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
-    """Return the index (M,) of the picture square that contains each marker; the squares have the size of a marker.
+    """Return the index (M,) of the square in the picture that contains each marker.
 
-    A static camera shows markers of different views on the same pixels, at the same angle to the strip's curvature.
-    Errors caused by these pixels are therefore the same in all views. The errors of marker centres have a correlation
-    of 0.1 at distances of up to 8 px, and are uncorrelated beyond (400x300 pixels, markers of 12 px).
+    The squares have the size of a marker. In the views of a static camera, markers on the same pixels appear at the
+    same angle to the curved strip. Errors caused by these pixels are therefore the same in all views. The errors of
+    marker centres have a correlation of 0.1 at distances of up to 8 px, and are uncorrelated beyond (400x300 pixels,
+    markers of 12 px).
     """
     side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in sightings])))
     square = [np.floor(one.px.mean(axis=1) / side_px) for one in sightings]

@@ -12,14 +12,15 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 _ARM_MM = 100.0
-"""Length by which rotations are converted to shifts, mm. The nine entries of a rotation matrix change by sqrt(2) times
-the angle, so a rotation is treated as the shift of a point at a distance of 141 mm, near the centre of the canister's
-floor (146 mm)."""
+"""Factor by which the entries of rotation matrices are multiplied for comparison with shifts, mm. The norm of the
+change of the nine entries is sqrt(2) times the angle. A rotation therefore counts as the shift of a point at a distance
+of 141 mm, near the centre of the canister's floor (146 mm)."""
 _LEAST_SPREAD = np.array([1e-3, 0.1])
-"""Minimum initial scatter of single views, rad and mm. The fit then starts with a larger scatter than the final one."""
+"""Value that is added to the initial standard deviations of the cameras' movements, rad and mm. The fit then starts
+with larger standard deviations than the final ones."""
 AGREE_RAD = np.deg2rad(5.0)
-"""Maximum scatter of the table angles in the pictures about the commanded angles for the commanded angles to be used,
-rad."""
+"""Maximum scatter of the differences between the table angles in the pictures and the commanded angles, rad. If the
+scatter is larger, the commanded angles are not used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,7 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
 
 
 def _scatter(angles: Array) -> float:
-    """Return the median deviation of angles from their median direction, rad."""
+    """Return the median absolute deviation of angles from their median direction, rad."""
     middle = np.angle(np.median(np.cos(angles)) + 1j * np.median(np.sin(angles)))
     return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
 
@@ -104,6 +105,6 @@ def _medoid(poses: Array) -> Array:
 
 
 def _spread(own: Array) -> Array:
-    """Return the initial standard deviation (2,), rad and mm, of small movements (N, 4, 4)."""
+    """Return initial standard deviations (2,) of the rotation, rad, and shift, mm, of movements (N, 4, 4)."""
     turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
     return np.array([turns, np.median(np.linalg.norm(own[:, :3, 3], axis=1))]) + _LEAST_SPREAD

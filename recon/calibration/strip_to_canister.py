@@ -23,16 +23,16 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 UNSEEN = np.array([np.deg2rad(0.1), np.deg2rad(0.1), 0.2, 0.2])
-"""Standard deviations of the canister's misalignment in the strip if its edges were not visible: tilt about x and y,
-rad, and offset in x and y, mm."""
+"""Standard deviations of the canister's misalignment in the strip that are assumed if its edges were not visible: tilt
+about x and y, rad, and offset in x and y, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StripToCanister:
     """Cameras in the frame of the strip, and the pose of the canister in the strip.
 
-    The errors of the canister's tilt about x and y and its offset in x and y are ``by_cameras @ s + e``, with the
-    errors s that the cameras share (`PoseErrors`) and the independent errors e of the edges.
+    The errors of the canister's tilt about x and y and of its offset in x and y are ``by_cameras @ s + e``. The errors
+    s are shared by all cameras (`PoseErrors`), and the errors e are the independent errors of the edges.
     """
 
     solved: Poses
@@ -100,9 +100,10 @@ class StripToCanister:
         return np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]])
 
     def _on_table(self, table_from_canister: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the canister's pose on the table with respect to the errors.
+        """Return the derivatives of the canister's pose on the table with respect to the errors of its measurement.
 
-        The derivatives are with respect to the shared camera errors (4, S) and the independent edge errors (4, 4).
+        The first array (4, S) contains the derivatives with respect to the shared camera errors. The second array (4,
+        4) contains the derivatives with respect to the independent errors of the edges.
         """
         by_edges = -adjoint(table_from_canister)[np.ix_(CANISTER, CANISTER)]
         own = np.zeros((4, len(self.errors.shared)))

@@ -17,12 +17,12 @@ model, the print, and the pattern model."""
 UNKNOWN_PX = 0.1
 """Standard deviation assumed for a corner whose covariance is unknown, px."""
 _MISREAD_PX = 1.5, 10.0
-"""Two thresholds for the median and the largest reprojection error of the initial pose (SQPNP), px. Above either
-threshold, some markers may be misidentified. OpenCV's corners deviate by 0.1 to 0.2 px (`docs/calibration.md`), and the
-corners of a misidentified marker by at least the side of a marker."""
+"""Two thresholds for the reprojection error of the initial pose (SQPNP), px. The first applies to the median error, and
+the second to the largest. Above either threshold, some markers may be misidentified. OpenCV's corners deviate by 0.1 to
+0.2 px (`docs/calibration.md`), and the corners of a misidentified marker by at least the side of a marker."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
 """Two parameters of RANSAC: the inlier distance, px, and the number of trials. If half of the corners belong to
-misidentified markers, nine of 300 samples of five corners contain only correct corners."""
+misidentified markers, about nine of 300 random samples of five corners are free of such corners."""
 _ENOUGH_MM = 1e-5
 """Camera displacement per step below which the single-view fit ends, mm. The value is a thousandth of the accuracy of a
 single view."""
@@ -50,8 +50,8 @@ class Sightings:
 class Linearised:
     """Linearised least-squares problem of one picture about a camera pose.
 
-    The unknowns are the left-hand twist of the pose (rad and mm), the inset (px), and the relative change of the focal
-    lengths.
+    The unknowns are a twist of the pose applied from the left (rad and mm), the inset (px), which enlarges the markers
+    on each side, and the relative change of the focal lengths.
     """
 
     normal: Array
@@ -171,7 +171,10 @@ def single_view(sightings: Sightings, *, polish: bool = True) -> Array | None:
 
 
 def twist(step: Array) -> Array:
-    """Return the transform (4, 4) of a small rotation vector, rad, and shift, mm, concatenated in one vector (6,)."""
+    """Return the transform (4, 4) of a small motion.
+
+    The motion (6,) consists of a rotation vector, rad, followed by a shift, mm.
+    """
     return frames.from_rotvec(step[:3], step[3:])
 
 

@@ -18,69 +18,74 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _MARGIN_MM = 0.1
-"""Margin around opaque parts within which pixels are not used, mm. The margin allows for errors of the cameras and the
-canister's dimensions."""
+"""Minimum clearance of a line of sight from opaque parts for its pixel to be used, mm. The clearance allows for errors
+of the cameras and of the canister's dimensions."""
 _STEP = 4
-"""Spacing of the pixels in both directions for which lines of sight are computed, px. Other pixels are interpolated."""
+"""Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
 _FLANK = 0.98
-"""Fraction of the canister's width outside of which pixels are not used, because the wall reflects nearly all light
-there."""
+"""Fraction of the canister's width within which pixels are used. Closer to the edges, the wall reflects nearly all
+light."""
 _LEAST_SHARE = 0.5
 """Minimum fraction of the views that must show the water at a pixel for its background to be estimated."""
 _RIM_PX = 11
-"""Side of the square around each glare pixel that is also classified as glare, px. The square extends the glare by five
-pixels in each direction, to include its blurred rim."""
+"""Side of the square around each glare pixel in which all pixels are classified as glare, px. The square extends the
+glare by five pixels in each direction, to include its blurred rim."""
 _GLARE_PX = 1.0
-"""Standard deviation of the Gaussian smoothing before glare detection, px. Beside roots, single pixels of a JPEG are 5
-% too bright in every fifth view, and without smoothing, the squares around these pixels hid a tenth of a plant."""
+"""Standard deviation of the Gaussian smoothing before glare detection, px. Beside roots, JPEG compression makes single
+pixels 5 % too bright in every fifth view. Without smoothing, such pixels were classified as glare, and the squares
+around them (`_RIM_PX`) hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
-"""Two parameters of the background estimate. The first is the fraction of the views that are brighter than the
-reference brightness of a pixel. The second is the relative tolerance: views that differ less from the reference
+"""Two parameters of the background estimate. The first determines the reference brightness of a pixel, which is
+exceeded in this fraction of the views. The second is a relative tolerance: views that differ less from the reference
 brightness also show the panel, and are averaged. Roots may cover a pixel in four of five views. The tolerance is three
 times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too bright by 0.03 times the noise, or
 by a third of the noise at a quarter of the light (from the moments of a normal distribution)."""
 _COVERED = 0.96
-"""Ratio of the background to the smooth surface below which a pixel is treated as covered in every view. The tolerance
-is that of the comparison between views (`_ALIKE`)."""
+"""A pixel is treated as covered in every view if its background is less than this fraction of the smooth surface. The
+tolerance of 0.04 is that of the comparison between views (`_ALIKE`)."""
 _CORE = 0.85
 """Fraction of the canister's width in which the smooth surface is fitted. In pictures simulated without noise, the
-residual of the surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98, where small camera
-errors leave some of the variation of the wall's transmittance."""
+residual of the surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98. There, small camera
+errors leave a part of the variation of the wall's transmittance in the background."""
 _SAMPLES = 40_000
-"""Approximate number of pixels to which the smooth surface is fitted, almost a thousand for each of its 45
-coefficients."""
+"""Approximate number of pixels to which the smooth surface is fitted. There are almost a thousand pixels for each of
+its 45 coefficients."""
 _FITS = 8
-"""Number of successive fits of the smooth surface. The upper tolerance is halved after each fit: at first, roots lower
-the surface, and later, the flanks of a reflection would raise it."""
+"""Number of successive fits of the smooth surface. After each fit, the tolerance for pixels brighter than the surface
+is halved. It is large at first, because roots lower the first surfaces, and small at the end, because the flanks of a
+reflection would raise the surface."""
 _CLOSING_PX = 31
-"""Maximum width of dark objects that are removed from a single picture by morphological closing, px. The width is 7 mm
-at 0.23 mm per pixel (profile `bench`), whereas the hypocotyls of radishes without a globe in the library are 1.5 to 3
-mm wide. Wider objects are rejected as outliers of the smooth surface."""
+"""Maximum width of dark objects that are removed from a single picture by morphological closing, px. It corresponds to
+7 mm at 0.23 mm per pixel (profile `bench`), whereas the hypocotyls of radishes without a globe in the library are 1.5
+to 3 mm wide. Wider objects are rejected as outliers of the smooth surface."""
 _BRIGHT = 0.9
-"""Quantile of the background that is used as its brightness, robust against glare and hot pixels."""
+"""Quantile of the background that represents its brightness. This quantile is not affected by glare and hot pixels."""
 _AGREED = 0.5
-"""Minimum fraction of views with equal brightness for a pixel to count as free of roots in most views."""
+"""Minimum fraction of the views that must agree in the brightness of a pixel. The pixel is then considered free of
+roots in most views."""
 _LEAST_SURE = 0.1
-"""Minimum fraction of bright pixels that must be free of roots in most views. If there are fewer, the first fit of the
-smooth surface uses all bright pixels."""
+"""Minimum fraction of the bright pixels that must be free of roots in most views. If the fraction is smaller, the first
+fit of the smooth surface uses all bright pixels."""
 _MOST_ADDED = 0.25
-"""Maximum brightness of a reflection that is subtracted, relative to the panel. If the brightness of the reflected
-object changes by a fifth, the error is at most the default of `CoverageSettings.glare`, which is tolerated."""
+"""Maximum brightness of a reflection that is subtracted from the pictures, as a fraction of the panel's brightness. If
+the reflected object becomes brighter or darker by a fifth, the error is at most the default of
+`CoverageSettings.glare`, which is tolerated."""
 _DARK, _LEAST_DARK = 0.5, 30
-"""Two parameters of the detection of roots in front of reflections: the brightness, relative to the panel, below which
-a pixel shows a root, and the minimum number of such pixels."""
+"""Two parameters of the detection of roots in front of reflections. A pixel shows a root if its brightness is below the
+first value, as a fraction of the panel's brightness. The second value is the minimum number of such pixels."""
 _DARKEST = 0.2
-"""Quantile of the darkest views' brightness that is compared in front of and beside reflections. It represents pixels
-fully covered by a root, and exceeds the noise of single pixels."""
+"""Quantile by which root pixels in front of a reflection are compared with root pixels beside it. It is taken over the
+brightness of each pixel in its darkest view. It represents pixels that a root covers completely, and exceeds the noise
+of single pixels."""
 _BESIDE_PX = 41
-"""Side of the square around reflections in which roots are used for comparison, px. Roots within this distance have the
-same brightness as roots in front of the reflection, because front light varies only over distances of 200 px and more
+"""Side of the square around a reflection in which root pixels are used for comparison, px. Roots within this distance
+are as bright as roots in front of the reflection, because front light varies only over distances of 200 px and more
 (the depth of the water)."""
 _BLOCK_ROWS = 24
 """Number of picture rows that are processed at once. 24 rows of 40 views with 800 columns occupy 3 MB and fit in the
 cache."""
 _THREADS = 2
-"""Number of threads for the background estimate. Each thread copies its block of rows."""
+"""Number of threads for the background estimate. Each thread needs memory for a copy of its block of rows."""
 
 
 def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
@@ -125,22 +130,24 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approa
 
 
 def wall_light(view: cameras.View, optics: Optics) -> Image:
-    """Return the transmittance (H, W) of the canister's walls.
+    """Return the transmittance (H, W) of the canister's walls in a view.
 
-    Outside of the flanks, the transmittance is that of the flanks. If the canister rotates about an axis other than its
-    own, its flanks move in the picture. The transmittance is therefore divided out before the backlight is estimated.
+    Beyond the fraction `_FLANK` of the canister's width, the transmittance at this limit is returned. If the canister
+    rotates about an axis other than its own, its edges move in the picture. The transmittance is therefore divided out
+    before the backlight is estimated.
     """
     lines = CoarseLines.compute(view, optics, step=_STEP)
     return lines.upsample(refraction.transmittance(optics, refraction.clip_to_water(optics, lines.line, _FLANK)))
 
 
 class Panel(NamedTuple):
-    """Empty backlight of a ring, and added reflections, in the units of the pictures."""
+    """Empty backlight of a ring, and the light that reflections add to it, in the units of the pictures."""
 
     light: Image
     """(H, W) empty backlight."""
     added: Image
-    """(H, W) light that the wall reflects, which is subtracted from the pictures; 0 where there are no reflections."""
+    """(H, W) light that the wall reflects, which is subtracted from the pictures. It is 0 where there are no
+    reflections."""
     glare: Mask
     """(H, W) mask of reflections that cannot be subtracted. Their light hides roots, so these pixels are not usable."""
 
@@ -148,10 +155,11 @@ class Panel(NamedTuple):
 def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Panel:
     """Estimate the empty backlight from the views of one ring with a static camera.
 
-    The background of each pixel is the mean of the views within 4 % of the upper quintile. Where an object covers the
-    panel in nearly every view (the taproot on the axis, or a dense cluster of roots), this mean is too dark, and is
-    replaced by a smooth surface fitted to reliable pixels. The first fit of this surface only uses pixels with equal
-    brightness in most views, because a cluster may hide a larger part of the panel than it leaves free.
+    The background of a pixel is the mean of the views whose brightness differs by at most 4 % from the upper quintile.
+    This mean is too dark where an object covers the panel in nearly every view, such as the taproot on the axis or a
+    dense cluster of roots. There, the mean is replaced by a smooth surface fitted to reliable pixels. The first fit of
+    this surface uses only pixels with equal brightness in most views, because a cluster may hide a larger part of the
+    panel than it leaves free.
 
     Parameters
     ----------
@@ -201,10 +209,11 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
 
 
 def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
-    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and a mask of reliable pixels.
+    """Return the mean (H, W) of those views that show the panel, and a mask of reliable pixels.
 
-    A pixel is reliable if most of its views contribute to the mean. ``inside`` (V, H, W) is the mask of pixels that
-    show the water; None for all pixels.
+    A view (V, H, W) shows the panel at a pixel if its brightness is close to the upper quintile of all views. A pixel
+    is reliable if most of its views contribute to the mean. ``inside`` (V, H, W) is the mask of pixels that show the
+    water. If it is None, all pixels show the water.
     """
     views = len(part)
     number = views if inside is None else inside.sum(axis=0)
@@ -221,8 +230,8 @@ def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
 def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
     """Return whether excess light is reflected by the wall, and not emitted by a brighter part of the panel.
 
-    Roots cover the panel but not reflections. In front of a reflection, roots are therefore brighter by the reflected
-    light.
+    Roots cover the panel, but they do not cover reflections of the wall. If the excess light is a reflection, it is
+    therefore added to the brightness of the roots behind it.
     """
     about = cv2.dilate(spots.astype(np.uint8), np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8))
     rows, columns = np.nonzero((about > 0) & (smooth > 0))
@@ -236,10 +245,11 @@ def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, 
 
 
 def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: CoverageSettings) -> Image:
-    """Fit Chebyshev polynomials in the position across the canister and the row to the background.
+    """Fit a smooth surface to the background.
 
-    Dark outliers and glare are rejected. The first fit uses the pixels (H, W) in ``sure``. Later fits add or reject
-    pixels according to their residuals.
+    The surface is a polynomial in the position across the canister and the row, in a Chebyshev basis. Dark outliers and
+    glare are rejected. The first fit uses the pixels (H, W) in ``sure``. Later fits add or reject pixels according to
+    their residuals.
     """
     rows, columns = np.nonzero(inside)
     u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0

@@ -15,7 +15,7 @@ from rhizotwin.recon.optics.refraction import Approach, Optics
 
 @dataclass(frozen=True)
 class CoarseLines:
-    """Lines of sight of a view outside the canister, on a coarse pixel grid."""
+    """Lines of sight of a view up to the canister, on a coarse pixel grid."""
 
     line: Approach
     """(N,) lines of sight."""
@@ -50,7 +50,10 @@ class CoarseLines:
         return CoarseLines(*cameras.approach(view, optics, directions), (u.shape[0], u.shape[1]), step, view.camera.image_wh)
 
     def upsample(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
-        """Interpolate values of the lines (N,) to all pixels (H, W), or use the value of the nearest line."""
+        """Interpolate the values (N,) of the lines to all pixels (H, W).
+
+        If ``nearest`` is True, each pixel receives the value of the nearest line instead.
+        """
         return upsample(values.reshape(self.shape), self.step, self.image_wh, nearest=nearest)
 
 

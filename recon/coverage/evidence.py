@@ -1,4 +1,4 @@
-"""Evidence to which root tubes are fitted: coverage in all views, with outlines of possible and of thick roots."""
+"""Evidence to which root tubes are fitted: the coverage in all views, and outlines derived from it."""
 
 from __future__ import annotations
 
@@ -21,27 +21,31 @@ from rhizotwin.recon.optics.projection import Projected, ViewBank
 Array = NDArray[np.float64]
 
 _TRACE = 0.07
-"""Minimum blurred coverage of pixels that may show a root. A root with a width of a third of a pixel reaches this
-value, with the blur `_TRACE_BLUR_PX`."""
+"""Blurred coverage above which a pixel may show a root. With the blur `_TRACE_BLUR_PX`, a root with a width of a third
+of a pixel reaches this value."""
 _TRACE_BLUR_PX = 0.6
-"""Standard deviation of the Gaussian blur that suppresses the noise of single pixels before the threshold `_TRACE`, px.
-"""
+"""Standard deviation of the Gaussian blur that is applied before the threshold `_TRACE`, px. The blur suppresses the
+noise of single pixels."""
 _TRACE_SLACK_PX = 0.25
-"""Outward offset of the generous outline, px, which is half a sample of the distance map."""
+"""Distance by which the generous outline is moved outwards, px. It is half the spacing of the samples of the distance
+map."""
 _FULL = 0.9
-"""Minimum coverage of fully covered pixels, with a margin for noise."""
+"""Coverage above which a pixel counts as fully covered. The difference from 1 allows for noise."""
 _AROUND = 1.5
-"""Distance from a bright spot within which full coverage must be uninterrupted, in diameters of the spot. A bubble in
-front of a ball of 20 mm, 2 mm inside the outline of the ball in the picture, has an uninterrupted distance of 1.9
-diameters (`hard-1`)."""
+"""Distance around a bright spot within which all pixels must be fully covered, in diameters of the spot. Around a
+bubble in front of a ball of 20 mm, 2 mm inside the ball's outline in the picture, the pixels are fully covered up to
+1.9 diameters (`hard-1`)."""
 CORE_PX = 1.25
-"""Minimum depth of core points inside full coverage in every view, px. Core points lie in a taproot, a hypocotyl or a
-solid, which is then at least 3.5 px wide."""
+"""Minimum distance of core points from the border of full coverage, in every view, px. Core points lie in a taproot, a
+hypocotyl or a solid, which is then at least 3.5 px wide."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Coverage of all views, or opacity for translucent roots, with the cameras."""
+    """Coverage in all views, with the cameras.
+
+    For translucent roots, the coverage may be replaced by the opacity.
+    """
 
     bank: ViewBank
     """Views packed for projection; pixel coordinates are relative to the first pixel of ``window``."""
@@ -56,13 +60,14 @@ class Evidence:
     mu_per_mm: float | None = None
     """Attenuation of the roots, 1/mm; None for opaque roots."""
     hairs: float = 0.0
-    """Strength of the root hairs, relative to `translucent_tube.HAIRS`."""
+    """Strength of the root hairs, as a multiple of `translucent_tube.HAIRS`."""
     index: float = 1.0
     """Refractive index of the roots relative to water; used only for translucent roots."""
     blur_px: float = 0.0
     """Standard deviation of the pictures' blur, px, in addition to the blur by the square pixel."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
-    """Attachment points of several plants behind the net pot, canister frame, mm; empty for a single plant."""
+    """Attachment points of the plants, which the net pot hides, in the canister frame, mm. The tuple is empty if there
+    is only one plant."""
 
     @staticmethod
     def from_silhouettes(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
@@ -140,7 +145,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Projections of points into all views, stored on the device and copied to NumPy arrays on demand."""
+    """Projections of points into all views.
+
+    They are stored on the device, and copied to NumPy arrays on demand.
+    """
 
     shape: tuple[int, int]
     """Number of views V and number of points N."""
@@ -164,7 +172,7 @@ class Nodes:
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Whether a point has exactly one image in a view, which lies within the picture (V, N)."""
+        """Whether each view shows each point exactly once, and within the picture (V, N)."""
         return np.array(self.on_device.visible).reshape(self.shape)
 
     def _read(self, vector: Kernel) -> Array:
@@ -176,7 +184,10 @@ class Nodes:
         return np.array(sine_to_sight(p.du, p.dv, self.in_all_views(vectors(direction))), np.float64).reshape(self.shape)
 
     def in_all_views(self, values: Vector3f) -> Vector3f:
-        """Repeat one vector per point, mi.Vector3f (N,), for each view; return (V, N) flattened."""
+        """Repeat one vector per point for each view.
+
+        ``values`` is a mi.Vector3f (N,), and the result is a flattened mi.Vector3f (V, N).
+        """
         return mi.Vector3f(*(dr.tile(part, self.shape[0]) for part in values))
 
 
@@ -196,9 +207,9 @@ def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:
 
 
 def generous_outline(silhouette: Silhouette) -> Image:
-    """Return the signed distance (2 H, 2 W) to an outline that contains every root, however thin, px.
+    """Return the signed distance (2 H, 2 W), px, to an outline that contains even the thinnest roots.
 
-    The generous outline also contains pixels without roots. The best estimate of the outline is that of
+    This generous outline also contains pixels without roots. The best estimate of the outline is that of
     `silhouettes.signed_distance`.
     """
     return _distance(silhouette, blur_coverage(silhouette, _TRACE_BLUR_PX), _TRACE) + np.float32(_TRACE_SLACK_PX)
@@ -211,10 +222,11 @@ def core_outline(silhouette: Silhouette) -> Image:
 
 
 def bright_spots(silhouette: Silhouette) -> Mask:
-    """Return the mask (H, W) of small holes in full coverage, such as those of bubbles in front of thick roots.
+    """Return the mask (H, W) of small bright spots that are surrounded by full coverage.
 
-    A hole is included if full coverage is otherwise uninterrupted within `_AROUND` hole diameters. Gaps between
-    crossing roots do not qualify: they are as wide as roots, and lie beside other gaps.
+    Such spots are caused, for example, by bubbles in front of thick roots. A spot is included if all other pixels
+    within `_AROUND` times its diameter are fully covered. Gaps between crossing roots do not qualify: they are as wide
+    as roots, and lie beside other gaps.
     """
     full = ((silhouette.coverage > _FULL) | ~silhouette.usable).astype(np.uint8)
     count, label, stats, _ = cv2.connectedComponentsWithStats(1 - full, connectivity=4)
@@ -233,9 +245,9 @@ def bright_spots(silhouette: Silhouette) -> Mask:
 
 
 def _distance(silhouette: Silhouette, picture: Image, level: float) -> Image:
-    """Return the signed distance to a level of a picture, px, with an accuracy of half a pixel.
+    """Return the signed distance to the contour of a picture at a given level, px.
 
-    At pixels that are not usable, the distance is `UNSEEN_PX`.
+    The distance is accurate to half a pixel. At pixels that are not usable, it is `UNSEEN_PX`.
     """
     size = (picture.shape[1] * UPSAMPLING, picture.shape[0] * UPSAMPLING)
     unseen = cv2.resize(silhouette.usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0

@@ -12,14 +12,14 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 _WIDEST = 256
-"""Maximum distance that the column search finds, in samples. Up to this distance, float32 represents the squared
-distance and fractions of a sample to 0.01."""
+"""Maximum distance that the search within columns finds, in samples. Squared distances are stored with a fractional
+part, which float32 resolves to 0.01 up to this distance."""
 _SURE = 0.9
-"""Safety factor for the comparison of the 3x3 chamfer distance with `_WIDEST`. The chamfer distance is up to 4.5 % too
-short."""
+"""Safety factor that is applied to `_WIDEST` when it is compared with the 3x3 chamfer distance. The chamfer distance
+may be up to 4.5 % too short."""
 _LOOKS = 2.0
-"""Maximum number of tests by the column search per sample of the picture, at 20 ns per test. If more tests are
-required, a distance transform of the whole picture is faster, at 70 ns per sample."""
+"""Maximum number of tests in the search of the columns, per sample of the picture. Each test takes 20 ns. If more tests
+are required, a distance transform of the whole picture is faster, at 70 ns per sample."""
 
 
 def level_distance(value: Image) -> Image:
@@ -49,7 +49,10 @@ def level_distance(value: Image) -> Image:
 
 
 def _edge_distance(value: Image, inside: Mask) -> Image:
-    """Return the distance (H * W,) to the level for samples next to the level, in samples; 0 for other samples."""
+    """Return the distance (H * W,) from samples next to the level to the level, in samples.
+
+    The distance is 0 for all other samples.
+    """
     inverse_2 = np.zeros(value.size, np.float32)
     size, flat = np.abs(value).ravel(), inside.ravel()
     for step in (value.shape[1], 1):
@@ -71,9 +74,10 @@ def _edge_distance(value: Image, inside: Mask) -> Image:
 
 
 def _transform_distance(inside: Mask, near: Image, deep: Index) -> Image:
-    """Return the distance (N,) from inside samples to the level, by a distance transform of the whole picture.
+    """Return the distance (N,) from inside samples to the level, using a distance transform of the whole picture.
 
-    The result is the distance to the nearest outside sample, minus the distance of this outside sample from the level.
+    The transform yields the distance to the nearest outside sample, from which the distance between this outside sample
+    and the level is subtracted.
     """
     far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
     nearest = row.ravel()[deep].astype(np.int64) * inside.shape[1] + column.ravel()[deep]
@@ -81,7 +85,7 @@ def _transform_distance(inside: Mask, near: Image, deep: Index) -> Image:
 
 
 def _column_distance(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
-    """Return the distance (N,) from inside samples to the level, by a search of the neighbouring columns.
+    """Return the distance (N,) from inside samples to the level, by searching the neighbouring columns.
 
     This search is fast where the inside is narrow, as for roots. Columns on both sides are searched one by one while
     they are nearer than the current minimum. If several outside samples are equally near, the sample in the first
@@ -114,10 +118,11 @@ def _column_distance(inside: Mask, near: Image, within: Index, deep: Index) -> I
 
 
 def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
-    """Return squared distances (H * W,) to the nearest outside sample in the same column, minus half its ``near``.
+    """Return squared distances (H * W,) within columns, from which half of ``near`` is subtracted.
 
-    Squared distances are integers and ``near`` is at most 1, so both can be recovered: rounding up yields the squared
-    distance. The result is infinite if there is no outside sample within `_WIDEST`.
+    The distance is that to the nearest outside sample in the same column, and ``near`` is the distance of this outside
+    sample from the level. Squared distances are integers and ``near`` is at most 1, so both can be recovered: rounding
+    up yields the squared distance. The result is infinite if there is no outside sample within `_WIDEST`.
     """
     width, cost = inside.shape[1], np.float32(-0.5) * near
     cost[within] = np.inf
@@ -131,7 +136,7 @@ def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
 
 
 def _distance_above(inside: Mask) -> NDArray[np.int16]:
-    """Return the distance (H, W) from each sample to the last outside sample above it, at most `_WIDEST` samples."""
+    """Return the distance (H, W) from each sample to the nearest outside sample above it, up to `_WIDEST` samples."""
     ways = np.empty(inside.shape, np.int16)
     way = np.full(inside.shape[1], _WIDEST, np.int16)
     for row, is_inside in enumerate(inside):

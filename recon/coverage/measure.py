@@ -21,7 +21,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 _RING_VIEWS = 8
-"""Minimum number of views of a static camera for the empty backlight to be estimated from the turn."""
+"""Minimum number of views of a static camera from which the empty backlight is estimated jointly. With fewer views, it
+is estimated from each picture alone."""
 
 
 Outline = Callable[[Image, Image, Mask], Silhouette]
@@ -29,13 +30,13 @@ Outline = Callable[[Image, Image, Mask], Silhouette]
 
 
 _LEARN_VIEWS = 16
-"""Number of views from which the attenuation of the roots is estimated."""
+"""Approximate number of views from which the attenuation of the roots is estimated."""
 MOST_WRONG = 0.1
-"""Maximum fraction of pictures without water or without roots. Above it, the scan is rejected instead of single
-pictures."""
+"""Maximum fraction of pictures that show no water, and of pictures that show no roots. Up to this fraction, the
+pictures are excluded. Above it, the scan is rejected."""
 _SAME = 0.2
-"""Maximum logarithm of the ratio of two attenuations that are treated as equal. The value is the scatter of estimates
-from the widest roots."""
+"""Tolerance for the absolute logarithm of the ratio of two attenuations. Attenuations within the tolerance are treated
+as equal. The value is the scatter of estimates from the widest roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +46,13 @@ class Coverage:
     silhouettes: Mapping[int, Silhouette]
     """Silhouettes of the used views, keyed by frame number."""
     attenuation: Attenuation | None = None
-    """Attenuation and brightness of the roots, estimated from sufficiently wide roots; None if the pictures were masks.
-    """
+    """Attenuation and brightness of the roots, estimated from sufficiently wide roots. None if the pictures were
+    masks."""
     exposures: Exposures | None = None
     """Exposures of the pictures, in the order of the silhouettes; None if not measured."""
     dirt: float | None = None
-    """Fraction of the visible wall that films, bubbles and glare cover. None if there are too few views or no wall."""
+    """Fraction of the visible wall covered by films, bubbles and glare. None if there are too few views, or if there is
+    no wall."""
 
     def select_exposures(self, frames: Collection[int]) -> Exposures | None:
         """Return the exposures of the frames with the given numbers; None if exposures were not measured."""
@@ -211,10 +213,10 @@ def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSetti
 def remeasure_coverage(
     coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
 ) -> Coverage:
-    """Measure coverage again, with the attenuation estimated from the fitted roots.
+    """Measure the coverage again, with the attenuation that was estimated from the fitted roots.
 
-    The attenuation is first estimated from wide, lone roots, of which there may be too few. Thin translucent roots then
-    appear opaque and narrow.
+    The first estimate of the attenuation uses only wide roots that do not overlap others, of which there may be too
+    few. Thin translucent roots then appear opaque and narrow.
 
     Parameters
     ----------
@@ -272,10 +274,10 @@ def _make_silhouette(dark: Image, usable: Mask, attenuation: Attenuation, px_a_m
 def _remove_fouling(
     cameras: Cameras, opacity: dict[int, Image], usable: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
-    """Remove the fouling of the wall.
+    """Remove films, bubbles and dirt on the canister's wall from the opacity and the masks of usable pixels.
 
-    Return opacity, masks of usable pixels, and the fraction of the wall that films cover. In air and with few views,
-    the pictures are returned unchanged, and the fraction is None.
+    Return the opacity, the masks of usable pixels, and the fraction of the wall that films cover. In air and with few
+    views, the opacity and the masks are returned unchanged, and the fraction is None.
 
     The argument ``opacity`` is emptied to save memory.
     """
@@ -321,7 +323,7 @@ def _estimate_backgrounds(
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
     """Estimate the empty backlight of each view, its glare, and the light that the wall reflects.
 
-    Views of a ring with a static camera are processed together, with the exposures (``gain``) divided out. Other
+    Views of a ring with a static camera are divided by their exposures (``gain``), and processed together. Other
     pictures are processed separately, without glare and reflections.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames
@@ -353,8 +355,8 @@ def _estimate_backgrounds(
 def _is_static(views: list[View]) -> bool:
     """Return whether a ring's camera was static.
 
-    If the camera was static, the canister hardly moves in the picture, as its axis is only a few millimetres off the
-    table's axis.
+    If it was static, the canister hardly moves between the pictures, because its axis is only a few millimetres away
+    from the table's axis.
     """
     focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
     axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])

@@ -25,30 +25,34 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
 
 _DARK = 0.08
-"""Minimum opacity of dirt, which is above the noise and similar to that of a faint root."""
+"""Opacity above which a pixel may show dirt. It is above the noise, and similar to the opacity of a faint root."""
 _WIDEST_MM = 3.0
 """Maximum width of dirt, mm. Seams are 1 to 2 mm wide. Wider objects are ignored, because thick roots are also dark in
 many views."""
 _ALWAYS = 0.85
-"""Minimum fraction of the views of a texel in which dirt is dark. One view in seven may miss the dirt due to pose
-errors and rounding. Elsewhere on the wall, the fraction was 0.1 to 0.4 in a scan with 1.6 m of roots."""
+"""Fraction of the views of a texel in which it must be dark to be classified as dirt. One view in seven may miss the
+dirt due to pose errors and rounding. Elsewhere on the wall, the fraction was 0.1 to 0.4 in a scan with 1.6 m of
+roots."""
 _SHARPER = 0.15
-"""Minimum difference, between the outer and the inner face, in the fraction of views in which a texel is dark. The
-difference is 0.6 or more for dust, 0.3 for nearly horizontal scratches, and negative for objects on the inside."""
+"""Minimum difference between two fractions for a texel to be classified as dirt. They are the fraction of views in
+which the texel is dark on the outer face, and the corresponding fraction on the inner face. The difference is 0.6 or
+more for dust, 0.3 for nearly horizontal scratches, and negative for objects on the inside."""
 _STEEPEST = 0.2
 """Maximum slope of lines of sight in the water, for a camera 16 degrees above or below the horizontal."""
 _AT_ONCE = 8
 """Number of views that are unrolled at once."""
 _ABOUT = 15
-"""Side of the square of surrounding texels whose median is compared with a texel. A scratch, or a seam of 4 mm, does
-not affect this median."""
+"""Side, in texels, of the square whose median represents the surroundings of a texel. A scratch, or a seam of 4 mm,
+does not affect this median."""
 _LEAST_SHARE = 0.02
-"""Minimum fraction of views in which a texel is assumed to be dark by chance, due to noise."""
+"""Lower limit of the probability with which a texel is assumed to be dark in a view by chance. It accounts for
+noise."""
 _NEVER = 10.0
-"""Inverse of the expected number of texels on the whole wall that are classified as dirt by chance (0.1 texels)."""
+"""Inverse of the number of texels on the whole wall that may be classified as dirt by chance. The value corresponds to
+an expected number of 0.1 texels."""
 _LEAST_VIEWS = 5
-"""Minimum number of views of a texel. At the top and the bottom of the wall, a texel is shown only by the nearest
-views, which are a sixth of a ring."""
+"""Minimum number of views that must show a texel for it to be classified. A texel at the top or the bottom of the wall
+is only visible in the nearest views, which are a sixth of a ring."""
 
 
 def outer_face(optics: Optics, px_a_mm: float) -> Face:
@@ -105,7 +109,7 @@ def detect_dirt(
 
 
 def _chance_texels(share: Image, number: Image) -> Mask:
-    """Return the texels (rows, columns) that may be dark by chance in the observed fraction of views, due to roots.
+    """Return the texels (rows, columns) that roots may darken by chance in as many views as observed.
 
     The probability p that roots darken a texel in a view is assumed to be that of its surroundings, and at least the
     mean over the wall. The probability that the texel is dark in a fraction q of n views is then at most exp(-n (q
@@ -123,9 +127,9 @@ def _chance_texels(share: Image, number: Image) -> Mask:
 def _dark_texels(
     opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, k: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the dark fraction of each texel's pixels (rows, columns) in a view, and the number of times it is shown.
+    """Return the fraction (rows, columns) of dark pixels in each texel in a view, and the number of times it is shown.
 
-    A texel on the near wall and a texel on the far wall count as two separate views.
+    If a view shows a texel both on the near wall and on the far wall, it counts as two views.
     """
     rows, columns = face.shape(optics)
     wide = _wide_objects(opacity[k], face)
@@ -144,7 +148,7 @@ def _dark_texels(
 
 
 def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
-    """Return the pixels (H, W) that dirt on the near or far outer wall hides.
+    """Return the pixels (H, W) that are hidden by dirt on the near or far outer wall.
 
     Pixels in front of a thick root are not included.
 

@@ -29,28 +29,31 @@ roots down to a width of about 0.6 px."""
 UNSEEN_PX = 1e7
 """Value of a distance map at pixels that are not usable, px."""
 _BLUR_PX = 0.7
-"""Standard deviation of the Gaussian blur before outlines are drawn, px. `outline_level` compensates for the blur at
-any width of the root."""
+"""Standard deviation of the Gaussian blur that is applied before outlines are drawn, px. `outline_level` compensates
+for this blur, independently of the root's width."""
 _LEAST_SEEN = 1e-3
-"""Minimum weight of usable pixels by which blurred coverage is normalised, to avoid division by zero."""
+"""Lower limit of the weight by which blurred coverage is divided. The weight is the blurred mask of usable pixels,
+which is zero where no usable pixel is near."""
 _SILENT_PX = 4
-"""Upper bound of the distance over which blur, interpolation and dilation affect a pixel, px."""
+"""Distance beyond which a pixel no longer affects other pixels through blur, interpolation or dilation, px. The value
+is an upper bound."""
 _CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
-"""Three parameters of the detection of resolved roots: the minimum opacity, the side of the square that must be opaque,
-px, and the minimum number of pixels. The brightness of roots is at most 0.3 (`translucency`). With any opacity
-threshold from 0.5 to 0.8, the median opacity inside resolved roots is 0.98 (`printed_8ml`)."""
+"""Three parameters of the detection of resolved roots, in this order: the minimum opacity, the side of the square in
+which all pixels must have this opacity, px, and the minimum number of such squares in a picture. The brightness of
+roots is at most 0.3 (`translucency`). With any opacity threshold from 0.5 to 0.8, the median opacity inside resolved
+roots is 0.98 (`printed_8ml`)."""
 _NEAR_PX, _LEAST_NEAR = 13, 0.02
-"""Two parameters of the local brightness of roots, which varies with the illumination. They are the side of the square
-in which resolved roots are averaged, px, and the minimum fraction of the square that resolved roots cover (three
-pixels)."""
+"""Two parameters of the local brightness of roots, which varies with the illumination. The first is the side of the
+square over which the brightness of resolved roots is averaged, px. The second is the minimum fraction of this square
+that resolved roots must cover (three pixels)."""
 _LEAST_NOISE = 1e-4
-"""Minimum noise of the opacity. The value is ten times the noise measured in pictures that were simulated without noise
-(1e-5), and a fiftieth of the noise on a bench."""
+"""Constant by which the noise threshold of the opacity is raised. The value is ten times the noise measured in pictures
+that were simulated without noise (1e-5), and a fiftieth of the noise on a bench."""
 _FLOOR = 0.1
 """Minimum coverage of pixels that show a root."""
 _LEAST_PARTIAL = 0.01
-"""Minimum fraction of partly covered pixels, among covered pixels, in a silhouette with measured coverage. A root as
-wide as a picture of 1000 pixels has this fraction at its two edges, with or without a blur of 5 px."""
+"""Fraction of partly covered pixels, among all covered pixels, below which a silhouette is considered binary. Even a
+root as wide as a picture of 1000 pixels has this fraction at its two edges, with or without a blur of 5 px."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,9 @@ class Window:
 
     @staticmethod
     def around(silhouettes: Sequence[Silhouette]) -> Window:
-        """Return the smallest window that contains the usable pixels of all silhouettes, with a margin.
+        """Return the smallest window that contains the usable pixels of all silhouettes and a border of `_SILENT_PX`.
 
-        The margin consists of pixels that are not usable, and ends at the border of the picture.
+        The pixels in the border are not usable. The border is cut off at the edges of the picture.
         """
         usable = np.logical_or.reduce([silhouette.usable for silhouette in silhouettes])
         low, size = [], []
@@ -144,15 +147,15 @@ def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageS
 
 
 def suppress_noise(coverage: Image, above: Mask, usable: Mask) -> Silhouette:
-    """Create a silhouette from coverage (H, W), with the coverage at the noise level set to zero."""
+    """Create a silhouette from coverage (H, W), after coverage that does not exceed the noise has been set to zero."""
     return Silhouette(np.clip(np.where(above & usable, coverage, 0.0), 0.0, 1.0).astype(np.float32), usable)
 
 
 def above_noise(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
-    """Return the mask (H, W) of pixels whose opacity, smoothed by a Gaussian of one pixel, exceeds the noise.
+    """Return the mask (H, W) of pixels whose opacity exceeds the noise of the empty backlight.
 
-    The noise is that of the empty backlight. It is estimated by the median absolute deviation of the smoothed opacity,
-    because most pixels show the background.
+    The opacity is first smoothed by a Gaussian with a standard deviation of one pixel. The noise is estimated by the
+    median absolute deviation of the smoothed opacity, because most pixels show the background.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     if not usable.any():
@@ -180,11 +183,11 @@ def thesis(image: Image, usable: Mask) -> Silhouette:
 
 
 def outline_level(peak: NDArray[np.floating]) -> Image:
-    """Return the level of blurred coverage at the edge of a band of any width, from the peak across the band.
+    """Return the level of blurred coverage at which the outline of a root lies, from the peak across the root.
 
     Blurred by a Gaussian with the standard deviation s, a band of half-width a has the peak ``m = erf(a / (sqrt(2)
-    s))`` and the value ``erf(2 a / (sqrt(2) s)) / 2`` at its edge. The level is therefore ``t(m) = erf(2 erfinv(m)) /
-    2``, which is one half for a wide band.
+    s))``, and the value ``erf(2 a / (sqrt(2) s)) / 2`` at its edge. For any width, the level is therefore ``t(m) =
+    erf(2 erfinv(m)) / 2``, which is one half for a wide band.
     """
     m = np.clip(peak, 0.0, 1.0 - 1e-6)
     return (0.5 * erf(2.0 * erfinv(m))).astype(np.float32)
@@ -206,11 +209,11 @@ def blur_coverage(silhouette: Silhouette, sigma_px: float) -> Image:
 
 
 def signed_distance(silhouette: Silhouette) -> Image:
-    """Return the signed distance (2 H, 2 W) to the outline on a half-pixel grid, px, positive inside.
+    """Return the signed distance (2 H, 2 W) to the outline, px, which is positive inside.
 
-    At pixels that are not usable, and within one pixel of them, the value is `UNSEEN_PX`. In the computation of other
-    distances, pixels that are not usable count as inside. Sample (i, j) lies at the pixel position ((j + 0.5) / 2 -
-    0.5, (i + 0.5) / 2 - 0.5).
+    The samples have a spacing of half a pixel: sample (i, j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5)
+    / 2 - 0.5). At pixels that are not usable, and within one pixel of them, the value is `UNSEEN_PX`. For the distance
+    at other pixels, pixels that are not usable count as inside.
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
     fine = cv2.resize(blur_coverage(silhouette, _BLUR_PX), size, interpolation=cv2.INTER_CUBIC)

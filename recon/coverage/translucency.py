@@ -7,8 +7,9 @@ brightness b of its own, relative to the backlight. A round root of radius w the
 
 In the profile across a resolved root, mu and w have different effects. The profile of an opaque root is a box. The
 profile of a translucent root is round, and fainter for thinner roots. mu is therefore fitted to the profiles of
-straight, lone roots. For roots thinner than a few pixels, the pictures determine only the opacity integrated across the
-root, A = integral of alpha. The radius w then follows from A and mu, and the coverage is the opacity times ``2 w / A``.
+straight roots that do not overlap others. For roots thinner than a few pixels, the pictures determine only the opacity
+integrated across the root, A = integral of alpha. The radius w then follows from A and mu, and the coverage is the
+opacity times ``2 w / A``.
 """
 
 from __future__ import annotations
@@ -25,72 +26,78 @@ from rhizotwin.recon.coverage.silhouettes import Image, Mask
 Array = NDArray[np.float64]
 
 CLEARLY = 1.2
-"""Minimum ratio of the residual variance with opaque roots to the residual variance with translucent roots for roots to
-be classified as translucent.
+"""Ratio of two residual variances above which roots are classified as translucent. It is the variance of the best fit
+of opaque roots, divided by that of the best fit of translucent roots.
 
 The ratio is 1.03 for an opaque plant of the twin, and 1.4 to 3.3 for translucent roots (2 per mm). Random deviations
 are smaller with hundreds of samples."""
 _REACH_PX, _STEP_PX = 14.0, 0.5
-"""Two parameters of the sampled profiles: the half-length, which exceeds the half-width of the widest root plus its
-flanks, and the spacing of the samples, px."""
+"""Two parameters of the sampled profiles, px. The first is half the length of a profile, which exceeds half the width
+of the widest root plus its flanks. The second is the spacing of the samples."""
 _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
 """Offsets of the profile samples from the axis of the root, px."""
 _ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""Positions along a root at which profiles are sampled, px. The profiles are averaged, and must agree to within
-`_SAME`."""
+"""Positions along a root at which profiles across the root are sampled, px. The profiles are averaged if they agree to
+within `_SAME`."""
 _SAME = 0.12
-"""Maximum standard deviation of the opacity between profiles of one root. The limit is above the noise, and below the
-step at a crossing root."""
+"""Maximum standard deviation of the opacity between the profiles of one root. The limit is above the noise, and below
+the change of the opacity at a crossing root."""
 _WIDTH_PX = (4.0, 11.0)
-"""Minimum and maximum full width at half maximum of roots whose profiles are fitted, px. Narrower profiles are mostly
-blur, and their selection would be biased against faint roots."""
+"""Minimum and maximum full width at half maximum of roots whose profiles are fitted, px. Narrower profiles consist
+mostly of blur, and faint roots would be under-represented among them."""
 _FLANK_PX = 1.7
-"""Distance outside the half-maximum at which a blur of 0.85 px has decayed (two standard deviations), px."""
+"""Distance from the half-maximum of a profile at which a blur of 0.85 px has decayed, px. It is two standard deviations
+of this blur."""
 _EMPTY = 0.06
-"""Maximum opacity beside a lone root."""
+"""Maximum opacity beside a root that does not overlap others."""
 _GOOD = (0.02, 0.04)
-"""Two limits for the root mean square residual of a lone root's profile. The second limit is used if too few profiles
+"""Two limits for the root mean square residual of a fitted profile. The second limit is used if too few profiles
 satisfy the first. In a dense cluster of opaque roots, hardly any profile satisfies either limit."""
 _MOST = 3000
 """Approximate maximum number of profiles that are sampled per view."""
 _A_BIN, _LEAST = 120, 30
-"""Two limits for the number of profiles: the maximum number per pixel of width, and the minimum total number for an
-estimate. The median of 30 profiles has an uncertainty of a quarter of their standard deviation."""
+"""Two limits for the number of profiles. The first is the maximum number of profiles in each interval of widths, which
+is one pixel long. The second is the minimum total number for an estimate. The median of 30 profiles has an uncertainty
+of a quarter of their standard deviation."""
 FAINTEST_LEARNED = 0.5
-"""Minimum attenuation in the search, 1/mm. An estimate equal to this value is an upper bound and not a measurement."""
+"""Lowest attenuation that is tried, 1/mm. An estimate equal to this value is an upper bound and not a measurement."""
 _MU_PER_MM = np.concatenate([np.geomspace(FAINTEST_LEARNED, 8.0, 25), [16.0, 1e3]])
-"""Attenuations in the search, 1/mm: steps of 12 % from faint to dark, followed by a nearly opaque and an opaque value.
-"""
+"""Attenuations that are tried, 1/mm. They increase in steps of 12 %, and are followed by a nearly opaque and an opaque
+value."""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
-"""Standard deviations of the blur in the search, px, from that of the square pixel to that of a defocused camera."""
+"""Standard deviations of the blur that are tried, px. They range from that of the square pixel to that of a defocused
+camera."""
 _DARK, _STRAIGHT = 0.3, 0.8
 """Two limits for the positions at which profiles are sampled: the minimum blurred opacity, and the minimum coherence of
-the structure tensor. Positions within these limits lie on the axes of roots, away from crossings."""
+the structure tensor. Positions that satisfy both limits lie on the axes of roots, away from crossings."""
 _CORE = 0.6
-"""Minimum opacity inside a root that is wide enough for its own brightness, which is below 0.4, to be measured."""
+"""Minimum opacity of pixels inside roots at which the brightness of the root itself is measured. The brightness of
+these pixels is therefore below 0.4 of the backlight."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
-"""Two parameters of the roots' own brightness: the quantile of the brightness inside wide roots, and the maximum. The
-minimum brightness would be affected by noise."""
+"""Two parameters of the brightness of the roots themselves. The brightness is estimated as a quantile of the brightness
+inside wide roots, whose level is the first value. The second value is the upper limit of the estimate. The minimum,
+instead of a quantile, would be affected by noise."""
 _RADII_PX = np.geomspace(1.0, 7.5, 80)
-"""Radii of the model profiles, in steps of 2.6 %, px. The range is half of `_WIDTH_PX`, with a margin for the effects
-of blur and translucency."""
+"""Radii of the roots in the model profiles, px, in steps of 2.6 %. The range is half of `_WIDTH_PX`, extended to allow
+for the effects of blur and translucency."""
 _MOST_GAIN = 20.0
-"""Maximum gain, which is the ratio of coverage to opacity. The maximum is the gain of a root that absorbs a twentieth
-of the light."""
+"""Maximum gain, which is the ratio of coverage to opacity. A root that absorbs a twentieth of the light has this
+gain."""
 _OWN = (0.0, 0.5, 1.0)
-"""Candidates for the roots' own brightness, as fractions of the brightness inside the darkest wide roots."""
+"""Candidates for the brightness of the roots themselves, as fractions of the brightness inside the darkest wide
+roots."""
 _LONGEST_PX = 60.0
 """Minimum extent of connected objects that are treated as roots, px."""
 _FINE = 16
 """Number of samples per pixel of the model profiles."""
 _PEAK_BLUR_PX = 1.0
-"""Standard deviation of the Gaussian blur that suppresses the noise of single pixels before the search for the peak
-opacity nearby, px."""
+"""Standard deviation of the Gaussian blur that is applied before the peak of the opacity near each pixel is determined,
+px. The blur suppresses the noise of single pixels."""
 _SIGMA_PX = 0.5
-"""Standard deviation of the pictures' blur, including the square pixel, that is assumed for model profiles, px."""
+"""Standard deviation of the pictures' blur that is assumed when gains are tabulated, px. It includes the blur by the
+square pixel."""
 _THINNEST_MM = 0.08
-"""Radius of roots below which the ratio of coverage to opacity is not increased further, mm. Thinner structures are
-noise."""
+"""Minimum radius for which the ratio of coverage to opacity is tabulated, mm. Thinner structures are noise."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,7 @@ class Attenuation:
     """Optical properties of roots in front of the backlight."""
 
     own: float
-    """Brightness of the root itself, relative to the backlight."""
+    """Brightness of the roots themselves due to front light, relative to the backlight."""
     mu_per_mm: float | None
     """Attenuation of the roots, 1/mm; None for opaque roots."""
     profiles: int
@@ -141,7 +148,7 @@ def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenua
 
 
 def _large_objects(opacity: Image, usable: Mask) -> Mask:
-    """Return the mask (H, W) of pixels in and beside large connected objects."""
+    """Return the mask (H, W) of large connected objects and of the pixels beside them."""
     dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & usable).astype(np.uint8)
     _, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
     large = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) > _LONGEST_PX
@@ -150,7 +157,7 @@ def _large_objects(opacity: Image, usable: Mask) -> Mask:
 
 
 def _sample_profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
-    """Sample profiles of the opacity across straight, lone roots.
+    """Sample profiles of the opacity across straight roots that do not overlap others.
 
     Return the profiles (N, `_OFFSETS`), centred on the roots, and their full widths at half maximum (N,), px.
     """
@@ -183,9 +190,10 @@ def _sample_profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
 
 
 def _find_fall(profile: Array, level: Array) -> Array:
-    """Return the distance (N,) from its start at which each profile (N, M) falls below a level (N,), px.
+    """Return the distance (N,) from the start of each profile to the point where it falls below a level, px.
 
-    The distance is infinite if the profile does not fall below the level.
+    The profiles have the shape (N, M), and the levels have the shape (N,). The distance is infinite if a profile does
+    not fall below its level.
     """
     below = profile < level[:, None]
     first = np.maximum(np.argmax(below, axis=1), 1)
@@ -196,7 +204,7 @@ def _find_fall(profile: Array, level: Array) -> Array:
 
 
 def _balance_widths(width: Array) -> NDArray[np.int64]:
-    """Select profiles such that all widths have similar weight; return their indices."""
+    """Return the indices of a selection of profiles in which all widths have similar weight."""
     rng = np.random.default_rng(0)
     order = rng.permutation(len(width))
     bins = np.floor(width[order])
@@ -204,9 +212,9 @@ def _balance_widths(width: Array) -> NDArray[np.int64]:
 
 
 def _model_profiles(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
-    """Return sample offsets (M,) and the opacity (N, M) across round roots of the given radii, blurred.
+    """Return sample offsets (M,), and the blurred opacity (N, M) across round roots of the given radii.
 
-    The roots' own brightness is not included.
+    The brightness of the roots themselves is not included.
     """
     x = np.arange(-_REACH_PX * _FINE, _REACH_PX * _FINE + 1) / _FINE
     opacity = 1.0 - np.exp(-2.0 * mu_a_px * np.sqrt(np.maximum(radius_px[:, None] ** 2 - x**2, 0.0)))
@@ -244,9 +252,9 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
 
 
 def _parabola_minimum(at: Array, cost: Array, best: int) -> float:
-    """Return the position of the minimum of a parabola in log ``at`` through the smallest cost and its neighbours.
+    """Return the value of ``at`` at which the cost (N,) is smallest.
 
-    ``cost`` has the shape (N,).
+    The value is interpolated by a parabola in log ``at`` through the smallest cost and its two neighbours.
     """
     if best in (0, len(at) - 1):
         return float(at[best])
@@ -258,8 +266,9 @@ def _parabola_minimum(at: Array, cost: Array, best: int) -> float:
 def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
     """Convert the opacity of translucent roots to coverage, both (H, W).
 
-    The opacity is multiplied by the gain of a straight round root with the same peak of blurred opacity nearby. The
-    gain is chosen such that the coverage of this root, which is at most 1, sums to its diameter.
+    The opacity of each pixel is multiplied by the gain of a straight round root. This root is chosen such that the peak
+    of its blurred opacity equals the peak of the picture's blurred opacity near the pixel. The gain is chosen such that
+    the coverage of this root, which is at most 1, sums to its diameter.
     """
     if attenuation.mu_per_mm is None:
         raise ValueError(f"{attenuation=} must be that of translucent roots")
@@ -270,9 +279,9 @@ def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: floa
 
 
 def _tabulate_gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
-    """Tabulate the peaks (N,) of the blurred opacity of round roots, and the corresponding gains (N,).
+    """Tabulate the gains (N,) of round roots as a function of the peaks (N,) of their blurred opacity.
 
-    Multiplied by the gain, the opacity across a root sums to its diameter.
+    Multiplied by the gain and limited to 1, the opacity across a root sums to its diameter.
     """
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]

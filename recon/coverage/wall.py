@@ -29,12 +29,13 @@ _TEXEL_MM = 1.0
 """Edge length of a texel of the unrolled wall, mm. A texel spans a few sampled pixels (`_COLUMNS`), which are averaged
 in each view."""
 _STEP = 8
-"""Spacing of the pixels in both directions for which lines of sight are computed, px. Other pixels are interpolated."""
+"""Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
 _COLUMNS = 400
-"""Number of sampled columns of a picture, with a few pixels per texel. The rows are sampled with the same spacing."""
+"""Approximate number of columns that are sampled in a picture, which yields a few pixels per texel. The rows are
+sampled with the same spacing."""
 _QUANTILE = 0.35
-"""Quantile of the optical depth, over the views of a texel, that is used as the optical depth of the wall. Roots cover
-a texel in less than half of the views."""
+"""Quantile of the optical depths of a texel in all views that is used as the optical depth of the wall. Roots cover a
+texel in less than half of the views."""
 _LEAST_VIEWS = 5
 """Minimum number of views of a texel. With three views or fewer, the quantile is the minimum."""
 _NARROWEST_TEXELS = 4
@@ -43,10 +44,10 @@ _WIDEST_BUBBLE_MM = 5.0
 """Maximum diameter of a bubble, mm. The value is about two capillary lengths of water (2.7 mm). Larger bubbles do not
 adhere to a wall."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
-"""Two parameters of the bubble test: the maximum optical depth of the ring around a bubble, and the minimum number of
-views in which the ring does not exceed it."""
+"""Two parameters of the bubble test. A view shows that a dark spot is isolated if the optical depth of the ring around
+it is below the first value. The second value is the minimum number of such views."""
 _OPAQUE = 0.98
-"""Maximum opacity from which the optical depth is computed, so that the optical depth is finite (3.9)."""
+"""Upper limit of the opacity from which the optical depth is computed. It limits the optical depth to 3.9."""
 _ROUNDS = 2
 """Number of iterations of the film estimate. The first iteration ignores the film on the opposite wall, and the second
 subtracts it."""
@@ -57,8 +58,9 @@ class Crossings:
     """Texel coordinates at which a view's lines of sight cross the near and the far wall."""
 
     coarse: Image
-    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `_STEP`. The axes are near and far wall,
-    column and row, grid rows, and grid columns. Full resolution would need more memory than all pictures."""
+    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `_STEP`. The axes are the wall (near,
+    far), the coordinate (column, row), the grid row, and the grid column. Full resolution would need more memory than
+    all pictures."""
     image_wh: tuple[int, int]
     """Width and height of the picture, px."""
 
@@ -114,7 +116,7 @@ INSIDE = Face(_TEXEL_MM, outside=False)
 
 
 def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
-    """Compute the texel coordinates at which a view's lines of sight cross a face of the wall, near and far.
+    """Compute the texel coordinates of the two points at which a view's lines of sight cross a face of the wall.
 
     The coordinates are undefined for pixels whose line of sight misses the water.
     """
@@ -241,9 +243,9 @@ def _quantile(observed: Image) -> Image:
 def _bubbles(dark: Image, views: Image, least: float) -> Mask:
     """Return the mask (rows, columns) of small isolated dark spots on the unrolled wall, dilated by one texel.
 
-    A root that touches the wall extends beyond the spot in every view (V, rows, columns), so no view shows a clear ring
-    around the spot. If a texel is dark because of a cluster of roots inside the canister, it is as clear as its ring in
-    views that do not show the cluster in front of it.
+    A spot is isolated if several views (V, rows, columns) show it with a clear ring around it. A root that touches the
+    wall extends beyond the spot in every view, so its ring is never clear. A spot caused by a cluster of roots inside
+    the canister is as clear as its ring in views whose lines of sight miss the cluster.
     """
     rows, columns = dark.shape
     square = np.ones((3, 3), bool)
@@ -268,7 +270,7 @@ def _bubbles(dark: Image, views: Image, least: float) -> Mask:
 
 
 def remove_fouling(opacity: Image, usable: Mask, where: Crossings, wall: Wall) -> tuple[Image, Mask]:
-    """Remove films from the opacity of a picture, and pixels that bubbles hide from the mask of usable pixels.
+    """Remove films from the opacity of a picture, and mark pixels that bubbles hide as not usable.
 
     Parameters
     ----------

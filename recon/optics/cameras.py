@@ -16,8 +16,8 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
 Sway = tuple[float, float, float]
-"""Displacement of the roots per mm of depth below the net pot, in the canister frame: shift in x and y, mm/mm, and
-rotation about z, rad/mm."""
+"""Displacement of the roots in one picture, which is proportional to the depth below the net pot. The three values are
+the shifts in x and y per depth, mm/mm, and the rotation about z per depth, rad/mm, in the canister frame."""
 STILL: Sway = (0.0, 0.0, 0.0)
 """Sway of static roots."""
 
@@ -31,8 +31,7 @@ class View:
     cam_from_canister: Array
     """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes."""
     cam_from_tank: Array | None = None
-    """(4, 4) pose of the camera in the tank's frame, mm; None if there is no tank. The tank's frame is the rig's frame
-    rotated with the tank."""
+    """Displacement of the roots in this picture, see `Sway`."""
     sway: Sway = STILL
     """Displacement of the roots in this picture."""
 
@@ -62,7 +61,10 @@ class View:
 
 
 def apply_sway(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Displace points (N, 3) of the roots by the sway of a view; points are in the canister frame, mm."""
+    """Displace points (N, 3) of the roots by the sway of a view.
+
+    The points are in the canister frame, mm.
+    """
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
@@ -85,9 +87,9 @@ def matrix(camera: Camera) -> Array:
 
 
 def camera_directions(camera: Camera, px: Array) -> Array:
-    """Return the unit directions (N, 3) of pixels (N, 2) in the camera's frame, without lens distortion.
+    """Return the unit directions (N, 3) of pixels (N, 2) in the camera's frame, corrected for lens distortion.
 
-    The lens distortion is inverted to 1e-10.
+    The lens distortion is inverted with an accuracy of 1e-10.
     """
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
     flat = np.ascontiguousarray(px, np.float64).reshape(-1, 1, 2)
@@ -135,7 +137,7 @@ def tank_pose(view: View) -> Array:
 
 
 def tank_view(view: View, optics: Optics) -> TankView:
-    """Return the relative poses of camera, tank and canister in a view."""
+    """Return the relative poses of the camera, the tank and the canister in a view."""
     if optics.tank is None:
         raise ValueError(f"{optics.tank=} but expected a tank")
     cam_from_tank = tank_pose(view)
@@ -168,7 +170,7 @@ def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, N
 
 
 def length_behind_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
-    """Return the horizontal length of lines from the canister's outer wall to the inside of a tank's back wall.
+    """Return the horizontal length of lines of sight from the canister's outer wall to a tank's back wall.
 
     Parameters
     ----------
@@ -234,7 +236,7 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Project points (N, 3) in the water that have one image in a view; return pixels (N, 2).
+    """Project points (N, 3) in the water to pixels (N, 2), for points that have exactly one image in a view.
 
     This function is faster than `project`. The pixels are NaN for points far from the axis, and for invisible points.
     """
@@ -280,7 +282,10 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
 
 
 def _pixels(view: View, q: Array) -> Array:
-    """Return the pixels (N, 2) of rays that are given by their components q (N, 2) along the tank's front."""
+    """Return the pixels (N, 2) of rays.
+
+    The rays are given by the components q (N, 2) of their unit directions along the tank's front.
+    """
     with np.errstate(invalid="ignore"):
         direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
     return cam_pixels(view.camera, direction @ tank_pose(view)[:3, :3].T)

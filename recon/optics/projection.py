@@ -30,12 +30,12 @@ from rhizotwin.recon.optics.window import Place
 from rhizotwin.scenes import frames
 
 _PARAMETERS = 40
-"""Number of kernel parameters per view, which must be a multiple of four."""
+"""Number of kernel parameters per view. It must be a multiple of four, because four parameters are read at a time."""
 _PRINCIPAL = slice(15, 17)
 """Indices of the principal point, px, in a view's parameters."""
 _IN_OPEN, _SWAY = 24, 36
-"""Two constants of the parameter layout: the number of kernel parameters that are used without a tank, and the index of
-the first sway parameter."""
+"""Two positions in a view's parameters. The first is the number of leading parameters that are used without a tank. The
+second is the index of the first sway parameter."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
 """Three constants of the solver: the number of Newton steps without a tank, the number of Newton steps through a tank,
 and the tolerance of the rays, mm. Rays through a tank have no symmetry from which an initial value could be computed,
@@ -43,12 +43,12 @@ and need more steps. A point is invisible if its ray does not reach it within th
 bench's pixel (0.23 mm), and ten times the spacing of single-precision numbers at the camera's distance (3e-5 mm from
 256 to 512 mm)."""
 _FLANK, _STEEPEST = 0.9995, 0.98
-"""Upper bounds of a ray's impact parameter and vertical component in Newton's method, relative to their limits, at
-which derivatives are infinite."""
+"""Upper limits of a ray's impact parameter and of its vertical component in Newton's method, as fractions of the
+largest possible values. At the largest values, the derivatives are infinite."""
 _TABLE_MM = 0.2, 2.0
-"""Two tolerances within which views share a start table, mm: one for the camera's distance from the axis, and one for
-its height. Tanks with similar poses also share a table, and are compared by the displacement at the wall. Newton's
-method compensates for the differences."""
+"""Two tolerances for views that share a start table, mm. The first is the difference between the cameras' distances
+from the axis, and the second is the difference between their heights. With a tank, its pose is also compared, by the
+displacement that a change of the pose causes at the wall. Newton's method compensates for the differences."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,10 @@ class ViewBank:
 
 
 def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
-    """Write the pose of the tank into a view's parameters, and return the key under which its start table is shared."""
+    """Write the pose of the tank into a view's parameters, and return the view's key.
+
+    Views with the same key share a start table.
+    """
     at = tank_view(view, optics)
     turn, shift = at.azimuth_from_tank[:3, :3], at.azimuth_from_tank[:3, 3]
     packed[:9] = tank_pose(view)[:3, :3].ravel()
@@ -180,7 +183,9 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
 
 
 def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
-    """Return the scale at a point, px/mm, as the median over the views that show it, or over all if none does.
+    """Return the scale of the pictures at a point, px/mm.
+
+    It is the median over the views that show the point. If no view shows the point, it is the median over all views.
 
     Parameters
     ----------
@@ -259,7 +264,7 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
 def _first_ray(
     bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool
 ) -> tuple[Bool, Float, Float, Float]:
-    """Return the initial rays to points in the azimuth frame from the start tables of the views.
+    """Return the initial rays to points in the azimuth frame, interpolated from the start tables of the views.
 
     Returns
     -------
@@ -289,7 +294,7 @@ def _first_ray(
 def _start(bank: ViewBank, view: UInt32, at: tuple[Float, Float, Float], row_mm: Float, active: Bool) -> Vector2f:
     """Interpolate the start tables of the views.
 
-    The tables are interpolated at the x coordinate of the point, mm, and at the row position ``row_mm``.
+    Columns of a table correspond to the x coordinate of the point, mm, and rows to the position ``row_mm``.
     """
     ny, nx = bank.table_shape
     most = np.ceil(bank.optics.inner_radius_mm) + 1.0

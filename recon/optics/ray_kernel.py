@@ -1,4 +1,4 @@
-"""Ray tracing in kernels: through wall and water past a point, and back through the lens (Dr.Jit, float32).
+"""Ray tracing in kernels: through the wall and the water to a point, and through the lens to a pixel (Dr.Jit, float32).
 
 The mathematics and symbols are those of `recon.optics.refraction` and, for lines in a tank's liquid, of
 `recon.optics.tank`. A ray is defined by its impact parameter b and its vertical component p outside the outer wall. All
@@ -22,15 +22,15 @@ from rhizotwin.recon.optics.refraction import Optics
 class Near:
     """Rays from the camera up to the outer wall, with derivatives with respect to b and p.
 
-    For lines in a tank, the derivatives are at constant heading and foot.
+    For lines in a tank, the heading and the height of the point nearest to the axis are constant in these derivatives.
     """
 
     turn: tuple[Float, Float]
-    """Heading of the ray at the outer wall, minus pi, as the argument of a complex number (real and imaginary part).
+    """Real and imaginary part of a complex number whose argument is the heading of the ray at the outer wall, minus pi.
     The modulus is a product of radii."""
     per_radii: Float
-    """Inverse of the product of all radii, including those of the wall and the water, by which complex headings are
-    normalised."""
+    """Factor by which complex numbers that represent headings are normalised. It is the inverse of the product of all
+    radii, including those of the wall and the water."""
     turn_b: Float
     """Derivative of the heading with respect to b, rad/mm."""
     outer_z: Float
@@ -43,9 +43,9 @@ class Near:
 
 @dataclass
 class Ray:
-    """Rays in the water, and the distances by which they miss points; all fields are mi.Float.
+    """Rays in the water, and the distances by which they miss points.
 
-    The symbols are those of `optics.refraction`.
+    All fields are mi.Float. The symbols are those of `optics.refraction`.
     """
 
     f1: Float
@@ -63,9 +63,9 @@ class Ray:
     inv: Float
     """Inverse of the determinant of the derivatives of f1 and f2 with respect to b and p."""
     cos_d: Float
-    """Cosine of (heading in the water minus pi)."""
+    """Cosine of d, which is the heading in the water minus pi."""
     sin_d: Float
-    """Sine of (heading in the water minus pi)."""
+    """Sine of d, which is the heading in the water minus pi."""
     m_w: Float
     """Slope of the ray in the water: rise per horizontal distance."""
     h_a: Float
@@ -119,7 +119,7 @@ def to_tank_derivatives(ray: Ray, line: window.Line, at: tuple[Float, Float, Flo
 
 
 def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b: Float, p: Float) -> Ray:
-    """Trace rays through wall and water to points in the azimuth frame.
+    """Trace rays through the wall and the water to points in the azimuth frame.
 
     Parameters
     ----------
@@ -172,12 +172,12 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
 
 
 Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
-"""Column and row of rays, px, whether the rays are in front of the camera, and the derivatives of column and row with
-respect to two unknowns."""
+"""Result of the projection of rays. The elements are, in this order, the column and the row of the ray in pixels,
+whether the ray is in front of the camera, and the derivatives of column and row with respect to two unknowns."""
 
 
 def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
-    """Return the pixels of rays of cameras without a tank, with derivatives with respect to (b, p).
+    """Return the pixels of rays from cameras without a tank, and their derivatives with respect to (b, p).
 
     Parameters
     ----------
@@ -194,9 +194,9 @@ def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
 
 
 def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tuple[Float, ...], by_2: tuple[Float, ...]) -> Pixel:
-    """Project directions to pixels through the rotation and the lens of a camera, with derivatives.
+    """Project directions to pixels, using the rotation and the lens of a camera.
 
-    The derivatives are with respect to two unknowns.
+    The derivatives of the pixels with respect to two unknowns are also computed.
 
     Parameters
     ----------

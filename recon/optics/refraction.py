@@ -25,20 +25,20 @@ from rhizotwin.scenes.model import Scene, Tank
 Array = NDArray[np.float64]
 
 _SINGLE = 0.97
-"""Distance from the axis, in units of R_o / n_water, within which points have exactly one image. `images` finds all
-images of points farther from the axis."""
+"""Maximum distance from the axis of points for which `image` is valid, in units of R_o / n_water. These points have
+exactly one image. For points farther from the axis, `images` finds all images."""
 _NEWTON_STEPS = 12
-"""Maximum number of Newton steps of `image`. Rays that are then farther from the point than a thousand times
-`_CLOSE_MM` are rejected."""
+"""Maximum number of Newton steps of `image`. If a ray then still misses its point by more than a thousand times
+`_CLOSE_MM`, the result is NaN."""
 _START = 0.9
-"""Maximum initial impact parameter, as a fraction of the largest possible one. Beyond this fraction, the first Newton
-step may leave the valid range."""
+"""Upper limit of the initial impact parameter in `image`, as a fraction of the largest possible impact parameter.
+Beyond this limit, the first Newton step may leave the valid range."""
 _SCANNED = 96
-"""Number of intervals in which `images` searches the impact parameter. Pairs of images within one interval are found by
-`_near_fold`."""
+"""Number of intervals of the impact parameter in which `images` searches for images. If an interval contains two
+images, they are found by `_near_fold`."""
 _MOST_IMAGES = 3
-"""Number of images for which memory is allocated per point. Points in the marginal zone beyond 0.75 of the radius may
-have two images, and other points have one. The additional image would reveal an error."""
+"""Number of images for which memory is allocated per point. Points beyond 0.75 of the radius may have two images, and
+other points have one. A third image would reveal an error."""
 _CLOSE_MM = 1e-7
 """Distance of the ray from the point below which Newton's method ends, mm. It is far below the tolerance of the fast
 kernel, 3e-4 mm."""
@@ -46,7 +46,7 @@ kernel, 3e-4 mm."""
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """The canister as an optical system."""
+    """Optical properties of the canister, the water, and a tank."""
 
     outer_radius_mm: float
     """Outer radius of the canister, mm."""
@@ -77,10 +77,10 @@ class Optics:
 
     @property
     def w_limit(self) -> float:
-        """Return the largest impact parameter of rays that reach the water, relative to the outer radius.
+        """Return the largest impact parameter of rays that reach the water, as a fraction of the outer radius.
 
-        The impact parameter is that in the surroundings of the canister. In air, the limit is 1 unless a refractive
-        index is close to 1.
+        The impact parameter is that outside the canister. In air, the limit is 1 unless a refractive index is close to
+        1.
         """
         to_water = self.inner_radius_mm / self.outer_radius_mm * min(self.n_wall, self.n_water) / self.n_around
         return min(1.0, to_water) * (1.0 - 1e-9)
@@ -102,7 +102,7 @@ class Optics:
 
 
 class _HeadedLines:
-    """Base class of straight lines with a horizontal heading."""
+    """Base class of straight lines whose horizontal direction is given by an azimuth (heading)."""
 
     heading_rad: Array
     """Azimuth of the horizontal direction, rad."""
@@ -133,9 +133,9 @@ class Approach(_HeadedLines):
 
 
 def reach_mm(optics: Optics, p_z: Array) -> Array:
-    """Return the largest impact parameter (...) of lines that reach the water, mm.
+    """Return the largest impact parameter (...) at which lines reach the water, mm.
 
-    The impact parameter is that in the surroundings of the canister.
+    The impact parameter is that outside the canister.
     """
     around2 = optics.n_around**2 - p_z**2
     total = [optics.inner_radius_mm * np.sqrt((n**2 - p_z**2) / around2) for n in (optics.n_wall, optics.n_water)]
@@ -143,16 +143,16 @@ def reach_mm(optics: Optics, p_z: Array) -> Array:
 
 
 def clip_to_water(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
-    """Clip the impact parameters of lines to a fraction of the water's width.
+    """Limit the impact parameters of lines to a fraction of the largest one at which lines reach the water.
 
-    Results computed from clipped lines are not meaningful.
+    Results computed from lines whose impact parameter was changed are not meaningful.
     """
     limit_mm = share * reach_mm(optics, approach.p_z)
     return replace(approach, b_mm=np.clip(approach.b_mm, -limit_mm, limit_mm))
 
 
 def reaches_water(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
-    """Return whether each line (...) passes within a fraction of the water's width."""
+    """Return whether each line (...) reaches the water within a fraction of the water's apparent width."""
     return np.asarray(np.abs(approach.b_mm) < share * reach_mm(optics, approach.p_z))
 
 
@@ -233,9 +233,9 @@ def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
 def transmittance(optics: Optics, approach: Approach) -> Array:
     """Return the transmittance (...) of unpolarised light along rays into the water and out again.
 
-    The result is the product of Fresnel's equations at the four interfaces. With ``a_i = n_i cos(theta_i) = sqrt(h_i^2
-    - (L / r)^2)`` at the radius r, the reflectances are ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1
-    - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
+    The result is the product of the transmittances of the four interfaces, which follow from Fresnel's equations. With
+    ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius r, the reflectances are ``R_s = ((a_1 - a_2) /
+    (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
     """
     p_z, around = approach.p_z, optics.n_around
     momentum = approach.b_mm * np.sqrt(around**2 - p_z**2)
@@ -255,9 +255,9 @@ def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
 
 
 def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
-    """Solve f2 for p_z at a given impact parameter w.
+    """Return the p_z of rays with the impact parameter w that pass given points at the height of the points.
 
-    The result is the p_z of the ray that passes the point at the point's height. f2 is monotonic in p_z.
+    The equation f2 = 0 is solved by Newton's method. f2 is monotonic in p_z.
     """
     p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
     step = 1e-6
@@ -271,14 +271,19 @@ def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Arr
 
 
 def _horizontal_miss(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
-    """Return f1 = P . nu - b, the horizontal distance of points from lines of impact w, and the p_z of the lines."""
+    """Return the horizontal distance f1 = P . nu - b between points and lines, and the p_z of the lines.
+
+    Each line has the impact parameter w, and passes its point at the height of the point.
+    """
     p_z = _p_z_through(optics, rho, z_cam, w, points)
     line = trace(optics, rho, z_cam, w, p_z)
     return np.sum(points[..., :2] * line.nu, axis=-1) - line.b_mm, p_z
 
 
 def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Find all images of points in the water in one camera, by a search over w and bisection.
+    """Find all images of points in the water, as seen by one camera.
+
+    Images are found by a search over w, and refined by bisection.
 
     Parameters
     ----------
@@ -324,7 +329,7 @@ def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> 
 
 
 def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array]:
-    """Find one image of points in the water in one camera, by Newton's method.
+    """Find one image of each point in the water, as seen by one camera, by Newton's method.
 
     This function is faster than `images`. The initial value is computed as if the point were near the axis.
 
@@ -357,10 +362,10 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
 def _near_fold(
     optics: Optics, rho: float, z_cam: float, points_mm: Array, grid: Array, f: Array
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Find pairs of images so close to the caustic that both lie within two intervals of the search.
+    """Find pairs of images that lie within two intervals of the search.
 
-    Such pairs lie next to a local extremum of f1. Return row indices, lower and upper bounds of w, and f1 at the lower
-    bounds.
+    Such pairs are close to the caustic, next to a local extremum of f1. Return, for each image, the row index of its
+    point, the lower and upper bound of w, and f1 at the lower bound.
     """
     size, same = np.abs(f), np.signbit(f)
     dip = (size[:, 1:-1] < size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
@@ -382,7 +387,7 @@ def _near_fold(
 
 
 def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array) -> Array:
-    """Return the unit directions (..., 3) of camera rays in the azimuth frame from their invariants.
+    """Return the unit directions (..., 3) of camera rays in the azimuth frame, computed from their invariants.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Start tables: initial values for Newton's method, and distances to points with two images or none.
+"""Start tables: initial values for Newton's method, and distances to points that do not have exactly one image.
 
 A fan of lines of sight with the same vertical component is swept over the canister's cross-section. The number of lines
 through a point is the number of its images, and the adjacent lines of the fan yield the initial ray.
@@ -17,11 +17,11 @@ from rhizotwin.recon.optics.tank import TankView
 CELL_MM = 1.0
 """Cell size of the start tables, mm. Newton's method refines the interpolated values."""
 _SINES = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193))
-"""Impact parameters of a fan, relative to the largest. The lines are at most half a cell apart, and densest where
-refraction is strongest."""
+"""Impact parameters of the lines in a fan, as fractions of the largest impact parameter. Neighbouring lines are at most
+half a cell apart, and closest together where refraction is strongest."""
 _NAMES = np.linspace(-0.9, 0.9, 4001)
-"""Values of the ray component q_y from which the lines of a fan are selected. The range exceeds that of a tank's front
-(64 degrees to either side)."""
+"""Values of the ray component q_y at which impact parameters are computed, so that the lines of a fan can be chosen by
+interpolation. The range exceeds that of rays through a tank's front (64 degrees to either side)."""
 
 
 def view_table(view: View, optics: Optics) -> Array:
@@ -77,14 +77,17 @@ def _positions(optics: Optics, *, low_mm: float | None = None) -> Array:
 
 
 def _round_fan(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:
-    """Tabulate b_a, mm, and the number of images over (x, y >= 0) for rays with the same p_z."""
+    """Tabulate the impact parameter b_a, mm, and the number of images of points, for rays with the same p_z.
+
+    The tables cover positions (x, y) with y >= -1 mm.
+    """
     w = _SINES * optics.w_limit
     line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
     return _sweep(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
 
 
 def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:
-    """Tabulate q_y and the number of images over (x, y) for rays with the same q_z."""
+    """Tabulate q_y and the number of images of points at positions (x, y), for rays with the same q_z."""
     wide = tank.approach(at, _NAMES, np.full_like(_NAMES, q_z))[0]
     q_y = np.interp(_SINES, wide.b_mm / refraction.reach_mm(at.optics, wide.p_z), _NAMES)
     line = refraction.clip_to_water(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])
@@ -92,7 +95,7 @@ def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:
 
 
 def _sweep(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
-    """Sweep lines (K,) over positions (ny, nx, 2).
+    """Count the lines (K,) of a fan through each position (ny, nx, 2), and interpolate a parameter of the lines.
 
     Returns
     -------

@@ -112,7 +112,10 @@ def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np
 
 
 def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.bool_]]:
-    """Trace camera rays (...) through the tank into the water; return whether each enters by front and wall."""
+    """Trace camera rays (...) through the tank into the water.
+
+    Return the lines in the water, and whether each ray enters through the front and the wall.
+    """
     line, through = approach(at, q_y, q_z)
     with np.errstate(invalid="ignore"):
         water = refraction.follow(at.optics, line)
@@ -120,7 +123,10 @@ def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.b
 
 
 def miss(at: TankView, points_mm: Array, q: Array) -> Array:
-    """Return the distances (f1, f2) (N, 2) of rays q (N, 2) from points (N, 3), mm; NaN if a ray misses the water."""
+    """Return the distances (N, 2) by which rays q (N, 2) miss points (N, 3), mm.
+
+    The two distances are f1 and f2. They are NaN if the ray misses the water.
+    """
     line, _ = trace(at, q[:, 0], q[:, 1])
     beside = np.sum(points_mm[:, :2] * line.nu, axis=-1) - line.b_mm
     with np.errstate(invalid="ignore"):

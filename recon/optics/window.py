@@ -52,9 +52,9 @@ class Line:
     p: Float
     """Vertical component p_z of the optical direction."""
     cos_h: Float
-    """Cosine of (heading minus pi)."""
+    """Cosine of h, which is the heading minus pi."""
     sin_h: Float
-    """Sine of (heading minus pi)."""
+    """Sine of h, which is the heading minus pi."""
     foot_z: Float
     """Height of the point nearest to the canister's axis, mm."""
     b_q: Pair
@@ -70,7 +70,10 @@ class Line:
 
 
 def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
-    """Return (q_y, q_z) of the straight rays with the same apparent depth to points in the azimuth frame."""
+    """Return initial values (q_y, q_z) of the rays to points in the azimuth frame.
+
+    The values are those of straight rays to points at the same apparent depth behind the front.
+    """
     x, y, z = at.to_tank(point)
     c = at.centre
     depth = c[0] - tank.front_mm + tank.wall_mm / tank.n_wall + (tank.front_mm - tank.wall_mm - x) / tank.n_liquid
