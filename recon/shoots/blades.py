@@ -34,8 +34,8 @@ _APART_MM = 1.6
 """Maximum distance between neighbouring points of the same blade, mm. It is more than twice `STEP_MM`, and less than
 the distance between two blades."""
 _LEAST_MM2 = np.pi * NEAR_MM**2 / 2.0
-"""Minimum area of a connected piece that counts as a leaf, mm2. The value is half of the disc in which the local shape
-is evaluated. Smaller pieces only contribute to the total area."""
+"""Minimum area of a connected piece of blade for it to be counted as a leaf, mm2. The value is half of the area of the
+disc in which the local shape is evaluated. Smaller pieces only contribute to the total area."""
 
 
 @dataclass(frozen=True, kw_only=True)
