@@ -28,8 +28,8 @@ _LIT = 0.95
 _UPPER = 90.0
 """Percentile of a pixel's brightness over a turn that represents the bare panel behind the plant."""
 _EDGE_PX = 3
-"""Width of the band of pixels along the net pot's rim that is excluded because of blur, px. The position of the rim is
-known more accurately than this from the markers."""
+"""Distance from the net pot's rim within which the coverage is not measured because of blur, px. The position of the
+rim is known more accurately than this from the markers."""
 _RIM_STEPS = 180
 """Number of corners of the polygon that approximates the net pot's rim. The polygon deviates from the circle by less
 than 0.02 % of the radius, which is far below a pixel."""
