@@ -62,7 +62,7 @@ class CarvedHull:
     hull: Hull
     """The carved visual hull."""
     bank: projection.ViewBank
-    """Views of the silhouettes, packed for projection on the device."""
+    """Views of the silhouettes, as arrays on the device for projection."""
     maps: DistanceMaps
     """Distance maps of the silhouettes' outlines."""
     silhouettes: tuple[Silhouette, ...]
@@ -120,7 +120,9 @@ def carve_hull(
 
 
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
-    """Find the views that contradict all others; return the reason for each, keyed by frame number.
+    """Find the views that contradict all others.
+
+    The result is the reason for each of these views, keyed by frame number.
 
     Parameters
     ----------

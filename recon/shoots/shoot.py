@@ -30,7 +30,8 @@ class Shoot:
     stalks_mm3: float
     """Volume of the parts of the hull that are stem or petiole, mm3."""
     leaf_thickness_mm: float | None = None
-    """Thickness of the blades, mm, measured by the user because the pictures do not resolve it; None if unknown."""
+    """Thickness of the blades, mm. It is measured by the user, because the pictures do not resolve it, and None if
+    unknown."""
     pot_top_mm: float
     """Height (z) of the net pot's top in the canister frame, mm."""
     covered_px: Mapping[str, float]
@@ -83,9 +84,10 @@ class Shoot:
 
     @property
     def volume_mm3(self) -> float | None:
-        """Return the volume of the shoot, mm3; None if the leaf area or the leaf thickness is unknown.
+        """Return the volume of the shoot, mm3.
 
-        The volume is that of the stalks plus the leaf area times the measured leaf thickness.
+        It is the volume of the stalks, plus the leaf area times the measured leaf thickness. It is None if the leaf
+        area or the leaf thickness is unknown.
         """
         if self.leaf_thickness_mm is None or self.leaf_area_mm2 is None:
             return None

@@ -27,7 +27,7 @@ _DEEP_MM = NEAR_MM / 2.0
 hull of a blade 40 mm wide, in views 9 degrees apart, is 1.6 mm thick. No part of the twin's default shoot is deeper
 than 1.5 mm, whereas 45 % of a cup of nine touching leaves is deeper."""
 SLACK_PX = 0.3
-"""Assumed error of the outlines, px, which is the same as for roots."""
+"""Assumed error of the outlines' positions, px. It is the same as for roots."""
 _ROOM = 0.8
 """Maximum radius of a shoot, as a fraction of the distance between the nearest camera and the axis."""
 

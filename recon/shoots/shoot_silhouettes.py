@@ -24,7 +24,8 @@ from rhizotwin.scenes.picture_codec import Grey
 _PANEL_ORDER = 4
 """Degree of the polynomial in column and row that is fitted to the brightness of the diffuse panel."""
 _LIT = 0.95
-"""Minimum ratio of a pixel's upper percentile to the fitted polynomial for the pixel to count as the bare panel."""
+"""Minimum brightness of a pixel that shows the bare panel, relative to the fitted polynomial. The pixel's brightness is
+its `_UPPER` percentile over a turn."""
 _UPPER = 90.0
 """Percentile of a pixel's brightness over a turn that represents the bare panel behind the plant."""
 _EDGE_PX = 3
@@ -95,7 +96,7 @@ def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, 
 
 
 def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
-    """Return the pixels (N, 2) of the net pot's circular outline at a height."""
+    """Return pixel coordinates (N, 2) of points on the net pot's circular outline at the height ``z_mm``."""
     angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
     circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
     return cameras.direction_pixels(

@@ -26,7 +26,8 @@ _DENSE_MM = 0.15
 _NEAR = 24
 """Maximum number of neighbouring branch points that are tested per query."""
 _AT_ONCE = 100_000
-"""Number of points that are generated or queried at once. This takes 40 MB for distances and neighbours."""
+"""Number of points that are generated or queried at once. It limits the memory for distances and neighbours to 40
+MB."""
 _THICK_MM = 0.5
 """Radius above which the points on branches are stored in a separate k-d tree, mm. There are few such points, so that
 the search in the other tree has a small radius."""

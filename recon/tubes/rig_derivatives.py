@@ -113,7 +113,7 @@ QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
 def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
-    """Return the distances F1 and F2 (N, 2) by which rays with directions (N, 3) miss points (N, 3), mm.
+    """Return the horizontal distances F1 and vertical distances F2 (N, 2) by which rays miss points (N, 3), mm.
 
     Parameters
     ----------

@@ -189,7 +189,9 @@ def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -
 
 
 def estimate(evidence: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> RigCorrection | None:
-    """Estimate corrections of the rig from fitted tubes, or return None if there are too few nodes.
+    """Estimate corrections of the rig from fitted tubes.
+
+    The result is None if there are too few nodes.
 
     Parameters
     ----------
@@ -219,7 +221,9 @@ def build_system(
     wanted: tuple[Quantity, ...],
     columns: Columns,
 ) -> System | None:
-    """Return the normal equations of rig parameters from fitted tubes, or None if there are too few nodes.
+    """Return the normal equations for parameters of the rig, computed from fitted tubes.
+
+    The result is None if there are too few nodes.
 
     Parameters
     ----------
@@ -255,7 +259,7 @@ def is_significant(found: RigCorrection, optics: Optics) -> bool:
 
 
 def apply_change(cameras: Cameras, change: Array) -> Cameras:
-    """Return the cameras after a change (K,) of the unknowns."""
+    """Return the cameras after the unknowns have changed by ``change`` (K,)."""
     optics = replace(cameras.optics, n_water=cameras.optics.n_water + float(change[0]))
     known = cameras.uncertainty
     if known is None:

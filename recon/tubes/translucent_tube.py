@@ -222,7 +222,10 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Return the tabulated log tau (T,), and the fields of `Strips` (4, LAYERS, R, T) for all ratios in `_RIM`."""
+    """Return the tabulated log tau (T,), and the fields of `Strips` as an array (4, LAYERS, R, T).
+
+    R is the number of ratios in `_RIM`.
+    """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     part = 0.5 * (node + 1.0)
     # x = cos(angle); more nodes at the rim, where the opacity of a dark root rises

@@ -52,7 +52,7 @@ class TubeAttenuation:
     """Attenuation of light by the roots, with the other light parameters that they share."""
 
     mu_per_mm: float | None
-    """Attenuation, 1/mm, or None for opaque roots."""
+    """Attenuation of the roots, 1/mm. It is None for opaque roots."""
     light: Array
     """Fitted light parameters, shape (L,), in the order of `tube_profiles.LIGHT`."""
     covariance: Array

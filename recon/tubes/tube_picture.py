@@ -171,7 +171,10 @@ class _Strips:
         numbered = [wholes(end) for end in segments.T]
 
         def ends(place: UInt32) -> tuple[UInt32, UInt32, list[UInt32]]:
-            """Return view indices, segment indices, and flattened (V, N) indices of the nodes at both ends."""
+            """Return the index of the view, the index of the segment, and the indices of the nodes at its two ends.
+
+            The indices of the nodes refer to flattened arrays of shape (V, N).
+            """
             view = place // count
             segment = place - view * count
             return view, segment, [view * nodes + dr.gather(mi.UInt32, end, segment) for end in numbered]

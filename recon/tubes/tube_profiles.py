@@ -76,10 +76,10 @@ class Sections:
     normal: Vector2f
     """Unit vector across the tube in the picture (mi.Vector2f)."""
     across: Vector3f
-    """Gradient of the picture position across the tube with respect to the node, canister frame, px/mm
+    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, px/mm
     (mi.Vector3f)."""
     scale: Float
-    """Image scale across the tube, px/mm (mi.Float)."""
+    """Image scale perpendicular to the tube, px/mm (mi.Float)."""
     half_px: Float
     """Half-width of the tube, px (mi.Float)."""
     sine: Float
@@ -140,7 +140,10 @@ class Sections:
         return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
-        """Sample flattened pictures of all views bilinearly at an offset from the tube's centre line."""
+        """Sample flattened pictures of all views with bilinear interpolation.
+
+        The samples are at the distance ``offset_px`` from the tube's centre line.
+        """
         u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
         v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
@@ -177,12 +180,14 @@ class LightEquations:
     """Joint normal equations of the nodes and the light parameters."""
 
     by_light: Array
-    """Derivative of each node's gradient (x, y, z, radius) with respect to `LIGHT`, shape (N, 4, L), from all
-    profiles."""
+    """Derivative of each node's gradient (x, y, z, radius) with respect to each parameter of `LIGHT`, shape (N, 4, L).
+    It is computed from all profiles."""
     lone: Array
-    """Joint normal matrix for x, y, z, radius and `LIGHT`, shape (N, 4 + L, 4 + L), from the profiles of lone roots."""
+    """Joint normal matrix for x, y, z, radius and `LIGHT`, shape (N, 4 + L, 4 + L). It is computed from the profiles of
+    roots that no other root hides or overlaps."""
     gradient: Array
-    """Joint right-hand side for x, y, z, radius and `LIGHT`, shape (N, 4 + L), from the profiles of lone roots."""
+    """Joint right-hand side for x, y, z, radius and `LIGHT`, shape (N, 4 + L). It is computed from the same profiles as
+    ``lone``."""
 
 
 @dataclass(frozen=True)
@@ -194,9 +199,10 @@ class HostProfiles:
     """
 
     across: Array
-    """Gradient of the picture position across the tube with respect to the node, shape (V, N, 3), px/mm."""
+    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, shape
+    (V, N, 3), px/mm."""
     scale: Array
-    """Image scale across the tube, shape (V, N), px/mm."""
+    """Image scale perpendicular to the tube, shape (V, N), px/mm."""
     shift_2: Array
     """Squared derivative of the coverage with respect to a lateral shift of the tube by 1 px, integrated over the
     profile, shape (V, N). It is 0 if the view does not show the node."""
@@ -243,7 +249,8 @@ class LightProfiles:
     px/mm."""
     radius_2: Float
     radius: Float
-    """Product of the residual and the derivative of the coverage with respect to the radius."""
+    """Product of the residual and the derivative of the coverage with respect to the radius, integrated over the
+    profile."""
     by_radius: tuple[Float, ...]
     light_2: tuple[Float, ...]
     """Products of the derivatives of the coverage with respect to two parameters of `LIGHT`, in the order of the upper
@@ -258,8 +265,8 @@ class Profiles:
 
     shape: tuple[int, int]
     across: Vector3f
-    """Gradient of the picture position across the tube with respect to the node, px/mm (mi.Vector3f). All other fields
-    are mi.Float."""
+    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, px/mm
+    (mi.Vector3f). All other fields are mi.Float."""
     scale: Float
     shift_2: Float
     shift_width: Float
@@ -274,7 +281,7 @@ class Profiles:
 
     @property
     def is_lone(self) -> NDArray[np.bool_]:
-        """Mask (V, N) of the profiles of lone roots."""
+        """Mask (V, N) of the profiles that show a root that no other root hides or overlaps."""
         return np.array(self.lone).reshape(self.shape) > 0.0
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
@@ -314,7 +321,10 @@ class Profiles:
         return ResidualGradient(_symmetric(found[:, :10], _NODE), found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
     def light_equations(self) -> LightEquations:
-        """Return the joint normal equations of nodes and light parameters from the profiles of lone roots."""
+        """Return the joint normal equations of nodes and light parameters.
+
+        They are computed from the profiles of roots that no other root hides or overlaps.
+        """
         light, many = self.light, len(LIGHT)
         if light is None:
             raise ValueError("the profiles have no derivatives with respect to the light parameters; pass changes to profiles()")
