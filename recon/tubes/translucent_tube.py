@@ -103,8 +103,8 @@ class Layer:
     half_px: Float
     height: Float
     by_width: Float
-    """Derivative of the coverage with respect to the root's half-width, divided by the derivative of the coverage with
-    respect to the strip's edge position."""
+    """Ratio of two derivatives of the coverage: with respect to the root's half-width, and with respect to the
+    half-width of an opaque strip of the same width."""
     by_height: Float
     """Derivative of the strip's opacity with respect to the root's half-width, 1/px."""
 
