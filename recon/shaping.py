@@ -43,15 +43,16 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 _MISSED_VIEWS = 8
-"""Number of views in which the coverage missed by the hull is measured. These are the first views in processing order,
-which are spread over the turn."""
+"""Number of views in which the coverage outside the projected hull is measured. These are the first views in processing
+order, which are spread over the turn."""
 _MISSED_LEAVES = 100_000
-"""Maximum number of leaves with which the coverage missed by the hull is measured. Larger hulls are subsampled: in a
-picture, the leaves of a solid are less than one pixel apart, and hide each other."""
+"""Maximum number of octree leaves that are projected to measure the coverage outside the hull. Larger hulls are
+subsampled: in a picture, the leaves of a solid are less than one pixel apart, and hide each other."""
 _SURFACE_LEAVES = 1_000_000
 """Maximum number of finest leaves from which the surface is computed. Larger numbers of leaves are merged first."""
 _MUCH_KEPT = 0.2
-"""Maximum fraction of untrimmed hull in the volume without a warning."""
+"""Maximum fraction of the volume that may be untrimmed hull without a warning. Untrimmed hull is the part of the visual
+hull that was kept because round roots do not explain it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,7 @@ class CarvedHull:
     hull: Hull
     """The carved visual hull."""
     bank: projection.ViewBank
-    """Views of the silhouettes, packed for projection on the device."""
+    """Views of the silhouettes, as arrays on the device for projection."""
     maps: DistanceMaps
     """Distance maps of the silhouettes' outlines."""
     silhouettes: tuple[Silhouette, ...]
@@ -82,7 +83,9 @@ def carve_hull(
     monitor: Monitor,
     ignore_blindness: bool = False,
 ) -> CarvedHull:
-    """Carve the visual hull of the silhouettes out of the water between the floor and the net pot.
+    """Carve the visual hull of the silhouettes.
+
+    Carving starts with all water between the floor and the net pot.
 
     Parameters
     ----------
@@ -117,7 +120,9 @@ def carve_hull(
 
 
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
-    """Find the views that contradict all others; return the reason for each, keyed by frame number.
+    """Find the views that contradict all others.
+
+    The result is the reason for each of these views, keyed by frame number.
 
     Parameters
     ----------
@@ -134,7 +139,10 @@ def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, 
 
 
 def water_space(scene: Scene, cameras: Cameras) -> Water:
-    """Return the space between the floor and the net pot's grid or, if lower, the surface of the water."""
+    """Return the space in which roots may lie.
+
+    It extends from the floor to the grid of the net pot, or to the surface of the water if this is lower.
+    """
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
@@ -192,7 +200,7 @@ def find_roots(
 
 
 def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the tubes with the trimmed hull of the solids, and measure the united shape.
+    """Unite the tubes with the trimmed hull of the solids (taproot, hypocotyl), and measure the united shape.
 
     Parameters
     ----------
@@ -252,7 +260,11 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
 
 
 def _hidden_top(roots: Sequence[Root], carved: CarvedHull) -> hidden_top.HiddenTop | None:
-    """Estimate the parts of main roots (roots without a parent) that the net pot hides; None if there are none."""
+    """Estimate the parts of main roots that the net pot hides.
+
+    Main roots are roots without a parent. The result is None if there are no main roots, or if no part of them is
+    hidden.
+    """
     main = [root for root in roots if root.parent < 0]
     if not main:
         return None
@@ -312,7 +324,10 @@ def _budget(
 
 
 def _calibration(carved: CarvedHull, budget: Budget, roots: Sequence[Root], system: RootSystem | None, missed: float) -> Calibration:
-    """Return the calibration of the intervals, for photographs of a canister with markers."""
+    """Return the calibration of the 90 % intervals.
+
+    Only scans with greyscale photographs of a canister with markers are calibrated. A tank is not.
+    """
     if carved.cameras.markers is None or carved.bank.optics.tank is not None or any(one.binary for one in carved.silhouettes):
         return NOT_CALIBRATED
     hidden_mm3 = sum(term.more_mm3 for term in budget.terms if term.name == "occluded")
@@ -401,7 +416,7 @@ def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
-    """Return a warning if much of the volume is untrimmed hull."""
+    """Return a list with a warning if much of the volume is untrimmed hull, and an empty list otherwise."""
     kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
         found.append(

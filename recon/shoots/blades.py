@@ -29,13 +29,14 @@ of stalks has three similar variances. A flat strip of width w has b / a = w^2 /
 stalk below 3.1 mm. On the true surface of the twin's default shoot, thresholds of 0.3 to 0.5 and 0.1 to 0.2 all yield
 its six leaves, and areas within 2 % of each other."""
 _VOTE_MM = NEAR_MM / 2.0
-"""Radius of the majority vote that smooths the classification of points, mm."""
+"""Radius of the neighbourhood whose majority determines the class of a point, mm. This vote smooths the
+classification."""
 _APART_MM = 1.6
 """Maximum distance between neighbouring points of the same blade, mm. It is more than twice `STEP_MM`, and less than
 the distance between two blades."""
 _LEAST_MM2 = np.pi * NEAR_MM**2 / 2.0
-"""Minimum area of a connected piece that counts as a leaf, mm2. The value is half of the disc in which the local shape
-is evaluated. Smaller pieces only contribute to the total area."""
+"""Minimum area of a connected piece of blade for it to be counted as a leaf, mm2. The value is half of the area of the
+disc in which the local shape is evaluated. Smaller pieces only contribute to the total area."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Reconstruction of the shoot from its pictures.
 
-The reconstruction shares only the marker strip with that of the roots.
+The reconstruction of the shoot is independent of that of the roots. Only the marker strip is used for both.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from rhizotwin.scenes.monitor import Monitor
 FINEST_MM = 0.27
 """Edge length of the finest octree nodes, mm. It is one pixel of the usual camera at the plant."""
 MUCH_ENCLOSED = 0.05
-"""Fraction of the hull's volume enclosed by leaves above which the leaf area is not computed. For hulls of blades 0.7
-mm thick, a ball with this fraction of the volume has a twenty-fifth of the blades' area."""
+"""Maximum fraction of the hull's volume in spaces enclosed by leaves for the leaf area to be computed. A ball with this
+fraction of the volume has a twenty-fifth of the blades' surface area if the hulls of the blades are 0.7 mm thick."""
 MUCH_HIDDEN = 0.05
-"""Fraction of hidden pixels above which a warning is issued. The missing area then exceeds the uncertainty of the area
-(docs/shoots.md)."""
+"""Maximum fraction of the shoot's pixels that are not in front of the panel (`Shoot.hidden_share`) without a warning.
+With a larger fraction, the missing leaf area exceeds the uncertainty of the leaf area (docs/shoots.md)."""
 
 
 def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tuple[Shoot | None, tuple[str, ...]]:

@@ -28,9 +28,10 @@ class Shoot:
     is a thin lens around the blade, with nearly the same area on both sides. None if leaves enclose space that no
     picture shows, because the hull is solid there."""
     stalks_mm3: float
-    """Volume of the stem and the petioles in the hull, mm3."""
+    """Volume of the parts of the hull that are stem or petiole, mm3."""
     leaf_thickness_mm: float | None = None
-    """Thickness of the blades, mm, measured by the user because the pictures do not resolve it; None if unknown."""
+    """Thickness of the blades, mm. It is measured by the user, because the pictures do not resolve it, and None if
+    unknown."""
     pot_top_mm: float
     """Height (z) of the net pot's top in the canister frame, mm."""
     covered_px: Mapping[str, float]
@@ -38,13 +39,14 @@ class Shoot:
     mm2_per_px: Mapping[str, float]
     """Area of a pixel at the canister's axis in each picture, mm2, keyed by the picture's file."""
     hidden_share: float
-    """Fraction of the covered pixels that lie in front of the net pot or beside the panel, where the hull is not
-    constrained."""
+    """Fraction of the covered pixels that are in front of the net pot or beside the panel, instead of in front of the
+    panel. Such pixels do not constrain the hull."""
     enclosed_share: float
     """Fraction of the hull's volume that lies deeper inside the hull than leaves and stalks do."""
     colour: Mapping[str, float] = field(default_factory=dict)
-    """Reflectance of the leaves in each wavelength range, relative to white paper, and vegetation indices, keyed by
-    their names in `scenes.trait_table.COLOURS`. Empty if the shoot was taken in one band."""
+    """Reflectances of the leaves relative to white paper, one for each wavelength range, and vegetation indices. The
+    keys are the field names in `scenes.trait_table.COLOURS`. The mapping is empty if the shoot was photographed in only
+    one band."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -82,9 +84,10 @@ class Shoot:
 
     @property
     def volume_mm3(self) -> float | None:
-        """Return the volume of the shoot, mm3; None if the leaf area or the leaf thickness is unknown.
+        """Return the volume of the shoot, mm3.
 
-        The volume is that of the stalks plus the leaf area times the measured leaf thickness.
+        It is the volume of the stalks, plus the leaf area times the measured leaf thickness. It is None if the leaf
+        area or the leaf thickness is unknown.
         """
         if self.leaf_thickness_mm is None or self.leaf_area_mm2 is None:
             return None
@@ -97,11 +100,11 @@ class Shoot:
 
     @property
     def convex_mm3(self) -> float:
-        """Return the volume of the convex hull, mm3."""
+        """Return the volume of the shoot's convex hull, mm3."""
         return float(ConvexHull(np.asarray(self.mesh.vertices)).volume)
 
     def summary(self) -> Json:
-        """Return the measurements for ``result.json``, keyed by their names."""
+        """Return the measurements of the shoot for ``result.json``, keyed by trait name."""
         return {
             "height_mm": self.height_mm,
             "width_mm": list(self.width_mm),

@@ -35,8 +35,9 @@ class Colour:
     """Reflectance of a shoot's leaves, and vegetation indices."""
 
     values: Mapping[str, float]
-    """Reflectances in the ranges of `scenes.bands.RANGES_NM`, relative to the white paper of the strip and averaged
-    over the leaves, and vegetation indices, keyed by their names in `scenes.trait_table.COLOURS`."""
+    """Reflectances of the leaves in the ranges of `scenes.bands.RANGES_NM`, and vegetation indices. A reflectance is
+    relative to the white paper of the strip, and averaged over the leaves. The keys are the field names in
+    `scenes.trait_table.COLOURS`."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -86,9 +87,10 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
 
 
 def _average(ratios: Mapping[str, Mapping[int, float]]) -> dict[str, float]:
-    """Average reflectance ratios over the views, and compute vegetation indices from views with both bands.
+    """Average the reflectances over the views, and compute vegetation indices.
 
-    ``ratios`` is keyed by wavelength range and frame number.
+    An index is computed from the views that were taken in both of its bands. ``ratios`` is keyed by wavelength range,
+    then by frame number.
     """
     values = {f"reflectance_{name}": float(np.mean([*found.values()])) for name, found in ratios.items() if found}
     for other in ("red", "red_edge"):
@@ -139,7 +141,10 @@ def _interior_mask(silhouette: Silhouette) -> Mask:
 
 
 def _paper_pixels(view: View, scene: Scene, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return pixels (N, 2), as x and y, of white paper that faces the camera between the markers of a row."""
+    """Return the pixels (N, 2) that show white paper, as x and y.
+
+    The paper is sampled halfway between neighbouring markers of a row, where it faces the camera.
+    """
     strip, pot = scene.strip, scene.net_pot
     half_rad = np.pi / strip.columns
     middles = []

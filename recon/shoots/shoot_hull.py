@@ -27,9 +27,9 @@ _DEEP_MM = NEAR_MM / 2.0
 hull of a blade 40 mm wide, in views 9 degrees apart, is 1.6 mm thick. No part of the twin's default shoot is deeper
 than 1.5 mm, whereas 45 % of a cup of nine touching leaves is deeper."""
 SLACK_PX = 0.3
-"""Assumed error of the outlines, px, which is the same as for roots."""
+"""Assumed error of the outlines' positions, px. It is the same as for roots."""
 _ROOM = 0.8
-"""Maximum radius of a shoot, as a fraction of the distance of the nearest camera."""
+"""Maximum radius of a shoot, as a fraction of the distance between the nearest camera and the axis."""
 
 
 def carve_shoot(
@@ -84,7 +84,10 @@ def carve_shoot(
 
 
 def stalks_mm3(hull: Hull, blades: Blades) -> float:
-    """Return the volume of the part of a hull that is nearest to the stem or the petioles, mm3."""
+    """Return the volume of the stem and the petioles, mm3.
+
+    These are the parts of the hull whose nearest surface point is not on a blade.
+    """
     return hull.leaves.select(~blades.near(hull.leaves.middles_mm)).volume_mm3()
 
 
@@ -95,7 +98,10 @@ def enclosed_share(hull: Hull, blades: Blades) -> float:
 
 
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:
-    """Return the space in air that contains everything in the silhouettes, up to the maximum radius of a shoot."""
+    """Return the space in air in which the shoot may lie.
+
+    The space contains everything that the silhouettes show, up to the maximum radius of a shoot.
+    """
     top_mm = scene.net_pot.top_mm
     reach_mm, high_mm = scene.net_pot.outer_radius_mm, top_mm
     for silhouette, view in zip(drawn, views, strict=True):

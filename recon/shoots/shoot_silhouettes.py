@@ -24,28 +24,31 @@ from rhizotwin.scenes.picture_codec import Grey
 _PANEL_ORDER = 4
 """Degree of the polynomial in column and row that is fitted to the brightness of the diffuse panel."""
 _LIT = 0.95
-"""Minimum ratio of a pixel's upper percentile to the fitted polynomial for the pixel to count as the bare panel."""
+"""Minimum brightness of a pixel that shows the bare panel, relative to the fitted polynomial. The pixel's brightness is
+its `_UPPER` percentile over a turn."""
 _UPPER = 90.0
 """Percentile of a pixel's brightness over a turn that represents the bare panel behind the plant."""
 _EDGE_PX = 3
-"""Margin at the net pot's rim, px, which allows for blur. The position of the rim is known more accurately from the
-markers."""
+"""Distance from the net pot's rim within which the coverage is not measured because of blur, px. The position of the
+rim is known more accurately than this from the markers."""
 _RIM_STEPS = 180
 """Number of corners of the polygon that approximates the net pot's rim. The polygon deviates from the circle by less
 than 0.02 % of the radius, which is far below a pixel."""
 _OPAQUE = 0.5
-"""Minimum opacity of pixels that count as the plant's interior, from which the brightness of the plant is measured."""
+"""Minimum opacity of the pixels that belong to the plant's interior. The brightness of the plant is measured in the
+interior."""
 
 _FAINT = 0.1
-"""Minimum brightness, above that of the felt, of pixels that show the plant in front of the net pot's top, relative to
-the brightness of a leaf. As for roots, coverage below a tenth is ignored. The noise of a bench is a hundredth."""
+"""Minimum brightness of pixels that show the plant in front of the net pot's top. It is measured above the brightness
+of the felt, and relative to the brightness of a leaf. As for roots, coverage below a tenth is ignored. The noise of a
+bench is a hundredth."""
 _FELT_ORDER, _FELT_ROUNDS, _FELT_MADS, _LEAST_FELT = 2, 6, 4.0, 100
 """Four parameters of the polynomial fit to the brightness of the felt: the degree, the number of fits, the rejection
 threshold in median absolute deviations, and the minimum number of pixels. Four fits exclude a plant in front of a
 quarter of the net pot's top."""
 _INSIDE_PX = 2.5
-"""Maximum distance from a pixel of the outline to the plant's interior, px. The interior is one pixel away, or two
-pixels across a corner."""
+"""Maximum distance from a pixel on the outline to the pixel of the plant's interior that provides its full brightness,
+px. The interior begins one pixel away, or two pixels away across a corner."""
 
 
 def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
@@ -80,7 +83,7 @@ def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene
 
 
 def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
-    """Return the masks (H, W) of the strip with the canister, and of the net pot's top."""
+    """Return two masks (H, W): the strip together with the canister, and the top of the net pot."""
     pot = scene.net_pot
     rim, foot = _outline(view, pot, pot.top_mm), _outline(view, pot, -scene.canister.height_mm)
     top, whole = (np.zeros(shape, np.uint8) for _ in range(2))
@@ -93,7 +96,7 @@ def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, 
 
 
 def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
-    """Return the pixels (N, 2) of the net pot's circular outline at a height."""
+    """Return pixel coordinates (N, 2) of points on the net pot's circular outline at the height ``z_mm``."""
     angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
     circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
     return cameras.direction_pixels(
@@ -102,7 +105,10 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
 
 
 def _fit_panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
-    """Return the brightness of the bare panel (H, W), fitted by a smooth surface, and the mask of the panel."""
+    """Return the brightness (H, W) of the bare panel, and the mask (H, W) of the panel.
+
+    Where the plant hides the panel, its brightness is that of a polynomial fitted to the visible parts.
+    """
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
@@ -143,7 +149,10 @@ def _measure_silhouette(image: Image, panel: Image, before_panel: Mask, before_p
 
 
 def _fit_felt(image: Image, before_pot: Mask) -> Image:
-    """Return the brightness (H, W) of the net pot's bare top, from a smooth fit to pixels without a plant."""
+    """Return the brightness (H, W) of the net pot's bare top.
+
+    It is a polynomial fitted to the pixels that do not show the plant.
+    """
     height, width = image.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     terms, bare = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
@@ -186,7 +195,10 @@ def _interior_mask(signal: Image) -> Mask:
 
 
 def _near_mask(told: Mask) -> Mask:
-    """Return the mask (H, W) of pixels near a pixel with known coverage, within the width of the rim."""
+    """Return the mask (H, W), dilated by a little more than the width of the net pot's rim.
+
+    The mask marks the pixels with known coverage.
+    """
     return cv2.dilate(told.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * _EDGE_PX + 3,) * 2)) > 0
 
 

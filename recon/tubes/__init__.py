@@ -1,1 +1,1 @@
-"""Roots as tubes: appearance through the water, fit to all views, and calibration of the rig from the roots."""
+"""Representation of roots as tubes: rendering through the water, fit to all views, and calibration of the rig."""

@@ -17,8 +17,8 @@ Mask = NDArray[np.bool_]
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 """Golden angle, rad."""
 _UPRIGHT = 0.8
-"""Threshold of the z component of a direction, which corresponds to 37 degrees from vertical. Below it, a perpendicular
-frame is constructed with the z axis, above it with the x axis."""
+"""Threshold for the z component of a unit vector, which corresponds to 37 degrees from the vertical. The perpendicular
+vectors are constructed from the z axis for smaller components, and from the x axis for larger ones."""
 _LEAST_SAMPLES = 6
 """Minimum number of points in a cross-section."""
 _DENSE_MM = 0.15
@@ -26,9 +26,11 @@ _DENSE_MM = 0.15
 _NEAR = 24
 """Maximum number of neighbouring branch points that are tested per query."""
 _AT_ONCE = 100_000
-"""Number of points that are generated or queried at once. This takes 40 MB for distances and neighbours."""
+"""Number of points that are generated or queried at once. It limits the memory for distances and neighbours to 40
+MB."""
 _THICK_MM = 0.5
-"""Radius above which the points of branches are searched in a separate k-d tree, mm. Such points are few."""
+"""Radius above which the points on branches are stored in a separate k-d tree, mm. There are few such points, so that
+the search in the other tree has a small radius."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class FillPoints:
 def fill(tubes: Tubes, spacing_mm: float, *, excluded: Mask | None = None) -> FillPoints:
     """Fill the union of tubes with points at a spacing of about ``spacing_mm``.
 
-    Segments between nodes (N,) in ``excluded`` are not filled.
+    Segments are not filled if both of their nodes are marked in the mask ``excluded`` (N,).
     """
     others, kept = _Dense.sample(tubes), list[FillPoints]()
     for filled in _fill_tubes(tubes, spacing_mm, excluded):
@@ -70,7 +72,9 @@ def fill_each(tubes: Tubes, spacing_mm: float) -> FillPoints:
 
 
 def find_inside(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-    """Find the points (M, 3) of branches (M,) that lie inside other branches.
+    """Find which points (M, 3) lie inside a branch other than their own.
+
+    ``branch`` (M,) is the branch of each point.
 
     Returns
     -------
@@ -175,13 +179,13 @@ def _pieces(tubes: Tubes) -> _Pieces:
 
 
 def _repeat_indices(count: Index) -> tuple[Index, Index]:
-    """Return item index and repetition index for items that are each repeated ``count`` times."""
+    """Return the item index and the repetition index of a sequence in which item i is repeated ``count[i]`` times."""
     thing = np.repeat(np.arange(len(count)), count)
     return thing, np.arange(len(thing)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _frames(along: Array) -> tuple[Array, Array, Array]:
-    """Return the vectors (S, 3), and two unit vectors perpendicular to each of them."""
+    """Return the given vectors (S, 3), followed by two unit vectors (S, 3) perpendicular to each of them."""
     unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     other = np.where(np.abs(unit[:, 2:]) < _UPRIGHT, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     side = np.cross(unit, other)
@@ -205,8 +209,8 @@ class _Dense:
 
     tree: cKDTree
     parts: tuple[tuple[Index, cKDTree], ...]
-    """Indices of the points on thick and on thin branches, each with a k-d tree. The maximum radius in each tree limits
-    its search."""
+    """Point indices and k-d tree of the points on thick branches, then those of the points on thin branches. The
+    maximum radius in each tree limits its search."""
 
     @staticmethod
     def sample(tubes: Tubes) -> _Dense:
@@ -227,7 +231,10 @@ class _Dense:
         return _Dense(centre, radius, owner, along, mixed, tree, parts)
 
     def find_containing(self, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-        """Find the points (M, 3) of branches (M,) that lie inside other branches, see `find_inside`."""
+        """Find which of the points (M, 3) lie inside a branch other than their own.
+
+        ``branch`` (M,) is the branch of each point. The result is that of `find_inside`.
+        """
         pairs = [np.zeros((2, 0), np.int64)]
         unproven = np.flatnonzero(self.mixed[self.tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
         for part, tree in self.parts if len(unproven) else ():
@@ -242,7 +249,11 @@ class _Dense:
 
 
 def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
-    """Return densely spaced points (P, 3) on all branches, and their radii, branches and positions along them (P,)."""
+    """Place densely spaced points on all branches.
+
+    The result is the coordinates (P, 3) of the points, the radii (P,), the branch indices (P,), and the positions along
+    the branch (P,).
+    """
     centres, radii, owners, ways = list[Array](), list[Array](), list[Index](), list[Array]()
     for k, nodes in enumerate(tubes.branches):
         line, radius = tubes.centre_mm[nodes], tubes.radii(k)
@@ -256,10 +267,11 @@ def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
 
 
 def limit_occupancy(occupancy: Array, branch: Index) -> Array:
-    """Limit occupancies (N,) to 1 while preserving their sum in each branch.
+    """Limit octree nodes' occupancies (N,) to 1 while preserving their sum in each branch.
 
-    Sampling may assign an excess of volume to full nodes. It is distributed over the other nodes of the same branch, in
-    proportion to their occupancy. Distribution over all branches would make thin roots thicker and thick roots thinner.
+    The sampled points may assign more volume to a node than it has. It is distributed over the other nodes of the same
+    branch, in proportion to their occupancy. Distribution over all branches would make thin roots thicker and thick
+    roots thinner.
 
     Parameters
     ----------

@@ -75,12 +75,18 @@ def _sway(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
 
 
 def move_canister(view: View, step: Array) -> View:
-    """Return a view with the canister moved by a twist (6,) (rad, mm) in its own frame. A tank does not move."""
+    """Return a view after a motion of the canister, given as a twist (6,) (rad, mm) in the canister frame.
+
+    A tank around the canister does not move.
+    """
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
 
 
 def move_camera(view: View, step: Array) -> View:
-    """Return a view with the camera moved by a left-hand twist (6,) (rad, mm) of ``cam_from_canister``."""
+    """Return a view after a motion of the camera.
+
+    ``cam_from_canister`` is multiplied from the left by the motion, which is given as a twist (6,) (rad, mm).
+    """
     return view.move_camera(twist(step))
 
 
@@ -101,12 +107,13 @@ CAMERA = tuple(
 )
 """Pose of the camera of a station: three rotations, rad, and three translations, mm."""
 SWAY = tuple(Quantity(f"sway {what}", unit, 1e-5, _sway(k)) for k, (what, unit) in enumerate((("x", ""), ("y", ""), ("turn", "rad/mm"))))
-"""Lateral displacement and rotation of the roots in a single view, per mm of depth."""
+"""Sway of the roots in a single view, proportional to depth: displacement along x and along y, in mm per mm of depth,
+and rotation about the axis, in rad per mm of depth."""
 QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
 def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
-    """Return the distances F1 and F2 (N, 2) by which rays with directions (N, 3) miss points (N, 3), mm.
+    """Return the horizontal distances F1 and vertical distances F2 (N, 2) by which rays miss points (N, 3), mm.
 
     Parameters
     ----------
@@ -129,9 +136,9 @@ def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Arr
 
 
 def normals(view: View, optics: Optics, directions: Array) -> Array:
-    """Return the horizontal normals (N, 3) of rays in the water, given their directions (N, 3) in the air.
+    """Return horizontal unit vectors (N, 3) perpendicular to the rays in the water, canister frame.
 
-    The normals are in the canister frame, the directions in the camera frame.
+    Each ray is given by its direction (N, 3) in air, camera frame.
     """
     line = refraction.follow(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]))
     flat = np.concatenate([line.nu, np.zeros((len(directions), 1))], axis=-1)
@@ -143,7 +150,7 @@ def picture_derivatives(
 ) -> Array:
     """Return the derivatives (N, Q) of picture positions with respect to parameters of the rig.
 
-    The unit is that of ``gradient`` times mm, divided by the unit of the parameter.
+    The unit of a derivative is that of ``gradient`` times mm, divided by the unit of the parameter.
 
     Parameters
     ----------

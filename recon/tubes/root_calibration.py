@@ -43,13 +43,13 @@ INDEX_PRIOR = 0.003
 
 For comparison, ten degrees change the index by 0.001, 2 g/l of salts by 0.0003, and red or blue light by 0.002."""
 INDEX_LIMITS = 1.32, 1.36
-"""Limits of the estimated refractive index, from hot to salty water."""
+"""Minimum and maximum of the estimated refractive index, which are those of hot water and of salty water."""
 SURE = 3.0
 """Minimum deviation of the estimated from the given refractive index, in standard deviations, for the estimate to be
 used."""
 LEAST_GAIN = 0.04
-"""Minimum relative reduction of the lateral distance between roots and tubes for the estimated refractive index to be
-used.
+"""Minimum relative reduction of the lateral distance between the centre lines in the pictures and those of the fitted
+tubes. The estimated refractive index is used only if the reduction is larger.
 
 On a radish, the correction of an index error of 0.0006 reduced the distance by 0.5 %. The reduction is proportional to
 the square of the error, so that this limit corresponds to 0.0018. Wide roots that are not quite round bias the index:
@@ -68,14 +68,15 @@ rad."""
 _LEAST_VIEWS = 8
 """Minimum number of views that must show a node for its position to be determined."""
 _RIDGE, _ALONG = 1e-3, 0.5
-"""Fractions of a node's own curvature that are added in all directions, and along its root, where the views provide no
-constraint."""
+"""Terms added to each node's 3x3 normal matrix to regularise it, as fractions of its mean diagonal. The first is added
+in all directions, the second along the root, where the views provide no constraint."""
 _PASSES = 4
-"""Number of alternating updates of the variance of a unit of evidence and of the estimated change."""
+"""Number of iterations, in each of which the change of the unknowns and the variance phi of a unit of evidence are
+updated."""
 _ROUNDS, _STEPS = 4, 3
 """Maximum number of refits of the tubes, and number of iterations of each refit."""
 _SETTLED = 0.2
-"""Maximum change of the refractive index at convergence, in standard deviations."""
+"""Change of the refractive index between two refits below which the iteration has converged, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +84,15 @@ class RigCorrection:
     """Corrections of the rig, estimated from the roots."""
 
     change: Array
-    """Change of each unknown, shape (K,), relative to the estimate from markers and edges."""
+    """Change of each unknown, shape (K,), relative to the calibration from the markers and the canister's edges."""
     sigma: Array
     """Standard deviation of each unknown, shape (K,)."""
     nodes: int
     before_px: float
-    """Root mean square lateral distance between roots and tubes in the pictures, px, with each node at its optimal
-    position."""
+    """Root mean square lateral distance in the pictures between roots and fitted tubes, px, before the correction. Each
+    node is at the position that fits the pictures best."""
     after_px: float
-    """Root mean square lateral distance between roots and tubes with the corrected rig, px."""
+    """Root mean square lateral distance in the pictures between roots and fitted tubes, px, after the correction."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ class Columns:
     """Mapping from the rig parameters of each view to the unknowns of a linear system."""
 
     index: NDArray[np.int64]
-    """Index of the unknown for each view and parameter, shape (V, Q), or -1 if the parameter is not estimated."""
+    """Index of the unknown for each view and parameter, shape (V, Q). It is -1 if the parameter is not estimated."""
     precision: Array
     """Prior precision matrix of the unknowns, shape (K, K)."""
     shared: int
@@ -107,7 +108,7 @@ class Columns:
 
     @staticmethod
     def per_view(views: int, quantities: int, sigma: float) -> Columns:
-        """Return the mapping for parameters that are independent in each view.
+        """Return a mapping in which each parameter of each view is a separate unknown.
 
         ``sigma`` is the standard deviation of their prior.
         """
@@ -188,7 +189,9 @@ def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -
 
 
 def estimate(evidence: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> RigCorrection | None:
-    """Estimate corrections of the rig from fitted tubes, or return None if there are too few nodes.
+    """Estimate corrections of the rig from fitted tubes.
+
+    The result is None if there are too few nodes.
 
     Parameters
     ----------
@@ -218,7 +221,9 @@ def build_system(
     wanted: tuple[Quantity, ...],
     columns: Columns,
 ) -> System | None:
-    """Return the normal equations of rig parameters from fitted tubes, or None if there are too few nodes.
+    """Return the normal equations for parameters of the rig, computed from fitted tubes.
+
+    The result is None if there are too few nodes.
 
     Parameters
     ----------
@@ -254,7 +259,7 @@ def is_significant(found: RigCorrection, optics: Optics) -> bool:
 
 
 def apply_change(cameras: Cameras, change: Array) -> Cameras:
-    """Return the cameras after a change (K,) of the unknowns."""
+    """Return the cameras after the unknowns have changed by ``change`` (K,)."""
     optics = replace(cameras.optics, n_water=cameras.optics.n_water + float(change[0]))
     known = cameras.uncertainty
     if known is None:
@@ -275,14 +280,15 @@ class System:
 
     sums: HostProfiles
     by: Array
-    """Derivatives of the lateral shift with respect to the rig parameters of each view, shape (V, N, Q)."""
+    """Derivatives of each node's lateral position in each view with respect to the rig parameters, shape (V, N, Q)."""
     columns: Columns
     root: NDArray[np.int64]
     """Index of the branch of each node, shape (N,)."""
     start: Array
-    """Step of each node in position and radius if the shared unknowns are unchanged, shape (N, 4)."""
+    """Gauss-Newton step of each node's position and radius if the unknowns of the rig do not change, shape (N, 4)."""
     follow: Array
-    """Negative response of each node's position and radius to the shared unknowns, shape (N, 4, K)."""
+    """Decrease of each node's position and radius per unit change of each unknown of the rig, shape (N, 4, K), so that
+    the tubes remain at the optimum."""
     reduced: Array
     """Reduced normal matrix, shape (K, K)."""
     right: Array
@@ -327,7 +333,7 @@ class System:
     def solve(self, before: Array) -> tuple[Array, Array]:
         """Return the change (K,) of the unknowns and its covariance (K, K).
 
-        ``before`` (K,) is a change that was already applied.
+        ``before`` (K,) is the change that was applied previously, to which the prior also refers.
         """
         prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
         for _ in range(_PASSES):
@@ -343,7 +349,10 @@ class System:
 
     @cached_property
     def _slopes(self) -> list[Array]:
-        """Derivatives (N, K) of each view's shift with respect to the shared unknowns, with the nodes' response."""
+        """Derivatives (N, K) of the nodes' lateral positions in each view with respect to the unknowns.
+
+        They include the motion of the nodes to their new optimum, see `follow`.
+        """
         slopes = []
         for v, numbers in enumerate(self.columns.index):
             used = numbers >= 0
@@ -353,7 +362,7 @@ class System:
         return slopes
 
     def _remaining_residuals(self, change: Array, v: int) -> tuple[Array, Array]:
-        """Return the remaining residuals of a view in lateral shift (N,) and in width (N,)."""
+        """Return the residuals of a view's lateral positions (N,) and widths (N,) after a change of the unknowns."""
         sums = self.sums
         sideways = np.einsum("ni,ni->n", sums.across[v], self.start[:, :3]) + self._slopes[v] @ change
         wider = sums.scale[v] * (self.start[:, 3] - self.follow[:, 3] @ change)
@@ -361,7 +370,11 @@ class System:
         return shift, sums.width[v] - sums.shift_width[v] * sideways - sums.width_2[v] * wider
 
     def _scatter(self, change: Array) -> Array:
-        """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
+        """Return the covariance (K, K) of the normal equations' right-hand side.
+
+        It is estimated from the scatter between roots and between views, since residuals on one root or in one view are
+        correlated.
+        """
         root = self.root
         own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums the nodes of each root
         scores = []
@@ -372,7 +385,10 @@ class System:
         return scatter(np.concatenate(scores), np.repeat(np.arange(views), roots), np.tile(np.arange(roots), views))
 
     def distance_px(self, change: Array) -> float:
-        """Return the root mean square lateral distance of the roots after a change (K,) of the unknowns, px."""
+        """Return the lateral distance between roots and tubes after a change (K,) of the unknowns, px.
+
+        It is the root mean square over all nodes and views.
+        """
         square = weight = 0.0
         for v in range(len(self.by)):
             shift, _ = self._remaining_residuals(change, v)

@@ -46,7 +46,8 @@ a residual 1.09 times as large)."""
 _MOST_BLUR_PX = 0.8
 """Maximum blur, px. A focused camera has less."""
 _MOST_HAIRS = 4.0
-"""Maximum strength of root hairs, relative to those of radish. Hairs four times as dark absorb most of the light."""
+"""Maximum strength of root hairs, relative to those of radish. At this strength, hairs absorb most of the light that
+enters them."""
 _MOST_INDEX = 0.07
 """Maximum relative excess of the roots' refractive index over that of water. Pure cell walls have an index of 1.425
 (Appl. Opt. 13:109), which is 1.069 times that of water."""
@@ -56,29 +57,32 @@ ROUNDING = 1e-9
 """Maximum distance between a parameter and its bound for the parameter to be considered at the bound. It allows for
 rounding of log(exp(x))."""
 _LARGEST_STEP = np.array([0.35, 0.06, 0.5, 0.01])
-"""Maximum change of each light parameter per iteration, within which the slopes of the profiles are valid."""
+"""Maximum change of each light parameter per iteration, in the order of `LIGHT`. Larger changes leave the range in
+which the profiles are nearly linear in the parameter."""
 LEARNED_SIGMA = 0.2
-"""Standard deviation of the logarithm of the attenuation estimated from the widest roots.
+"""Prior standard deviation of the logarithm of the attenuation, if it was estimated from the widest roots.
 
 For roots of 1.0/mm with refraction and hairs, the estimates from three plants were 1.03, 1.03 and 1.18/mm."""
 _CHANGES, _WIDER = (0.01, 0.005, 0.02, 0.002), 0.005
-"""Steps of the difference quotients with respect to the light parameters and to the logarithm of the radii. They change
-pictures by less than 0.01, and pictures are accurate to 1e-6."""
+"""Steps of the difference quotients: for each light parameter in the order of `LIGHT`, and for the logarithm of the
+radii. The steps change pictures by less than 0.01, and pictures are accurate to 1e-6."""
 _RIDGE = 1e-4
-"""Curvature that regularises nodes without a profile of a lone root, 1/mm2. A node's own curvature is about 100/mm2, of
-which a thousandth remains along the valley in which the node follows the light parameters."""
+"""Constant that is added to the diagonal of each node's normal matrix, 1/mm2. It keeps the matrix invertible for nodes
+without a profile of a lone root (a root that no other hides or overlaps in the view). A node's own curvature is about
+100/mm2. A thousandth of it remains in the direction in which a wider, fainter root looks the same."""
 LEAST_VARIANCE = 1e-5
 """Minimum variance of the coverage. It corresponds to a standard deviation of 0.003, which is one grey level of 8
 bits."""
 LEAST_LONE = 1500
-"""Minimum number of profiles of lone roots for attenuation and hairs to be estimated. With fewer profiles, only the
-blur is fitted, to all profiles.
+"""Minimum number of profiles of lone roots (roots that no other root hides or overlaps) for attenuation and hairs to be
+estimated. With fewer profiles, only the blur is fitted, to all profiles.
 
 An opaque print in 40 pictures of 400x300 px has 1,140 profiles of few roots, and the residual of an opaque model is
 1.15 times as large as that of a translucent model. Translucent plants have 30,000 profiles or more."""
 HAIRY = 1.0, 0.5
-"""Prior mean and standard deviation of the strength of hairs around translucent roots, which are young. Radish in water
-has hairs of 0.1 to 0.5 mm, between half and one and a half times as dark as the mean."""
+"""Prior mean and standard deviation of the strength of hairs around translucent roots, which are young. It is relative
+to that of radish in water, whose hairs are 0.1 to 0.5 mm long, and between half and one and a half times as dark as the
+mean."""
 
 BENDING = 0.024, 0.012
 """Prior mean and standard deviation of the relative excess of the roots' refractive index over that of water.
@@ -94,15 +98,17 @@ class Prior:
     mean: Array
     """Mean of each light parameter, shape (L,)."""
     sigma: Array
-    """Standard deviation of each light parameter, shape (L,); infinite if nothing is known."""
+    """Standard deviation of each light parameter, shape (L,). It is infinite if nothing is known about the
+    parameter."""
     free: Mask
     """Mask of the light parameters that are fitted, shape (L,)."""
 
     @staticmethod
     def from_evidence(evidence: Evidence, learned_per_mm: float | None = None) -> Prior:
-        """Return the prior for given pictures and the attenuation of their widest roots (`translucency.learn`).
+        """Return the prior for given pictures.
 
-        Silhouettes constrain only the blur. For opaque roots, hairs are evaluated but not fitted.
+        If ``learned_per_mm`` is not None, it is the attenuation of the widest roots (`translucency.learn`). Silhouettes
+        constrain only the blur. For opaque roots, hairs are evaluated but not fitted.
         """
         mean, sigma = np.array([0.0, 0.0, HAIRY[0], BENDING[0]]), np.full(len(LIGHT), np.inf)
         if evidence.has_opacity:
@@ -114,7 +120,10 @@ class Prior:
 
     @property
     def evaluated(self) -> Mask:
-        """Return the mask (L,) of parameters with derivatives: fitted parameters, and the hairs of opaque roots."""
+        """Return the mask (L,) of parameters with respect to which pictures are differentiated.
+
+        These are the fitted parameters. If roots are opaque, derivatives with respect to the hairs are also computed.
+        """
         return self.free | (np.arange(len(LIGHT)) == HAIRS) & ~np.isinf(self.sigma)
 
     def blur_only(self) -> Prior:
@@ -128,14 +137,17 @@ def light_vector(evidence: Evidence) -> Array:
 
 
 def with_light(evidence: Evidence, light: Array) -> Evidence:
-    """Return the evidence with new light parameters (L,). Opaque roots remain opaque."""
+    """Return the evidence with new light parameters (L,).
+
+    Opaque roots remain opaque whatever the new attenuation.
+    """
     mu_per_mm = None if evidence.mu_per_mm is None else float(np.exp(light[MU]))
     blur_px, hairs, index = float(np.sqrt(max(light[BLUR], 0.0))), float(light[HAIRS]), 1.0 + float(light[INDEX])
     return replace(evidence, mu_per_mm=mu_per_mm, blur_px=blur_px, hairs=hairs, index=index)
 
 
 def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
-    """Adjust the radii of tubes so that they absorb the same light after a change of attenuation and hairs.
+    """Adjust the radii of tubes to a change of attenuation and hairs, so that they absorb as much light as before.
 
     The absorption is that of roots viewed from the side.
 
@@ -152,7 +164,10 @@ def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Eviden
 
 
 def changes(drawn: Rendering, free: Mask) -> Changes:
-    """Return the derivatives of the rendered tubes with respect to their radii and the free light parameters (L,)."""
+    """Return the derivatives of the rendered tubes.
+
+    They are computed with respect to the logarithm of the radii, and to the light parameters marked in ``free`` (L,).
+    """
     evidence, tubes, now = drawn.evidence, drawn.tubes, light_vector(drawn.evidence)
     wider = with_geometry(tubes, tubes.centre_mm, (1.0 + _WIDER) * tubes.radius_mm)
     more = {k: with_light(evidence, now + _CHANGES[k] * np.eye(len(now))[k]) for k in np.flatnonzero(free).tolist()}
@@ -170,7 +185,7 @@ class LightSystem:
     meat: Array
     """Scatter matrix M of the scores, shape (L, L)."""
     lone: int
-    """Number of profiles of lone roots."""
+    """Number of profiles of lone roots, which no other root hides or overlaps in the view."""
 
     @staticmethod
     def build(equations: LightEquations, profiles: Profiles, tubes: Tubes, smooth: sparse.csr_matrix, thick: Mask) -> LightSystem:
@@ -201,15 +216,21 @@ class LightSystem:
         return LightSystem(reduced, right, meat + LEAST_VARIANCE * reduced, int(lone.sum()))
 
     def step(self, light: Array, prior: Prior) -> Array:
-        """Return the step (L,) of the light parameters within their bounds; 0 for fixed parameters."""
+        """Return the step (L,) of the light parameters within their bounds.
+
+        The step is 0 for parameters that are not fitted.
+        """
         return np.asarray(np.clip(light + self._solve(light, prior)[0], *_BOUNDS) - light)
 
     def covariance(self, light: Array, prior: Prior) -> Array:
-        """Return the covariance (L, L) of the light parameters; 0 for parameters that are fixed or at a bound."""
+        """Return the covariance (L, L) of the light parameters.
+
+        It is 0 for parameters that are not fitted, or at a bound.
+        """
         return self._solve(light, prior)[1]
 
     def estimate_without_prior(self, free: Mask) -> tuple[Array, Array]:
-        """Return the step (L,) of the free parameters without the prior, and its standard deviation (L,)."""
+        """Return the step (L,) of the free parameters if the prior is ignored, and its standard deviation (L,)."""
         change, sigma, f = np.zeros(len(free)), np.full(len(free), np.inf), np.flatnonzero(free & (np.diag(self.reduced) > 0.0))
         bread = inverse(self.reduced[np.ix_(f, f)])
         change[f] = bread @ self.right[f]
@@ -219,7 +240,8 @@ class LightSystem:
     def _solve(self, light: Array, prior: Prior) -> tuple[Array, Array]:
         """Return the step (L,) and the covariance (L, L) of the light parameters.
 
-        The step is limited in length. Parameters at a bound that would leave their range are kept fixed.
+        The step is shortened if it exceeds `_LARGEST_STEP`. Parameters at a bound that would leave their range are kept
+        fixed.
         """
         free, many = prior.free & (np.diag(self.reduced) > 0.0), len(light)
         while True:
@@ -241,7 +263,8 @@ class LightSystem:
 def _scatter(profiles: Profiles, back: Array, lone: Mask, tubes: Tubes) -> Array:
     """Return the covariance (L, L) of the gradient with respect to the light parameters.
 
-    It is computed from the scatter of whole roots and whole views.
+    It is estimated from the scatter between roots and between views, since residuals on one root or in one view are
+    correlated.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Estimation of root sway: lateral displacement of the roots that changes from picture to picture.
+"""Estimation of root sway: lateral displacement of the roots that differs from picture to picture.
 
-After a step of the table, the roots keep swinging, and the rotating water drags them along. The displacement of a root
-increases with the depth below the net pot. It has two parameters per view, and a third for rotation about the vertical
-(`recon.optics.cameras.Sway`). Fitted tubes provide the lateral displacement in each view. The positions of the nodes
-are eliminated, as in the calibration of the refractive index (`root_calibration`). The sway is relative to the mean of
-all views, which cannot be distinguished from the shape.
+After each step of the table, the roots keep swinging, and the rotating water drags them along. The displacement of a
+root increases with the depth below the net pot. It has two parameters per view, and a third for rotation about the
+vertical (`recon.optics.cameras.Sway`). Fitted tubes provide the lateral displacement in each view. The positions of the
+nodes are eliminated, as in the calibration of the refractive index (`root_calibration`). The sway is relative to the
+mean of all views, which cannot be distinguished from the shape.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _LOOSE = 0.02
-"""Prior standard deviation of the sway, mm per mm of depth, and of its rotation, rad per mm of depth. It corresponds to
-2 mm at a depth of 100 mm. Roots with a larger sway cannot be reconstructed."""
+"""Prior standard deviation of the two lateral displacements, mm per mm of depth, and of the rotation, rad per mm of
+depth. It corresponds to a displacement of 2 mm at a depth of 100 mm. Roots with a larger sway cannot be
+reconstructed."""
 _LEAST_GAIN = 0.1
-"""Minimum relative reduction of the lateral distance between roots and tubes for the sway to be estimated. The
-reduction is 0.004 for static plants of the twin, and 0.3 for a sway of 0.1 mm at the tips."""
+"""Minimum relative reduction of the lateral distance between roots and tubes by the sway. The sway is not estimated if
+the reduction is smaller. The reduction is 0.004 for static plants of the twin, and 0.3 for a sway of 0.1 mm at the
+tips."""
 _ROUNDS, _STEPS = 3, 3
 """Maximum number of refits of the tubes, and number of iterations of each refit."""
 _LEAST_MM = 0.06
-"""Root mean square displacement above which the sway is corrected and the roots are reconstructed again, mm. The motion
-check has the same threshold.
+"""Minimum root mean square displacement of the roots for the sway to be corrected, and the roots to be reconstructed
+again, mm. The motion check has the same threshold.
 
 A plant with this sway loses 2 % of its volume. With 0.3 mm at the tips, or 0.12 mm over the whole plant, it lost 8
 %."""
 
 
 def follow(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:
-    """Estimate the sway in each picture from fitted tubes and refit the tubes, until convergence.
+    """Estimate the sway in each picture from fitted tubes, and refit the tubes, until the sway converges.
 
     Parameters
     ----------
@@ -86,7 +88,9 @@ def _has_sway(cameras: Cameras) -> bool:
 
 
 def has_moved(evidence: Evidence, cameras: Cameras, tubes: Tubes, px_a_mm: float) -> bool:
-    """Return whether the roots have moved so far, relative to other cameras, that they must be reconstructed again.
+    """Return whether the roots must be reconstructed again, because they moved too far.
+
+    The displacement is that of the roots in the pictures, between the current cameras and those of the reconstruction.
 
     Parameters
     ----------

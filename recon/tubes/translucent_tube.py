@@ -1,4 +1,4 @@
-"""Appearance of a translucent root as a tube: two nested strips, which are narrower and fainter for thinner roots.
+"""Appearance of a translucent root: two nested strips, which are narrower and fainter for thinner roots.
 
 Let w be the radius of a round root, mu its attenuation, and theta the angle between its axis and the line of sight. At
 the fraction x of its radius, the root has the chord ``2 w sqrt(1 - x^2) / sin(theta)`` and absorbs the fraction
@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 LAYERS = 2
 """Number of strips that represent a root."""
 HAIRS = Hairs(length_mm=0.3, mu_per_mm=0.05)
-"""Root hairs of radish in water. They are 0.1 to 0.5 mm long and 10 um thick, with about thirty hairs per millimetre of
-root.
+"""Typical root hairs of radish in water. They are 0.1 to 0.5 mm long and 10 um thick, with about thirty hairs per
+millimetre of root.
 
 The hairs absorb a third of the incident light and cover a seventh of each millimetre of the sleeve."""
 _TAU = np.geomspace(1e-4, 50.0, 1201)
@@ -103,8 +103,8 @@ class Layer:
     half_px: Float
     height: Float
     by_width: Float
-    """Derivative of the coverage with respect to the root's half-width, relative to the derivative with respect to the
-    strip's half-width."""
+    """Ratio of two derivatives of the coverage: with respect to the root's half-width, and with respect to the
+    half-width of an opaque strip of the same width."""
     by_height: Float
     """Derivative of the strip's opacity with respect to the root's half-width, 1/px."""
 
@@ -112,7 +112,8 @@ class Layer:
 def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float, *, index: float = 1.0) -> list[Layer]:
     """Return the strips that represent roots in a picture.
 
-    This is the kernel version of `strips`. Without attenuation, a root is represented by a single opaque strip.
+    This is the version of `strips` for Dr.Jit kernels. Without attenuation, a root is represented by a single opaque
+    strip.
 
     Parameters
     ----------
@@ -157,7 +158,10 @@ def _translucent_strips(mu_per_mm: float, index: float, radius_mm: Float, sine: 
 
 
 def _add_hairs(own: list[Layer], strength: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
-    """Return the strips of roots, attenuated by root hairs, followed by the strip of the hairs."""
+    """Return the strips of roots with hairs.
+
+    The opacity of the given strips is reduced by the light that the hairs absorb. One strip for the hairs is appended.
+    """
     long, mu = dr.opaque(mi.Float, HAIRS.length_mm), dr.opaque(mi.Float, strength * HAIRS.mu_per_mm)
     px_a_mm = half_px / radius_mm
     outer = radius_mm + long
@@ -218,7 +222,10 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Return the tabulated log tau (T,), and the fields of `Strips` (4, LAYERS, R, T) for all ratios in `_RIM`."""
+    """Return the tabulated log tau (T,), and the fields of `Strips` as an array (4, LAYERS, R, T).
+
+    R is the number of ratios in `_RIM`.
+    """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     part = 0.5 * (node + 1.0)
     # x = cos(angle); more nodes at the rim, where the opacity of a dark root rises

@@ -1,10 +1,10 @@
-"""Attenuation of thin roots, from fits of tubes as opaque and as translucent roots.
+"""Attenuation of thin roots, found by a comparison of two fits of tubes: as opaque and as translucent roots.
 
-The opacity of a thin root determines mu w^2 but not mu and w separately. Two effects separate them. First, a root
-inclined towards the line of sight is darker by 1 / sin(theta) if it is faint, but hardly darker if it is nearly opaque.
-Second, the pictures show its width. Attenuation, blur and hairs are fitted together with the tubes (`root_light`). The
-two fits are compared on the profiles of lone roots, with a robust loss that gives little weight to profiles with other
-objects.
+The opacity of a thin root determines the product mu w^2 of its attenuation mu and squared radius w^2, but not mu and w
+separately. Two effects separate them. First, a root inclined towards the line of sight is darker by 1 / sin(theta) if
+it is faint, but hardly darker if it is nearly opaque. Second, the pictures show its width. Attenuation, blur and hairs
+are fitted together with the tubes (`root_light`). The two fits are compared on the profiles of lone roots, with a
+robust loss that gives little weight to profiles with other objects.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _START_PER_MM = 2.0
-"""Initial attenuation of translucent roots without an estimate from wide roots, 1/mm: the geometric mean of
-`root_light.FAINTEST` and 8/mm."""
+"""Initial attenuation in the fit of translucent roots, 1/mm. It is used if the attenuation was not estimated from wide
+roots. The value is the geometric mean of `root_light.FAINTEST` and 8/mm."""
 _STEPS, _TRANSLUCENT_STEPS = 5, 8
 """Number of iterations of the fit for opaque roots and for translucent roots. Translucent roots need more, since log mu
 changes by at most 0.35 per iteration."""
 _PERHAPS = 1.1
-"""Ratio between the residuals of the opaque and the translucent model above which roots are considered translucent, if
-the difference is also significant (`_TELLING`).
+"""Minimum ratio of the opaque model's residual to the translucent model's residual for roots to be considered
+translucent. The difference must also be significant (`_TELLING`).
 
 The excess of this ratio over 1 is half of that of `CLEARLY`. Opaque plants of the twin have ratios of 1.01 to 1.03, and
 an opaque bean has 1.09."""
 _TELLING, _EXCLUDED = 2.0, 3.0
-"""Two thresholds of a difference in standard deviations, which are computed from the scatter of roots and views.
+"""Two thresholds for a difference divided by its standard deviation, which is computed from the scatter of roots and
+views.
 
-Above the first, the difference between two models, or between the attenuation and its upper bound, is significant.
-Above the second, hairs half as strong as those of radish are excluded. Opaque plants of the twin have differences of
-0.2 to 1.7, and thin translucent plants of 2.8 to 12."""
+Above the first threshold, the difference between two models, or between the attenuation and its upper bound, is
+significant. Above the second, hairs half as strong as those of radish are excluded. Opaque plants of the twin have
+differences of 0.2 to 1.7, and thin translucent plants of 2.8 to 12."""
 
 
 @dataclass(frozen=True)
@@ -51,31 +52,33 @@ class TubeAttenuation:
     """Attenuation of light by the roots, with the other light parameters that they share."""
 
     mu_per_mm: float | None
-    """Attenuation, 1/mm, or None for opaque roots."""
+    """Attenuation of the roots, 1/mm. It is None for opaque roots."""
     light: Array
     """Fitted light parameters, shape (L,), in the order of `tube_profiles.LIGHT`."""
     covariance: Array
-    """Covariance of the light parameters, shape (L, L); 0 for parameters that were not fitted."""
+    """Covariance of the light parameters, shape (L, L). It is 0 for parameters that were not fitted."""
     against_opaque: float
-    """Residual of the opaque model divided by the residual of the translucent model, for lone roots. Values below 1
-    favour the opaque model, and 0 means that the models were not compared."""
+    """Residual of the opaque model divided by the residual of the translucent model, for roots that no other root hides
+    or overlaps. Values below 1 favour the opaque model. The value is 0 if the models were not compared."""
     profiles: int
-    """Number of profiles of lone roots in the comparison."""
+    """Number of profiles over which the models were compared. These are profiles of roots that no other root hides or
+    overlaps."""
     rival_per_mm: float | None = None
-    """Attenuation with which translucent roots explain the pictures better, but not clearly better, than opaque roots,
-    1/mm."""
+    """Attenuation of the translucent model if it explains the pictures better, but not significantly better, than the
+    opaque model, 1/mm. Otherwise None."""
     hairs: Literal["none", "maybe", "there"] = "none"
-    """Whether the roots have hairs. The value is "maybe" if pictures with and without hairs would look alike."""
+    """Whether the roots have hairs. The value is "maybe" if the pictures do not distinguish between roots with and
+    without hairs."""
 
     @staticmethod
     def opaque() -> TubeAttenuation:
-        """Return the attenuation of opaque roots without a comparison of models."""
+        """Return the attenuation of opaque roots if models were not compared."""
         many = len(tube_profiles.LIGHT)
         return TubeAttenuation(None, np.zeros(many), np.zeros((many, many)), 0.0, 0)
 
     @property
     def sigma(self) -> float:
-        """Return the standard deviation of the logarithm of the attenuation, or 0 for opaque roots."""
+        """Return the standard deviation of the logarithm of the attenuation. It is 0 for opaque roots."""
         return float(np.sqrt(self.covariance[MU, MU]))
 
     def warnings(self) -> list[str]:
@@ -97,7 +100,9 @@ class TubeAttenuation:
 
 
 def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
-    """Fit tubes as opaque and as translucent roots, and select the translucent fit if it is clearly better.
+    """Fit tubes as opaque and as translucent roots, and return the better fit.
+
+    The translucent fit is returned only if it is clearly better.
 
     Parameters
     ----------
@@ -136,7 +141,7 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
 
 
 def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation) -> Fit:
-    """Fit tubes and light parameters, starting from known light parameters.
+    """Fit tubes and light parameters, starting from the light parameters of an earlier fit.
 
     Parameters
     ----------
@@ -151,7 +156,10 @@ def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float
 
 
 def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
-    """Return an attenuation with the light parameters, their covariance and the presence of hairs from a fit."""
+    """Return an attenuation with the results of a fit.
+
+    These are the light parameters, their covariance, and the presence of hairs.
+    """
     light, system, prior = root_light.light_vector(fit.evidence), fit.light, fit.prior
     if system is None or prior is None:
         return attenuation
@@ -168,9 +176,9 @@ def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuatio
 
 
 def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:
-    """Return the losses (2, V, N) of both fits on profiles of lone roots, and the mask (V, N) of these profiles.
+    """Return the losses (2, V, N) of both fits, and the mask (V, N) of the profiles that were compared.
 
-    A profile is used only if it shows a lone root in both fits.
+    A profile is used only if it shows, in both fits, a root that no other root hides or overlaps.
     """
     fits = opaque, translucent
     lone = np.logical_and.reduce([tube_profiles.profiles(fit.rendering).is_lone for fit in fits]) & ~thick
@@ -180,7 +188,7 @@ def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:
 
 
 def significance(difference: Array, owner: NDArray[np.int64]) -> float:
-    """Return the sum of differences (V, N), in standard deviations.
+    """Return the sum of differences (V, N) divided by its standard deviation.
 
     Profiles of one root, or of one view, are not independent. The variance is therefore that of their sums about zero.
     The result is never larger than the square root of the number of profiles.

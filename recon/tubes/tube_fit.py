@@ -1,8 +1,8 @@
 """Gauss-Newton fit of tubes to the coverage of all views, with a smoothness prior for branches.
 
-The residual gradients of tubes that hide each other are computed separately. The normal equations of the nodes are then
-independent, except for the smoothness along a branch. The tubes are rendered again in every iteration, so that the
-iterations converge to a common solution.
+The gradient of each node is computed separately, also where tubes hide each other. The normal equations of the nodes
+are then independent, except for the smoothness along a branch. The tubes are rendered again in every iteration, so that
+the iterations converge to a common solution.
 """
 
 from __future__ import annotations
@@ -28,46 +28,49 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEPS = 8
-"""Number of iterations of a complete fit. With the fraction `_RELAXED` per iteration, the remaining error of a radius
-is 0.4^8, less than a thousandth."""
+"""Number of iterations of a complete fit. Each iteration applies the fraction `_RELAXED` of a radius's step, so that
+the error of a radius decreases to 0.4^8, less than a thousandth."""
 _BEND = 2.0
-"""Weight of the squared second differences of node positions, 1/mm2. For comparison, a full profile in one view has a
-weight of about 10/mm2."""
+"""Weight of the squared second differences of node positions in the smoothness prior, 1/mm2. For comparison, the
+profile of a fully visible node in one view has a weight of about 10/mm2."""
 _SUPPLE_MM = 0.34
-"""Radius of roots with the bending stiffness `_BEND`, mm.
+"""Radius of a root for which the weight of the bending is twice `_BEND`, mm.
 
-The nodes of a wide tube would oscillate with its flanks over distances shorter than its radius. The weight therefore
-increases with the fourth power of the radius, like the stiffness of a beam. Nodes with data of 1600/mm2 (80 views of 4
-px/mm) are smoothed over a third of their radius."""
+With a constant weight, nodes of a wide tube would follow irregularities of its flanks over distances shorter than its
+radius. The weight therefore increases with the fourth power of the radius, like the stiffness of a beam. Nodes with
+data of 1600/mm2 (80 views of 4 px/mm) are smoothed over a third of their radius."""
 _TAPER = 12.0
-"""Weight of the squared relative differences of radii along a branch, which corresponds to roots of constant radius
-over more than a centimetre.
+"""Weight of the squared relative differences between the radii of adjacent nodes in the smoothness prior. It makes the
+radius nearly constant over more than a centimetre.
 
 With a smaller weight, roots in dense clusters became alternately thick and thin from node to node, and too thick on
 average, since the radius of a hidden root has no lower bound."""
 _DAMPING, _ALONG = 0.05, 0.5
-"""Fractions of a node's own curvature that are added in all directions, and along the branch."""
+"""Terms added to each node's 3x3 normal matrix for its position, as fractions of the mean diagonal. The first is added
+in all directions, the second along the branch."""
 _RELAXED = 0.6
-"""Fraction of the computed step of a radius that is applied. Tubes that share pixels respond simultaneously, so that
-full steps would oscillate between too wide and too thin."""
+"""Fraction of the Gauss-Newton step of a radius that is applied. Tubes that cover the same pixels respond
+simultaneously, so that with full steps they would oscillate between too wide and too thin."""
 LEAST = 0.5
-"""Minimum curvature of a node, 1/mm2, so that a node that no view shows is not moved."""
+"""Minimum curvature of the sum of squares with respect to a node's position, 1/mm2. Nodes that no view shows are
+therefore not moved."""
 _LARGEST_STEP_MM = 0.15
-"""Maximum displacement of a node per iteration, mm. This is about the radius of a thin root, within which the profiles
-are informative."""
+"""Maximum displacement of a node per iteration, mm. It is about the radius of a thin root. At larger distances, the
+profiles contain no information about the root."""
 _MOST_SHARE, _MOST_MM = 0.3, 0.01
-"""Maximum change of a radius per iteration, within which the slope of a profile is valid: the sum of a relative and an
-absolute change, mm."""
+"""Limits of the change of a radius per iteration: a fraction of the radius, plus a constant in mm. Within these limits,
+the profile is nearly linear in the radius."""
 _THINNEST_MM = 0.02
 """Minimum radius of a tube, mm. Its width is a fifth of a pixel at 0.2 mm per pixel."""
 _STRETCH_NODES = 21
 """Number of nodes over which a root has approximately the same thickness: 12.6 mm at a spacing of 0.6 mm."""
 _BULGE = 1.12
-"""Maximum ratio between a radius and the median radius of the surrounding nodes. A larger radius is due to another root
-alongside."""
+"""Maximum ratio of a radius to the median radius of the surrounding nodes, and of the median to the radius. A larger
+radius would be due to another root beside the root."""
 _SWELL = 1.2
-"""Maximum ratio of this kind for thick roots, which may swell: a ball as long as the stretch of nodes has 1.15. Without
-it, the radius of a carrot's top, which few views show, grew to twice the true radius."""
+"""Maximum ratio of a radius to the median radius of the surrounding nodes for thick roots, which may have swellings. A
+ball as long as `_STRETCH_NODES` has a ratio of 1.15. Without the limit, the radius of a carrot's top, which few views
+show, grew to twice the true radius."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +82,12 @@ class Fit:
     tubes: Tubes
     residual: ResidualGradient
     light: LightSystem | None
-    """Normal equations of the light parameters, or None if these were not fitted."""
+    """Normal equations of the light parameters. None if these were not fitted."""
     prior: Prior | None
-    """Prior of the light parameters, or None if these were not fitted."""
+    """Prior of the light parameters. None if these were not fitted."""
     few: bool
-    """Whether there were too few lone roots, so that only the blur was fitted, to all profiles."""
+    """Whether too few profiles show a root that no other root hides or overlaps. In that case only the blur was fitted,
+    to all profiles."""
 
     @cached_property
     def rendering(self) -> Rendering:
@@ -125,9 +129,10 @@ def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, li
 
 
 def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, change: Array | None) -> Tubes:
-    """Apply one damped Gauss-Newton step, in which the nodes follow a change of the light parameters.
+    """Apply one damped Gauss-Newton step to the nodes.
 
-    ``change`` (N, 4) is the corresponding change of the nodes' gradient.
+    If the light parameters change at the same time, ``change`` (N, 4) is the resulting change of the nodes' gradient,
+    and the nodes follow it. It is None if the light parameters are fixed.
     """
     count, tangent = len(tubes.radius_mm), tubes.tangents
     hessian = residual.hessian.copy()
@@ -149,7 +154,9 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
 
 
 def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
-    """Return the change (N, 4, L) of the nodes, per light parameter, that keeps the rendered tubes unchanged.
+    """Return the derivatives (N, 4, L) of the nodes with respect to the light parameters.
+
+    The nodes are displaced so that the rendered tubes change as little as possible.
 
     Parameters
     ----------
@@ -164,9 +171,9 @@ def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
 
 
 def _limit_radii(tubes: Tubes, thick: NDArray[np.bool_]) -> Array:
-    """Return the radii (N,), clipped to a range around the median radius of the surrounding nodes, mm.
+    """Return the radii (N,), limited to a range around the median radius of the surrounding nodes, mm.
 
-    A larger radius is due to another root alongside.
+    A larger radius would be due to another root beside the root.
     """
     typical = _median_radii(tubes)
     return np.clip(tubes.radius_mm, np.where(thick, 0.0, typical / _BULGE), np.where(thick, _SWELL, _BULGE) * typical)
@@ -209,6 +216,9 @@ def prior(tubes: Tubes) -> sparse.csr_matrix:
 
 
 def _differences(nodes: NDArray[np.int64], weights: Array, count: int) -> sparse.csr_matrix:
-    """Return a sparse matrix (len(nodes), count) that computes weighted sums of the nodes in each row."""
+    """Return a sparse matrix (R, N) that computes weighted sums of nodes.
+
+    Row r adds the nodes in row r of ``nodes``, multiplied by ``weights``. N is ``count``.
+    """
     rows = np.repeat(np.arange(len(nodes)), nodes.shape[1])
     return sparse.coo_matrix((np.tile(weights, len(nodes)), (rows, nodes.ravel())), shape=(len(nodes), count)).tocsr()

@@ -34,26 +34,30 @@ from rhizotwin.recon.tubes.tubes import Tubes
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of a square pixel, px."""
 _NARROWEST_PX = 0.1
-"""Minimum width of the two boxes whose convolution is the projection of a pixel, px. Without blur, an edge along the
-rows would have a box of zero width."""
+"""Minimum width of the two boxes whose convolution is the pixel projected along an edge, px. Without this limit, a box
+would have zero width for edges parallel to rows or columns in pictures without blur."""
 _LEAST_PX = 1e-3
 """Minimum length of a segment in a picture, px. The direction of shorter segments is undefined."""
 _NOTHING, _ENDS = 1e-4, 4.0
-"""Negligible optical depth, and distance beyond a tip at which the depth has decreased to this value, in standard
-deviations of the blur."""
+"""Optical depth that is neglected, and the distance beyond a root's tip at which the optical depth has decreased to
+this value. The distance is in standard deviations of the blur."""
 _STEEPEST = 1e-3
-"""Lower limit of the sine of the angle between a segment and the pixel rows or columns. It causes a clipping error of a
-hundredth of a pixel for segments at smaller angles."""
+"""Lower limit of the sine of the angle between a segment and the pixel rows or columns. Segments at smaller angles are
+clipped with an error of a hundredth of a pixel."""
 _FAR_PX = 3.0
-"""Distance from an edge beyond which a pixel, including blur, lies entirely on one side of the edge, px."""
+"""Distance from an edge beyond which a blurred pixel is taken to lie entirely on one side of the edge, px."""
 _HIDDEN = 5.3
-"""Optical depth of masked pixels, equal to that of a tube with full coverage (`FULLEST`)."""
+"""Optical depth that masked pixels receive. It is equal to that of a tube with full coverage (`FULLEST`)."""
 FULLEST = 0.995
-"""Maximum coverage. It is less than 1, since the optical depth would otherwise be infinite."""
+"""Maximum coverage of a pixel by a tube. It is less than 1, since the optical depth would otherwise be infinite."""
 
 
 def _on_one_side(x: Float, outer: Float, inner: Float, per_area: Float) -> Float:
-    """Return the fraction of a pixel, with a trapezoidal projection, on one side of an edge at distance x."""
+    """Return the fraction of a pixel that lies on one side of an edge at distance x.
+
+    The projection of the pixel along the edge is a trapezoid with the half-widths ``outer`` at its base and ``inner``
+    at its top, and with the integral 1.
+    """
     x = dr.clip(x, -_FAR_PX, _FAR_PX)
     ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
     return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
@@ -90,7 +94,7 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
     def row_span(v: Int32) -> tuple[Int32, Int32]:
-        """Return the first and the last covered column of a row."""
+        """Return the first and the last column that the segment covers in row v."""
         e_y = mi.Float(v) - y
         by_side, by_end = side_px * dr.abs(per_y), (0.5 * strips.length + end_px) * dr.abs(per_x)
         middle = e_y * t_x * per_y, (0.5 * strips.length - e_y * t_y) * per_x
@@ -136,11 +140,11 @@ class _Strips:
     length: Float
     """Length of the segment, px (mi.Float)."""
     cuts: tuple[Vector2f, Vector2f]
-    """Unit normals of the lines that clip the segment at both ends (mi.Vector2f).
+    """Unit normals of the two lines that clip the segment, one at each end (mi.Vector2f).
 
-    Two adjacent segments share the line that bisects the angle between them, unless the angle is sharper than a right
-    angle. With perpendicular lines, bends had notches on their outside, and fits moved the nodes of wide tubes back and
-    forth."""
+    Adjacent segments share the line that bisects the angle between them. If this angle is sharper than a right angle,
+    each segment is clipped by its own line. With lines perpendicular to the segments, bends had notches on their
+    outside, and fits moved the nodes of wide tubes back and forth."""
     half_px: tuple[Float, Float]
     """Half-widths at both ends of the segment, px (mi.Float)."""
     cap_px: Float
@@ -150,18 +154,27 @@ class _Strips:
 
     @property
     def widest_px(self) -> Float:
-        """Return the largest half-width of the strips, px (mi.Float). Root hairs extend beyond the root."""
+        """Return the largest half-width of the strips, px (mi.Float).
+
+        It exceeds that of the root if the root has hairs.
+        """
         return reduce(dr.maximum, [layer.half_px for end in self.layers for layer in end])
 
     @staticmethod
     def project(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
-        """Project the segments of tubes into all views, or return None if no view shows any."""
+        """Project the segments of tubes into all views.
+
+        The result is None if no view shows a segment.
+        """
         p, (views, nodes), segments = at.on_device, at.shape, tubes.segments
         count, nodes = dr.opaque(mi.UInt32, len(segments)), dr.opaque(mi.UInt32, nodes)
         numbered = [wholes(end) for end in segments.T]
 
         def ends(place: UInt32) -> tuple[UInt32, UInt32, list[UInt32]]:
-            """Return view indices, segment indices, and flattened (V, N) indices of the nodes at both ends."""
+            """Return the index of the view, the index of the segment, and the indices of the nodes at its two ends.
+
+            The indices of the nodes refer to flattened arrays of shape (V, N).
+            """
             view = place // count
             segment = place - view * count
             return view, segment, [view * nodes + dr.gather(mi.UInt32, end, segment) for end in numbered]
@@ -230,7 +243,8 @@ class Rendering:
     """Transmittance of the tubes in all views (mi.Float, flattened (V, H, W)). Unlike its logarithm, it may be averaged
     over pixels."""
     difference: Kernel
-    """Measured minus explained coverage in all views (mi.Float16, flattened (V, H, W)); 0 for masked pixels."""
+    """Measured coverage minus coverage by the tubes, in all views (mi.Float16, flattened (V, H, W)). It is 0 for masked
+    pixels."""
 
     @staticmethod
     def draw(evidence: Evidence, tubes: Tubes) -> Rendering:
@@ -242,9 +256,9 @@ class Rendering:
         return Rendering(evidence, tubes, at, passing, difference)
 
     def change(self, evidence: Evidence, tubes: Tubes, step: float) -> Kernel:
-        """Return the difference quotient of the coverage with respect to a light parameter or the radii.
+        """Return the derivative of the coverage in all views with respect to a light parameter or the radii.
 
-        The result is mi.Float16, flattened (V, H, W).
+        It is the difference to a second rendering, divided by ``step``. The result is mi.Float16, flattened (V, H, W).
 
         Parameters
         ----------

@@ -1,9 +1,9 @@
-"""Coverage profiles across the tubes at every node in every view (Dr.Jit).
+"""Coverage profiles across the tubes, at every node in every view (Dr.Jit).
 
-The profiles provide the residual coverage, and its derivatives with respect to the node's position and radius. At the
-offset o across a tube of half-width w, the derivative of the coverage is -(g(o + w) - g(o - w)) v with respect to a
-lateral shift, and (g(o + w) + g(o - w)) v with respect to w. Here, g is the Gaussian of the pixel, and v is the
-fraction that other tubes leave visible.
+The profiles provide the residual coverage, and the derivatives of the coverage with respect to the node's position and
+radius. At the offset o across a tube of half-width w, the derivative of the coverage is -(g(o + w) - g(o - w)) v with
+respect to a lateral shift, and (g(o + w) + g(o - w)) v with respect to w. Here, g is the Gaussian of the pixel, and v
+is the fraction that other tubes leave visible.
 """
 
 from __future__ import annotations
@@ -27,28 +27,30 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Array = NDArray[np.float64]
 
 _SAMPLES = 14
-"""Number of samples in a profile. Half of them are at each edge of the tube."""
+"""Number of samples in a profile. One half of them lies around each of the tube's two edges."""
 _MARGIN_PX = 1.8
-"""Distance on both sides of a tube's edge over which a profile is compared, px. Inside the tube, it is limited by the
-centre line. Elsewhere, the coverage does not depend on shift and width."""
+"""Distance to both sides of each of a tube's edges over which picture and rendering are compared, px. Towards the
+inside, the profile ends at the centre line. Elsewhere, the coverage does not depend on shift and width."""
 _INTERPOLATION_VARIANCE = 0.1
 """Variance of the blur caused by bilinear interpolation, px2."""
 _LEAST_SPEED_PX = 0.3
-"""Minimum projected length of a tube, px per mm along its axis. A tube viewed end-on does not appear as a strip."""
+"""Minimum length in the picture of one millimetre of a tube, px. Tubes viewed along their axis are shorter, and do not
+appear as strips."""
 LIGHT = ("log mu", "blur variance", "hairs", "index")
 """Names of the light parameters that all roots share: logarithm of the attenuation, variance of the blur of the
 pictures (px2), strength of the root hairs, and relative excess of the roots' refractive index over that of water."""
 _ALONE = 0.95
-"""Minimum transmittance of other tubes beside a root for the root to be considered lone.
+"""Minimum transmittance of the other tubes beside a root for it to be considered a lone root, which no other root hides
+or overlaps.
 
 The transmittance on the root itself would be less reliable. Where the root almost covers a pixel, it is the quotient of
 two small numbers."""
 _LEAST_SINE = 0.3
-"""Minimum sine of the angle between a lone root and the line of sight. Roots at smaller angles constrain their bends
-more than their light parameters."""
+"""Minimum sine of the angle between a root and the line of sight for the profile to be used for the light parameters.
+At smaller angles, profiles depend more on bends of the root."""
 OUTLIER = 0.05
-"""Squared residual, integrated over a profile, above which a view has a reduced weight because it contains another
-object, px.
+"""Integral of the squared residual over a profile, px, at which the weight of the profile is halved, because it
+probably shows another object.
 
 Only coverage that the tubes do not explain is included, since it may be due to another root. Pixels that the tubes
 cover but the picture shows empty are errors of the tubes."""
@@ -56,15 +58,15 @@ cover but the picture shows empty are errors of the tubes."""
 
 @dataclass(frozen=True)
 class Sections:
-    """Cross-sections of tubes at nodes, with fields of shape (M,) on the device.
+    """Cross-sections of tubes at their nodes, in the pictures. Fields have shape (M,) on the device.
 
-    Views that do not show a node, or that show the tube end-on, have no cross-section.
+    A view in which a node is not visible, or in which its tube is viewed end-on, has no cross-section of that node.
     """
 
     shape: tuple[int, int]
     """Number of views V and number of nodes N."""
     place: UInt32
-    """Index of each cross-section in arrays of shape (V, N), flattened (mi.UInt32)."""
+    """Index of each cross-section in a flattened array of shape (V, N) (mi.UInt32)."""
     start: UInt32
     """Offset of the view's picture in flattened pictures (mi.UInt32)."""
     columns: int
@@ -74,10 +76,10 @@ class Sections:
     normal: Vector2f
     """Unit vector across the tube in the picture (mi.Vector2f)."""
     across: Vector3f
-    """Gradient of the picture position across the tube with respect to the node, canister frame, px/mm
+    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, px/mm
     (mi.Vector3f)."""
     scale: Float
-    """Image scale across the tube, px/mm (mi.Float)."""
+    """Image scale perpendicular to the tube, px/mm (mi.Float)."""
     half_px: Float
     """Half-width of the tube, px (mi.Float)."""
     sine: Float
@@ -87,7 +89,10 @@ class Sections:
 
     @staticmethod
     def cut(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
-        """Return the cross-sections at the nodes of tubes, or None if no view shows any."""
+        """Return the cross-sections at the nodes of tubes.
+
+        The result is None if no view shows a node.
+        """
         p, count = at.on_device, dr.opaque(mi.UInt32, at.shape[1])
         tangent = vectors(tubes.tangents)
         t = at.in_all_views(tangent)
@@ -112,12 +117,16 @@ class Sections:
         return int(dr.width(self.place))
 
     def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
-        """Return the offset of sample k across the tube, px, in a profile from ``-reach_px`` to ``reach_px``."""
+        """Return the offset of sample k from the tube's centre line, px.
+
+        The samples are evenly spaced from ``-reach_px`` to ``reach_px``.
+        """
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
 
     def at_edge(self, k: UInt32 | int) -> Float:
-        """Return the offset of sample k across the tube, px, out of `_SAMPLES` samples around its two edges.
+        """Return the offset of sample k from the tube's centre line, px.
 
+        The first half of the `_SAMPLES` samples lies around one edge of the tube, the second half around the other.
         Adjacent samples at one edge are `edge_step` apart.
         """
         number, half = mi.Float(k), _SAMPLES // 2
@@ -131,13 +140,19 @@ class Sections:
         return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
-        """Sample flattened pictures of all views bilinearly at an offset from the tube's centre line."""
+        """Sample flattened pictures of all views with bilinear interpolation.
+
+        The samples are at the distance ``offset_px`` from the tube's centre line.
+        """
         u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
         v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
 
     def spread(self, value: Float) -> Float:
-        """Scatter values (M,) to an array of shape (V, N), flattened (mi.Float); 0 without a cross-section."""
+        """Return a flattened array of shape (V, N) with one value for each cross-section (M,) (mi.Float).
+
+        It is 0 where a view has no cross-section of a node.
+        """
         whole = dr.zeros(mi.Float, self.shape[0] * self.shape[1])
         dr.scatter(whole, value, self.place)
         return whole
@@ -152,44 +167,53 @@ class ResidualGradient:
     gradient: Array
     """Right-hand side g of each node for x, y, z and radius, shape (N, 4)."""
     visible: Array
-    """Fraction of each node's coverage that no other tube hides, summed over the views, shape (N,)."""
+    """Fraction of each node's coverage that no other tube hides, shape (N,). Both coverages are summed over the
+    views."""
 
     def select(self, nodes: NDArray[np.int64]) -> ResidualGradient:
-        """Return the equations of a subset of the nodes (M,)."""
+        """Return the equations of some of the nodes, given their indices (M,)."""
         return ResidualGradient(*(getattr(self, field.name)[nodes] for field in fields(self)))
 
 
 @dataclass(frozen=True)
 class LightEquations:
-    """Joint normal equations of nodes and light parameters."""
+    """Joint normal equations of the nodes and the light parameters."""
 
     by_light: Array
-    """Derivative of each node's gradient (x, y, z, radius) with respect to `LIGHT`, shape (N, 4, L), from all
-    profiles."""
+    """Derivative of each node's gradient (x, y, z, radius) with respect to each parameter of `LIGHT`, shape (N, 4, L).
+    It is computed from all profiles."""
     lone: Array
-    """Joint normal matrix for x, y, z, radius and `LIGHT`, shape (N, 4 + L, 4 + L), from the profiles of lone roots."""
+    """Joint normal matrix for x, y, z, radius and `LIGHT`, shape (N, 4 + L, 4 + L). It is computed from the profiles of
+    roots that no other root hides or overlaps."""
     gradient: Array
-    """Joint right-hand side for x, y, z, radius and `LIGHT`, shape (N, 4 + L), from the profiles of lone roots."""
+    """Joint right-hand side for x, y, z, radius and `LIGHT`, shape (N, 4 + L). It is computed from the same profiles as
+    ``lone``."""
 
 
 @dataclass(frozen=True)
 class HostProfiles:
-    """Integrals over the profiles across each of N nodes in each of V views, as NumPy arrays."""
+    """Integrals over profiles across N nodes in V views, as NumPy arrays.
+
+    Fields with ``width`` in their name contain the derivative of the coverage with respect to the half-width of the
+    tube. ``whole`` is the coverage that the node would have without other tubes.
+    """
 
     across: Array
-    """Gradient of the picture position across the tube with respect to the node, shape (V, N, 3), px/mm."""
+    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, shape
+    (V, N, 3), px/mm."""
     scale: Array
-    """Image scale across the tube, shape (V, N), px/mm."""
+    """Image scale perpendicular to the tube, shape (V, N), px/mm."""
     shift_2: Array
-    """Squared derivative of the coverage with respect to a lateral shift in px, shape (V, N). It is 0 if the view has
-    no data."""
+    """Squared derivative of the coverage with respect to a lateral shift of the tube by 1 px, integrated over the
+    profile, shape (V, N). It is 0 if the view does not show the node."""
     shift_width: Array
     width_2: Array
     shift: Array
-    """Product of the residual and the derivative of the coverage with respect to the shift, shape (V, N)."""
+    """Product of the residual and the derivative of the coverage with respect to the shift, integrated over the
+    profile, shape (V, N)."""
     width: Array
     shown: Array
-    """Coverage of the node that no other tube hides, shape (V, N)."""
+    """Coverage of the node that no other tube hides, integrated over the profile, shape (V, N)."""
     whole: Array
 
 
@@ -209,36 +233,40 @@ class Changes:
 
 @dataclass(frozen=True)
 class LightProfiles:
-    """Profile integrals for the light parameters, as arrays of shape (V, N), flattened on the device.
+    """Integrals over profiles for the fit of the light parameters, flattened arrays of shape (V, N) on the device.
 
-    Unless stated otherwise, they are 0 for roots that are not lone.
+    Unless stated otherwise, they are 0 for roots that other roots hide or overlap.
     """
 
     by_shift: tuple[Float, ...]
-    """Products of two derivatives of the coverage, with respect to `LIGHT` and to the shift, for all profiles."""
+    """Product of the derivatives of the coverage with respect to each parameter of `LIGHT` and to the shift. It is
+    computed for all profiles."""
     by_width: tuple[Float, ...]
-    """Products of two derivatives of the coverage, with respect to `LIGHT` and to the width, for all profiles."""
+    """Product of the derivatives of the coverage with respect to each parameter of `LIGHT` and to the half-width. It is
+    computed for all profiles."""
     shift_radius: Float
-    """Product of two derivatives of the coverage, with respect to the shift and to the radius (from `Changes`),
+    """Product of the derivatives of the coverage with respect to the shift and to the radius (from `Changes`),
     px/mm."""
     radius_2: Float
     radius: Float
-    """Product of the residual and the derivative of the coverage with respect to the radius."""
+    """Product of the residual and the derivative of the coverage with respect to the radius, integrated over the
+    profile."""
     by_radius: tuple[Float, ...]
     light_2: tuple[Float, ...]
-    """Products of the derivatives of the coverage with respect to `LIGHT`, upper triangle of the matrix."""
+    """Products of the derivatives of the coverage with respect to two parameters of `LIGHT`, in the order of the upper
+    triangle of a matrix."""
     light: tuple[Float, ...]
-    """Products of the residual and the derivatives of the coverage with respect to `LIGHT`."""
+    """Product of the residual and the derivative of the coverage with respect to each parameter of `LIGHT`."""
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """Profile integrals of `HostProfiles`, as arrays of shape (V, N), flattened on the device."""
+    """Integrals over profiles as in `HostProfiles`, but as flattened arrays of shape (V, N) on the device."""
 
     shape: tuple[int, int]
     across: Vector3f
-    """Gradient of the picture position across the tube with respect to the node, px/mm (mi.Vector3f). All other fields
-    are mi.Float."""
+    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, px/mm
+    (mi.Vector3f). All other fields are mi.Float."""
     scale: Float
     shift_2: Float
     shift_width: Float
@@ -248,12 +276,12 @@ class Profiles:
     shown: Float
     whole: Float
     lone: Float
-    """1 for lone roots, which nothing else hides or overlaps, otherwise 0."""
+    """1 for lone roots, which no other root hides or overlaps. 0 for other roots."""
     light: LightProfiles | None = None
 
     @property
     def is_lone(self) -> NDArray[np.bool_]:
-        """Mask (V, N) of the profiles of lone roots."""
+        """Mask (V, N) of the profiles that show a root that no other root hides or overlaps."""
         return np.array(self.lone).reshape(self.shape) > 0.0
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
@@ -272,7 +300,10 @@ class Profiles:
         """Return the normal equations of the nodes, summed over all views."""
 
         def terms(at: UInt32) -> Iterator[Float]:
-            """Yield the contributions of a view: products of x, y, z and radius, gradient, and coverage."""
+            """Yield the contributions of one view to the sums, for all nodes.
+
+            These are the products of x, y, z and radius, the gradient, and the coverages.
+            """
             parts = [dr.gather(mi.Float, part, at) for part in self.across]
             names = [field.name for field in fields(HostProfiles)[1:]]
             scale, shift_2, shift_width, width_2, shift, width, shown, whole = (
@@ -290,13 +321,19 @@ class Profiles:
         return ResidualGradient(_symmetric(found[:, :10], _NODE), found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
     def light_equations(self) -> LightEquations:
-        """Return the joint normal equations of nodes and light parameters from the profiles of lone roots."""
+        """Return the joint normal equations of nodes and light parameters.
+
+        They are computed from the profiles of roots that no other root hides or overlaps.
+        """
         light, many = self.light, len(LIGHT)
         if light is None:
             raise ValueError("the profiles have no derivatives with respect to the light parameters; pass changes to profiles()")
 
         def terms(at: UInt32) -> Iterator[Float]:
-            """Yield the contributions of a view: products of x, y, z, radius and `LIGHT`, gradient, and `by_light`."""
+            """Yield the contributions of one view to the sums, for all nodes.
+
+            These are the products of x, y, z, radius and `LIGHT`, the gradient, and the elements of ``by_light``.
+            """
             read = partial(dr.gather, mi.Float, index=at)
             parts, scale, lone = [read(part) for part in self.across], read(self.scale), read(self.lone)
             by_shift, by_width, by_radius = ([read(part) for part in group] for group in (light.by_shift, light.by_width, light.by_radius))
@@ -320,7 +357,10 @@ class Profiles:
         return LightEquations(by_light, _symmetric(found[:, :products], np.triu_indices(size)), found[:, products : products + size])
 
     def _over_views(self, terms: Callable[[UInt32], Iterator[Float]], size: int) -> Array:
-        """Return the contributions of all views, summed for each node, shape (N, size)."""
+        """Return the sums (N, size) of the contributions of all views.
+
+        ``terms`` yields the contributions of one view, ``size`` in number.
+        """
         views, count = self.shape
         nodes = dr.opaque(mi.UInt32, count)
 
@@ -334,11 +374,15 @@ class Profiles:
 
 
 _NODE = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
-"""Rows and columns of the products of x, y, z and radius, in the order of summation."""
+"""Rows and columns of a node's normal matrix, for its ten distinct elements in the order in which they are summed. The
+parameters are x, y, z and radius."""
 
 
 def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Array:
-    """Return symmetric matrices (N, K, K), given their elements (N, P) at specified rows and columns."""
+    """Return symmetric matrices (N, K, K) with given elements (N, P).
+
+    ``place`` contains the rows and columns (P,) of the elements. Their mirror images have the same values.
+    """
     row, column = place
     size = int(column.max()) + 1
     found = np.empty((len(products), size, size))
@@ -347,7 +391,7 @@ def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64
 
 
 def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = False) -> Profiles:
-    """Compare pictures and rendered tubes along profiles across every node in every view.
+    """Compare pictures and rendered tubes along the profiles across every node in every view.
 
     Parameters
     ----------
@@ -400,7 +444,10 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
 
 
 def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
-    """Yield the contributions of the sample at offset ``o`` to `LightProfiles`, in the order of its fields."""
+    """Yield the contributions of one sample to the fields of `LightProfiles`, in their order.
+
+    The sample has the offset ``o`` from the centre line.
+    """
     (radius,) = cut.read(o, changes.radius)
     radius *= cut.scale / cut.half_px  # derivative per mm
     light = [cut.read(o, changes.light[k])[0] if k in changes.light else mi.Float(0.0) for k in range(len(LIGHT))]
@@ -413,13 +460,13 @@ def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width:
 
 
 def _size(changes: Changes | None) -> int:
-    """Return the number of values stored for each profile."""
+    """Return the number of values that are stored for each profile."""
     many = len(LIGHT)
     return 12 if changes is None else 12 + 4 * many + 3 + many * (many + 1) // 2
 
 
 def _assemble(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
-    """Assemble profiles from their flattened values."""
+    """Assemble profiles from their values, in the order in which `profiles` computes them."""
     x, y, z, scale, lone, shift_2, shift_width, width_2, shift, width, shown, whole, *rest = parts
     across, many = mi.Vector3f(x, y, z), len(LIGHT)
     light = None
@@ -433,7 +480,7 @@ def _assemble(shape: tuple[int, int], parts: list[Float], changes: Changes | Non
 
 
 def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
-    """Return the squared residual (V, N), integrated over both edges of the tube at every node, px.
+    """Return the integral of the squared residual over both edges of the tube, for every view and node (V, N), px.
 
     The result is NaN where a view does not show the node.
 

@@ -45,16 +45,16 @@ class Tubes:
 
     @property
     def segments(self) -> Index:
-        """Return the pairs of nodes (S, 2) that are joined by a segment."""
+        """Return the pairs (S, 2) of nodes that a segment joins."""
         line, first, _ = self.flattened
         follows = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[follows - 1], line[follows]], axis=1)
 
     @property
     def segment_neighbours(self) -> Index:
-        """Return the nodes (S, 2) before and after each segment on the same branch.
+        """Return two nodes (S, 2) for each segment: the preceding and the following one on the same branch.
 
-        At the end of a branch, the segment's own end is returned instead.
+        If a branch has no preceding or following node, the segment's own node is returned instead.
         """
         line, first, last = self.flattened
         place = np.flatnonzero(first < np.arange(len(line)))
@@ -73,14 +73,14 @@ class Tubes:
         return begin, end
 
     def own(self, branch: int) -> Index:
-        """Return the nodes (n,) of a branch, excluding the node of its parent."""
+        """Return the nodes (n,) of a branch without its first node, if this belongs to the parent."""
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
 
     @property
     def flattened(self) -> tuple[Index, Index, Index]:
-        """Return the concatenated nodes (M,) of all branches, and the bounds (M,), (M,) of each node's branch.
+        """Return the concatenated nodes of all branches, and the first and the last index of each node's branch.
 
-        The bounds are the first and the last index of the branch in the concatenated array.
+        All three arrays have shape (M,). The two indices refer to the concatenated array.
         """
         count = np.array([len(branch) for branch in self.branches])
         end = np.cumsum(count)
@@ -96,7 +96,10 @@ class Tubes:
 
     @property
     def ends(self) -> tuple[Index, ...]:
-        """Return the nodes (n,) at the end of each branch, from its last lateral or its base to its tip."""
+        """Return the nodes (n,) at the end of each branch.
+
+        They extend from the last lateral to the tip, or from the base to the tip if the branch has no laterals.
+        """
         bearing = np.zeros(len(self.radius_mm), bool)
         bearing[[nodes[0] for nodes in self.branches[1:]]] = True
         last = (int(np.flatnonzero(bearing[self.own(k)]).max(initial=-1)) + (k > 0) for k in range(len(self.branches)))
@@ -127,7 +130,10 @@ class Tubes:
         return math.fsum(polyline.length_mm(self.centre_mm[b]) for b in self.branches)
 
     def keep(self, stays: NDArray[np.bool_]) -> Tubes:
-        """Return the tree restricted to the nodes of a mask (N,), as returned by `prune_mask`."""
+        """Return the tree with only the nodes marked in a mask (N,).
+
+        The mask must be one that `prune_mask` returned.
+        """
         number = np.cumsum(stays) - 1
         kept = [branch[stays[branch]] for k, branch in enumerate(self.branches) if stays[self.own(k)].any()]
         return Tubes(self.centre_mm[stays], self.radius_mm[stays], tuple(number[branch] for branch in kept))
@@ -135,8 +141,8 @@ class Tubes:
     def prune_mask(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the mask (N,) of nodes that remain after branches are cut back from their tips.
 
-        Nodes marked in ``gone`` (N,) are removed if they lie beyond the last unmarked node of their branch, unless a
-        remaining branch begins there.
+        Nodes after the last unmarked node of their branch are removed. ``gone`` (N,) marks nodes for removal. However,
+        nodes up to the base of a remaining branch are kept.
         """
         stays = ~gone
         for k in range(len(self.branches) - 1, -1, -1):  # children before parents
@@ -149,10 +155,10 @@ class Tubes:
         return stays
 
     def cut_detours(self, gone: NDArray[np.bool_]) -> Tubes:
-        """Remove long detours at the beginning of branches whose first nodes are marked in ``gone`` (N,).
+        """Remove long detours at the beginning of branches.
 
-        The branches are attached to the nearest earlier tube instead. The nodes of the detours remain, without a
-        branch.
+        If the first nodes of a branch are marked in ``gone`` (N,), and their path is much longer than necessary, the
+        branch is attached to the nearest earlier tube instead. The nodes of the detours remain, without a branch.
         """
         owner, branches = self.owner, list(self.branches)
         bears = np.zeros(len(owner), bool)
@@ -191,9 +197,9 @@ def place_nodes(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
 
 
 def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
-    """Return, for each point (M, 3), the index (M,) of the nearest among the first ``count`` (M,) centres.
+    """Return the index (M,) of the centre that is nearest to each point (M, 3).
 
-    The index is 0 if ``count`` is 0.
+    For point k, only the first ``count[k]`` centres are considered. The index is 0 if ``count[k]`` is 0.
     """
     near = cKDTree(centre).query(points, k=min(_FEW, len(centre)))[1].reshape(len(points), -1)
     allowed = near < count[:, None]
@@ -204,7 +210,9 @@ def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
 
 
 def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
-    """Attach paths to a tree, and place nodes on them. A path that begins at a tip extends that branch.
+    """Attach paths to a tree, and place nodes on them.
+
+    A path that begins at the tip of a branch extends that branch.
 
     Parameters
     ----------
@@ -235,7 +243,7 @@ def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], pare
 
 
 def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
-    """Smooth a path with fixed ends, and place evenly spaced nodes on it."""
+    """Smooth a path while its ends remain fixed, and place evenly spaced nodes on it."""
     step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1))) if len(path) > 1 else 1.0
     pad = len(path) - 1
     mirrored = np.concatenate([2 * path[:1] - path[:0:-1], path, 2 * path[-1:] - path[-2::-1]])
@@ -247,10 +255,10 @@ def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def merge_stubs(tubes: Tubes) -> Tubes:
-    """Continue branches in the child that begins at their end, since no root ends where a lateral leaves it.
+    """Join each branch with a lateral that begins near its end, since no root ends where a lateral leaves it.
 
-    Of several children, the one with the smallest bend is chosen. The remainder of the branch beyond its children is
-    removed if it is shorter than the node spacing.
+    If several laterals begin at the last such place, the one with the smallest bend is chosen. The remainder of the
+    branch beyond its laterals is removed. Branches with a remainder longer than the node spacing are not changed.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
@@ -294,10 +302,10 @@ def fill_gaps(tubes: Tubes) -> Tubes:
 
 
 def trim_inside_parents(tubes: Tubes) -> Tubes:
-    """Remove the hidden part of each lateral inside its parent.
+    """Remove the part of each lateral that lies inside its parent.
 
-    The base of the lateral is moved to the point of the parent's axis to which the lateral's tangent points. Inside a
-    thick root, pictures do not constrain the path to the axis, which may therefore run along the root.
+    The lateral then begins at the point of the parent's axis to which its tangent points. Inside a thick root, pictures
+    do not constrain the path to the axis, which may therefore run along the root.
     """
     centre, radius = tubes.centre_mm, tubes.radius_mm
     branches, used, instead = list(tubes.branches), np.ones(len(radius), bool), np.arange(len(radius))
@@ -327,9 +335,9 @@ def with_geometry(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
 
 
 def owners(branches: Sequence[Index | None], count: int) -> Index:
-    """Return the index (N,) of the branch that contains each of ``count`` nodes, or -1 for none.
+    """Return the index (N,) of the branch that contains each of N nodes.
 
-    Removed branches are None.
+    N is ``count``. The index is -1 if no branch contains the node. Removed branches are None.
     """
     owner = np.full(count, -1)
     for k, nodes in enumerate(branches):
@@ -339,9 +347,9 @@ def owners(branches: Sequence[Index | None], count: int) -> Index:
 
 
 def ancestors(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
-    """Return the indices of a branch, its parent, and all further ancestors up to the first branch (0).
+    """Return the indices of a branch, its parent, and all further ancestors up to the first branch.
 
-    The list ends earlier if a parent is missing or the branches form a cycle.
+    The first branch has the index 0. The list ends earlier if a parent is missing or the branches form a cycle.
 
     Parameters
     ----------
@@ -371,7 +379,9 @@ def list_children(branches: Sequence[Index | None], owner: Index) -> dict[int, l
 
 
 def parents_first(branches: Sequence[Index | None], count: int) -> list[int]:
-    """Return the indices (K,) of all branches connected to the first branch. Parents come before children.
+    """Return the indices (K,) of all branches connected to the first branch.
+
+    Parents come before children.
 
     Parameters
     ----------

@@ -1,1 +1,4 @@
-"""Error budget of a volume, with causes of uncertainty that are measured on the scan itself."""
+"""Error budget of the reconstructed volume.
+
+The causes of uncertainty are evaluated for each scan, from its own pictures and reconstruction.
+"""

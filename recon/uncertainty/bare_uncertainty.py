@@ -1,6 +1,6 @@
-"""Uncertainty of a volume due to cameras calibrated without markers.
+"""Uncertainty of the volume due to cameras that were calibrated without markers.
 
-An error of the scale changes the volume by three times the relative error. A view with an error of azimuth or vertical
+A relative error of the scale changes the volume by three times this error. A view with an error of azimuth or vertical
 shift displaces its outlines: a point at the distance r from the axis moves by r times the angle, laterally where it is
 near or far and not at all where it is beside the axis, on average by r / sqrt(2). A hull is the intersection of all
 views, so that it becomes smaller by a view's whole error; it becomes larger only by the error common to all views.
@@ -18,7 +18,9 @@ from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 
 def camera_terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_px: float) -> tuple[Term, ...]:
-    """Return the terms of cameras without markers; none if the cameras are from markers or given.
+    """Return the terms of the error budget for cameras that were calibrated without markers.
+
+    No terms are returned if the cameras were calibrated with markers or given by the user.
 
     Parameters
     ----------
@@ -49,6 +51,6 @@ def camera_terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, m
 
 
 def _distance_mm(leaves: Leaves) -> float:
-    """Return the root mean square distance of a shape from the axis."""
+    """Return the root mean square distance of a shape's volume from the canister's axis."""
     middle, weight = leaves.middles_mm, leaves.filled_volume
     return float(np.sqrt((weight * (middle[:, 0] ** 2 + middle[:, 1] ** 2)).sum() / max(float(weight.sum()), 1e-9)))

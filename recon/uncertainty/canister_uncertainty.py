@@ -1,8 +1,10 @@
-"""Uncertainty of a volume due to dimensions and refractive indices of canister and tank as bought.
+"""Uncertainty of the volume due to tolerances of the canister and the tank.
 
-If pictures taken through one canister are reconstructed with another, each point is found elsewhere: at the position
-that agrees best with all views (one Gauss-Newton step, as the shifts are small). The determinant of this map is the
-relative volume of a small cube about the point; its mean over the shape is the error.
+The dimensions and refractive indices of a purchased canister differ from its drawing. If pictures were taken through
+one canister, and are reconstructed with another one, each point is displaced to the position that agrees best with all
+views. The displacement is computed with one Gauss-Newton step, since it is small. It changes the volume of a small cube
+at the point by a factor that is the determinant of the map's derivatives. The mean of this factor over the shape gives
+the relative error of the volume.
 """
 
 from __future__ import annotations
@@ -25,25 +27,32 @@ from rhizotwin.scenes.model import Tank
 Array = NDArray[np.float64]
 
 WALL, N_WALL, RADIUS = 0.1, 0.002, 0.01
-"""Tolerances of cast acrylic tube: relative wall thickness, refractive index (1.489 to 1.493), relative radius."""
+"""Tolerances of cast acrylic tube: relative tolerance of the wall thickness, tolerance of the refractive index (1.489
+to 1.493), and relative tolerance of the radius."""
 EVENLY = 0.9
-"""A uniformly distributed quantity is within this fraction of its limits with a probability of 90 %."""
+"""Fraction of the distance from the middle to the limits that contains a uniformly distributed quantity with a
+probability of 90 %."""
 EDGES = 0.001
-"""Relative accuracy of the radius from the canister's edges, if visible: 0.323 mm was measured for 0.300 mm."""
+"""Relative accuracy of the radius if it is measured from the canister's edges in the pictures. In a test, an excess of
+0.300 mm was measured as 0.323 mm."""
 TANK_WALL, TANK_FRONT_MM, LIQUID, TURN_DEG, LEAN_DEG = 0.1, 1.0, 0.001, 2.0, 0.3
-"""Tolerances of a tank: relative wall thickness of acrylic sheet, position measured with a ruler (mm), index of its
-water within ten degrees and a gram of salts, rotation set by eye (deg), and tilt of a front glued at a right angle
-(half a millimetre over 100) and set with a level."""
+"""Tolerances of a tank: relative thickness of acrylic sheet, position of the front measured with a ruler (mm),
+refractive index of its water, rotation set by eye (standard deviation, deg), and tilt of the front (deg). The index
+varies within ten degrees and one gram of salts per litre. The tilt is that of a front that is glued at a right angle to
+within half a millimetre over 100 mm, and set with a level."""
 POINTS, VIEWS = 100, 12
-"""Number of points of the shape and of views that are evaluated: the map is smooth."""
+"""Number of points of the shape, and number of views, for which the displacements are computed. Small numbers are
+sufficient, since the displacement varies smoothly."""
 CUBE_MM = 1.0
-"""Edge of the cubes, far smaller than the scale on which the map varies."""
+"""Edge length of the cubes whose change of volume is computed, mm. It is far smaller than the distances over which the
+displacement varies."""
 STEP_MM = 1e-3
-"""Step of the difference quotients of a pixel's gradient, accurate to 1e-6 in double precision."""
+"""Step of the difference quotients of pixel positions with respect to a point, mm. In double precision, they are
+accurate to 1e-6."""
 
 
 def canister_term(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, edges: CanisterPose | None) -> Term:
-    """Return the term of a canister, and of its tank, that differ from the drawing.
+    """Return the term of the error budget for a canister, and a tank, that differ from their drawing.
 
     Parameters
     ----------
@@ -83,7 +92,10 @@ def canister_term(views: Sequence[View], optics: Optics, leaves: Leaves, volume_
 
 
 def _tank_tolerances(o: Optics, tank: Tank) -> dict[str, Optics]:
-    """Return alternative optics within the tolerances of a tank."""
+    """Return the optics of a tank with each of its dimensions changed to the limit of its tolerance.
+
+    The optics are keyed by the description of what is changed.
+    """
     changed = {
         "the walls of its tank": replace(tank, wall_mm=tank.wall_mm * (1.0 + EVENLY * TANK_WALL)),
         "the position of its tank": replace(tank, front_mm=tank.front_mm + EVENLY * TANK_FRONT_MM),
@@ -93,7 +105,9 @@ def _tank_tolerances(o: Optics, tank: Tank) -> dict[str, Optics]:
 
 
 def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array, true_views: Sequence[View] | None = None) -> float:
-    """Return the relative excess of a volume if pictures were taken through another canister than assumed.
+    """Return the relative error of a volume that is reconstructed with the wrong canister.
+
+    The error is positive if the reconstructed volume is too large.
 
     Parameters
     ----------
@@ -117,7 +131,10 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
 
 
 def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, points_mm: Array) -> Array:
-    """Return the displacements (N, 3) of points in the reconstruction; NaN if too few views show a point."""
+    """Return the displacements (N, 3) of points that are reconstructed with the assumed optics.
+
+    The pictures are taken through the true optics. A displacement is NaN if fewer than three views show the point.
+    """
     count = len(points_mm)
     normal, side, votes = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count, int)
     steps_mm = np.concatenate([points_mm, *(points_mm + STEP_MM * axis for axis in np.eye(3))])
@@ -135,6 +152,6 @@ def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, 
 
 
 def _points(leaves: Leaves) -> Array:
-    """Return points (N, 3) of the shape, uniform by volume."""
+    """Return points (N, 3) in the shape that are uniformly distributed over its volume."""
     weight = np.cumsum(leaves.filled_volume)
     return leaves.select(np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])).middles_mm

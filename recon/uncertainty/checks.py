@@ -1,7 +1,8 @@
 """Checks that a scan must pass for its volume to be trusted.
 
-Each check compares one measured number with limits derived from its effect on a volume. It states the finding and the
-advice in one sentence each. A check in the state "bad" makes the volume not trusted; "fair" is only reported.
+Each check compares a measured value with limits. The limits are derived from the effect of this value on the volume.
+The check states its finding and its advice in one sentence each. If its state is "bad", the volume is not trusted. The
+state "fair" is only reported.
 """
 
 from collections.abc import Sequence
@@ -9,28 +10,29 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 NO_VOLUME = "this scan cannot give a volume: "
-"""Prefix of every such verdict."""
+"""Beginning of the verdict on a scan whose volume is not trusted."""
 
 State = Literal["good", "fair", "bad", "unknown"]
 Name = Literal[
     "scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight", "resolution", "corrections"
 ]
 Limits = tuple[float, float]
-"""Limits above which a number is fair, and bad; below which, if the first is larger."""
+"""Limits for the states fair and bad, in this order. A value above a limit is in the corresponding state. If the first
+limit is larger than the second, values below a limit are."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number of the roots with its uncertainty."""
+    """Estimate of a trait of the roots, with its uncertainty."""
 
     name: str
-    """Name of the trait: total_length_mm, tips or mean_diameter_mm."""
+    """Field of the trait: total_length_mm, tips or mean_diameter_mm."""
     value: float
     interval: tuple[float, float]
-    """90 % interval."""
+    """Lower and upper limit of the 90 % interval."""
     trusted: bool
     verdict: str
-    """Reliability of the number, in one sentence."""
+    """Reliability of the estimate, in one sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,18 +41,19 @@ class Check:
 
     name: Name
     state: State
-    """``bad``: the volume is not trusted; ``unknown``: the pictures do not show it."""
+    """State of the check. If it is ``bad``, the volume is not trusted. It is ``unknown`` if the pictures do not show
+    what the check is about."""
     value: float | None
-    """Measured value; None if it could not be measured."""
+    """Measured value. It is None if the value could not be measured."""
     unit: str
     fair: float | None
-    """Limit above which the state is fair (below which, for numbers that should be large)."""
+    """Limit for the state "fair". The value is above the limit in this state, or below it if values should be large."""
     bad: float | None
-    """Limit above which it is bad."""
+    """Limit for the state "bad", in the same sense as ``fair``."""
     found: str
-    """Finding with its amount, in one sentence."""
+    """Result of the check with the measured value, in one sentence."""
     advice: str
-    """Advice, in one sentence; empty if the state is good."""
+    """Advice to the user, in one sentence. It is empty if the state is good."""
 
 
 def failure_reasons(checks: Sequence[Check]) -> tuple[str, ...]:
@@ -59,9 +62,9 @@ def failure_reasons(checks: Sequence[Check]) -> tuple[str, ...]:
 
 
 def name_cause(checks: Sequence[Check]) -> tuple[Check, ...]:
-    """Return checks with low resolution named as the cause of its consequences.
+    """Return the checks, with low resolution stated as the cause of other failures.
 
-    If roots are too thin in the pictures, views disagree, and static roots appear to move.
+    If roots are too thin in the pictures, views disagree, and roots at rest appear to move.
     """
     thin = next((check for check in checks if check.name == "resolution" and check.state in ("fair", "bad")), None)
     if thin is None:
@@ -75,7 +78,7 @@ def name_cause(checks: Sequence[Check]) -> tuple[Check, ...]:
 
 
 def verdict(lost: Sequence[str]) -> str:
-    """Return the verdict of a scan without a trusted volume, from the reasons."""
+    """Return the verdict on a scan whose volume is not trusted, given the reasons."""
     return NO_VOLUME + "; ".join(lost)
 
 
@@ -105,7 +108,9 @@ def make_check(name: Name, state: State, value: float | None, unit: str, limits:
 
 
 def judge(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
-    """Return a check of a number against its limits; advice is omitted if the state is good.
+    """Return a check that compares a value with its limits.
+
+    The advice is omitted if the state is good.
 
     Parameters
     ----------
@@ -130,12 +135,15 @@ def judge(name: Name, value: float, unit: str, limits: Limits, found: str, advic
 
 
 def first_problem(*made: Check) -> Check:
-    """Return the first check that is not good, or else the last."""
+    """Return the first check whose state is not good.
+
+    If all are good, the last check is returned.
+    """
     return next((check for check in made if check.state != "good"), made[-1])
 
 
 def make_unknown(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
-    """Return a check of a quantity that the pictures do not show.
+    """Return a check in the state "unknown", for a quantity that the pictures do not show.
 
     Parameters
     ----------
@@ -157,7 +165,10 @@ def make_unknown(name: Name, found: str, advice: str = "", *, unit: str = "", li
 
 
 def classify(value: float, fair: float, bad: float) -> State:
-    """Classify a number that should be small by its limits; if ``fair`` is above ``bad``, one that should be large."""
+    """Classify a value as good, fair or bad.
+
+    The value should be small. If ``fair`` is larger than ``bad``, it should be large.
+    """
     if fair > bad:
         value, fair, bad = -value, -fair, -bad
     return "bad" if value > bad else "fair" if value > fair else "good"

@@ -1,4 +1,7 @@
-"""Uncertainty of each root's diameter, point by point, for coloured views."""
+"""Uncertainty of the diameters of roots, for each point of their centre lines.
+
+Views of the roots can be coloured by it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def add_sigma(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
-    """Return roots with the standard deviations of their diameters.
+    """Return the roots, with the standard deviation of the diameter at each of their points.
 
     Parameters
     ----------
@@ -53,12 +56,13 @@ def radius_sigma(system: RootSystem) -> Array:
 
 
 def combine_sigma(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:
-    """Return the standard deviation (N,) of each radius, from the scatter of the views and the lack of data.
+    """Return the standard deviation (N,) of each radius.
 
-    With the fit's equations H dr = g, where g is a sum over views, the contributions H^-1 g_v of single views scatter
-    as the radii would with other views (the jackknife of `tube_uncertainty`, node by node). If a node is hidden in most
-    views, these contributions are small for lack of data. The curvature H relative to the pictures' variance then gives
-    the standard deviation, limited by the scatter of radii within one order.
+    It combines the scatter of the views with the uncertainty of nodes that few views show. With the fit's equations H
+    dr = g, where g is a sum over views, the contributions H^-1 g_v of single views scatter as the radii would with
+    other views (the jackknife of `tube_uncertainty`, node by node). If a node is hidden in most views, these
+    contributions are small for lack of data. The curvature H relative to the pictures' variance then gives the standard
+    deviation, limited by the scatter of radii within one order.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Extrapolation of a taproot behind the net pot, where it is hidden."""
+"""Extrapolation of the part of a taproot that is hidden behind the net pot."""
 
 from __future__ import annotations
 
@@ -16,30 +16,40 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _LEAST_MM = 1.0
-"""Minimum length of a gap; a shorter one is due to the sampling of the centre line."""
+"""Minimum length of a hidden part, mm. Shorter gaps are due to the spacing of points on the centre line."""
 _STEP_MM = 0.25
-"""Spacing of the sections that are compared: a few points of the centre line."""
+"""Spacing of the cross-sections that are compared, mm. It corresponds to a few points of the centre line."""
 _WINDOW = 5
-"""Length over which sections are compared, in multiples of the hidden length."""
+"""Length of the visible taproot from which the variation of its cross-section is estimated, as a multiple of the hidden
+length."""
 _LEAST_COSINE = 0.3
-"""Minimum cosine with the vertical (73 degrees); a flatter root is not extrapolated."""
+"""Minimum cosine of the angle between a taproot and the vertical. Roots at larger angles than this (73 degrees) are not
+extrapolated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenTop:
-    """Estimate of the hidden parts of taproots, between their first visible points and the grid of the net pot."""
+    """Estimate of the hidden parts of taproots.
+
+    A hidden part extends from the first visible point of a taproot up to the grid of the net pot.
+    """
 
     length_mm: float
-    """Maximum hidden length."""
+    """Maximum total length of the hidden parts, mm."""
     share: float
-    """Fraction of the taproots' total length, including the hidden parts."""
+    """Fraction of the taproots' total length that is hidden. The total includes the hidden parts."""
     volume_mm3: float
-    """Volume of the hidden parts if the taproots continue with their initial section."""
+    """Volume of the hidden parts, mm3, if each taproot continues with the cross-section of its uppermost visible
+    part."""
     interval_mm3: tuple[float, float]
-    """90 % interval: the section varies over the hidden length as much as over equal lengths below."""
+    """90 % interval of the volume of the hidden parts, mm3. The cross-section is assumed to vary over the
+    hidden length as much as it varies over equal lengths of the visible part."""
 
     def warning(self, *, is_added: bool) -> str:
-        """Return the warning about hidden parts, with advice, and whether their extrapolation is part of the volume."""
+        """Return the warning about hidden parts of the taproot, with advice.
+
+        It states the volume of these parts, and whether it is included in the stated volume.
+        """
         return (
             f"up to {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) may be hidden behind the net pot, "
             "where too few views look; add a ring that looks down past the rim, such as height_mm = 10, tilt_deg = 8; if the taproot "
@@ -49,7 +59,7 @@ class HiddenTop:
 
     @property
     def term(self) -> Term:
-        """Return the uncertainty of the extrapolation."""
+        """Return the term of the error budget for the extrapolated volume."""
         low, high = self.interval_mm3
         return Term(
             name="taproot extrapolated",
@@ -60,7 +70,9 @@ class HiddenTop:
 
 
 def estimate_hidden(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | None:
-    """Estimate the hidden parts of the taproots; return None if they are visible from the top.
+    """Estimate the parts of the taproots that the net pot hides.
+
+    The result is None if no taproot is hidden.
 
     Parameters
     ----------
@@ -81,7 +93,10 @@ def estimate_hidden(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> H
 
 
 def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
-    """Return length, volume and its standard deviation of the hidden top of a root; None if it has none."""
+    """Return the length, the volume, and the standard deviation of the volume of a root's hidden top.
+
+    The result is None if no part of the root is hidden, or if it is not steep enough to be extrapolated.
+    """
     if gap_mm <= _LEAST_MM:
         return None
     way = polyline.arc_length_mm(root.points_mm)

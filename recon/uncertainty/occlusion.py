@@ -1,4 +1,4 @@
-"""Uncertainty of the volume due to parts of the shape that too few views show."""
+"""Uncertainty of the volume due to roots in places that too few views show."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ from rhizotwin.recon.uncertainty.budget import Term
 Array = NDArray[np.float64]
 
 _COLUMN_MM = 0.4
-"""Minimum width of the columns in which a shape is evaluated."""
+"""Minimum width of the columns of voxels whose hidden continuation is estimated, mm."""
 _EDGE_MM = 0.5
-"""Maximum distance between the end of a shape and the limit of visibility: outlines are at half coverage."""
+"""Maximum distance between the end of a shape and a place that no view shows for the end to be considered hidden, mm.
+It is not zero, since outlines are at half coverage."""
 _ANYWHERE = 0.9
-"""A hidden end is uniformly distributed over the hidden length, and within this fraction of it with a probability of 90
-%."""
+"""Fraction of the hidden length that contains the end of a root with a probability of 90 %. The position of the end is
+assumed to be uniformly distributed over the hidden length."""
 _LOOKS = 16
-"""Number of points tested along the hidden length for visibility."""
+"""Number of points along a hidden length at which visibility is tested."""
 _WHERE = {
     -1: "below the lower edge of the pictures or of the backlight: mount the plant higher, or add a ring that looks lower",
     1: "below the net pot or behind it",
 }
-"""Description of the limit of visibility along the vertical, by side."""
+"""Description of the hidden places below (-1) and above (1) the shape, for the user."""
 
 
 def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
-    """Estimate the volume that may be hidden where too few views see (above, below, sides).
+    """Return the term of the error budget for volume that may be hidden in places that too few views show.
 
-    Columns ending there are extended until enough views see again, or to the edge of the water. The axis with the
-    largest hidden volume is used.
+    Columns of voxels that end at such a place, in one of the six directions of the axes, are extended until enough
+    views see again, or to the edge of the water. The axis with the largest hidden volume is used.
 
     Parameters
     ----------
@@ -82,7 +83,10 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
 
 
 def _describe_side(bank: ViewBank) -> str:
-    """Return the limit of visibility to the sides: a round wall in air deflects light, a tank does not."""
+    """Return a description of the hidden places beside the shape, for the user.
+
+    A round wall in air deflects light away from the cameras. The flat wall of a tank does not.
+    """
     optics = bank.optics
     bends = optics.tank is None and optics.n_water > 1.0
     why = "where the water refracts light away from the cameras" if bends else "beyond the sides of the pictures or of the backlight"
@@ -90,7 +94,10 @@ def _describe_side(bank: ViewBank) -> str:
 
 
 def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: int) -> NDArray[np.int64]:
-    """Return the last cells (N, 3) of their columns along an axis, on one side."""
+    """Return the indices (K,) of the occupied cells that are the last of their column.
+
+    Columns are parallel to an axis. ``side`` is the direction in which the last cell is sought: -1 or 1.
+    """
     some = np.flatnonzero(full > 0)
     if not len(some):
         return some
@@ -101,7 +108,9 @@ def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: 
 
 
 def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array, water: Water) -> Array:
-    """Return the distances (N,) by which ends may be extended; 0 if enough views show that they end.
+    """Return the distances (N,) by which roots may extend beyond their ends without being seen, mm.
+
+    The distance is 0 where enough views show that the root ends.
 
     Parameters
     ----------
@@ -128,7 +137,10 @@ def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array,
 
 
 def _water_extent(from_mm: Array, direction: Array, water: Water) -> Array:
-    """Return the extent (N,) of the water from points (N, 3) in a direction along an axis; 0 outside."""
+    """Return the distances (N,) from points (N, 3) to the edge of the water in a direction along an axis, mm.
+
+    The distance is 0 for points outside the water.
+    """
     if direction[2]:
         end = water.top_mm if direction[2] > 0 else water.bottom_mm
         return np.maximum((end - from_mm[:, 2]) * direction[2], 0.0)
@@ -137,12 +149,15 @@ def _water_extent(from_mm: Array, direction: Array, water: Water) -> Array:
 
 
 def _are_visible(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
-    """Return which points (N, 3) are visible in enough views."""
+    """Return the mask (N,) of points (N, 3) that enough views show.
+
+    The number of views is that of the carving (`distance_maps.least_votes`).
+    """
     return _votes(bank, maps, points_mm) >= distance_maps.least_votes(bank.count)
 
 
 def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:
-    """Return the number of views that show points (N, 3)."""
+    """Return the number (N,) of views that show each point (N, 3)."""
     if not len(points_mm):
         return np.zeros(0, np.int64)
     point = device.points(points_mm)

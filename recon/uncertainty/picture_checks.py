@@ -1,6 +1,6 @@
-"""Checks of the scan and its pictures.
+"""Checks of a scan and its pictures.
 
-They cover completeness, exposure, linearity, sharpness, markers, canister, resolution and views.
+They cover completeness, exposure, linearity, sharpness, markers, canister, resolution and number of views.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,10 @@ def check_scan(origin: dict[str, Any], frames: Sequence[Frame]) -> Check:
 
 
 def check_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the panel is bright, not clipped, and uniformly exposed."""
+    """Check that the panel is bright enough, not overexposed, and of constant brightness.
+
+    The brightness must be constant across the panel, and from picture to picture.
+    """
     if found is None or not np.isfinite(found.level).any():
         finding = "no empty panel is visible beside the canister, so that the exposure could not be measured"
         return make_unknown("exposure", finding, "use a panel wider than the canister, or fix the exposure")
@@ -61,7 +64,10 @@ def check_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings
 
 
 def check_curve(found: CurveFound | None) -> Check:
-    """Check that the pictures are linear in light, from the grey levels at the edges of the markers."""
+    """Check that the grey levels of the pictures are proportional to light.
+
+    The check uses the grey levels at the edges of the markers.
+    """
     if found is None or found.bend is None:
         finding = "too few markers were measured to test whether the pictures are linear in light"
         return make_unknown("curve", finding, "set the camera's transfer in the scene, or calibrate it")
@@ -109,7 +115,10 @@ def check_markers(inset_px: float | None, corners_px: float | None, trust: Trust
 
 
 def check_canister(pose: CanisterPose | None, scene: Scene, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check the canister's edges against its drawing; in a tank they must be visible, to determine its rotation."""
+    """Compare the edges of the canister in the pictures with its drawing.
+
+    In a tank, the edges must be visible, since they determine the rotation of the tank.
+    """
     canister = scene.canister
     if pose is None and scene.tank is not None:
         finding = "the canister's edges are not visible in the tank, so that its rotation is unknown: one degree moves outlines by 0.4 mm"
@@ -152,7 +161,7 @@ def check_resolution(width_px: float | None, image_wh: tuple[int, int], trust: T
 
 
 def check_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that there are enough views, all around.
+    """Check that there are enough views, and that they are distributed all around the canister.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
-"""Detection of scattered light about roots, from turbid water, lens flare or tone mapping of the camera.
+"""Detection of light that is scattered around roots.
 
-Each of these distributes part of a pixel's signal over its surroundings. Beside roots, the picture is then slightly too
-dark (or too bright, if the camera sharpens), in proportion to the blurred coverage.
+Turbid water, lens flare, and sharpening or tone mapping in the camera distribute part of a pixel's signal over its
+surroundings. Beside roots, the picture is then slightly too dark (or too bright, if the camera sharpens). The error is
+proportional to the blurred coverage.
 
 Pixels are compared with themselves in other views of the same camera: where roots often pass, the empty backlight is
 less accurate, and an error of half a percent would look the same.
@@ -17,28 +18,31 @@ import numpy as np
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 
 _WIDE_PX = 12.0
-"""Standard deviation of the blur of roots: far wider than a lens's blur and a root's own flanks. Scattering over 5 px
-to 20 px is detected, with a small error of its amount."""
+"""Standard deviation of the Gaussian that represents the scattering, px. It is far larger than the blur of a lens and
+the flanks of a root. Scattering over 5 to 20 px is detected, and its amount is nearly correct."""
 _BESIDE_PX = 4.0
-"""Minimum distance from a silhouette: nearer pixels belong to the root's flank and its hairs (1.5 mm at 0.4 mm per
-pixel)."""
+"""Minimum distance between a silhouette and the pixels in which scattered light is measured, px. Nearer pixels belong
+to the flanks or the hairs of roots (1.5 mm at 0.4 mm per pixel)."""
 _ROOT = 0.5
-"""Minimum coverage of a silhouette."""
+"""Minimum coverage of the pixels that belong to a root."""
 _BINS = 12
-"""Number of classes of blurred coverage."""
+"""Number of classes into which pixels are divided by their blurred coverage."""
 _LEAST = 300
-"""Minimum number of pixels in a class; the median of noise of 5 % per pixel is then accurate to 0.4 %."""
+"""Minimum number of pixels in a class. With noise of 5 % per pixel, the median of a class is then accurate to 0.4 %."""
 _ENOUGH = 0.05
-"""Minimum range of the blurred coverage over the classes."""
+"""Minimum range of the blurred coverage over all pixels, and over the means of the classes."""
 _VIEWS = 10
-"""Number of views of a camera's turn, evenly spaced."""
+"""Number of views of each camera that are used, evenly spaced over the turn."""
 _OTHERS = 3
-"""Minimum number of other views in which a pixel is beside roots, for cameras with more views than this; a mean then
-contains a fourth of each view's own value. Cameras with fewer views are used without this comparison."""
+"""Minimum number of other views of the same camera in which a pixel must also be beside roots. The mean then contains
+only a quarter of each view's own value. For cameras with at most this number of views, pixels are not compared with
+other views."""
 
 
 def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]]) -> float | None:
-    """Return the fraction of light scattered about roots; None if too few pixels beside roots are visible.
+    """Return the fraction of light that is scattered around roots.
+
+    The result is None if too few pixels beside roots are visible.
 
     Parameters
     ----------
@@ -74,7 +78,11 @@ def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tup
 
 
 def _relative_to_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]]:
-    """Yield, for each view, the results of `_beside` minus the same pixel's mean over all views of one camera."""
+    """Yield the blurred coverage and the opacity of the pixels beside roots, for each view of one camera.
+
+    The mean of the same pixel over all views is subtracted from both. The means are of the views in which the pixel is
+    beside roots.
+    """
     if len(views) <= _OTHERS:
         yield from (_beside(view)[1:] for view in views)
         return
@@ -92,7 +100,7 @@ def _relative_to_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Im
 
 
 def _beside(silhouette: Silhouette) -> tuple[Mask, Image, Image]:
-    """Return the pixels beside roots (H, W), and the blurred coverage (N,) and the opacity (N,) there."""
+    """Return the mask (H, W) of pixels beside roots, and their blurred coverage (N,) and opacity (N,)."""
     root = (silhouette.coverage > _ROOT) & silhouette.usable
     away = cv2.distanceTransform((~root).astype(np.uint8), cv2.DIST_L2, 5)
     inner = cv2.erode(silhouette.usable.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0

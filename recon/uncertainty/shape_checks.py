@@ -1,6 +1,6 @@
-"""Checks of roots and canister in the pictures.
+"""Checks of the roots and the canister in the pictures.
 
-They cover motion, dirt, and agreement and visibility of the views.
+They cover motion of the roots, dirt, and agreement of the views.
 """
 
 from rhizotwin.recon.settings import TrustSettings
@@ -16,7 +16,7 @@ def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) 
 
 
 def check_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that wall and water are clear.
+    """Check that the wall of the canister and the water are clear.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def check_dirt(share: float | None, spread: float | None = None, trust: TrustSet
 def check_agreement(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that the views agree, that the shape explains them, and that roots are not too dense.
 
-    The worst of these is reported.
+    The worst of the three results is returned.
 
     Parameters
     ----------

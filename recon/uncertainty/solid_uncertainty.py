@@ -1,4 +1,4 @@
-"""Uncertainty of the volume of taproot, hypocotyl and solid bodies, from the silhouettes."""
+"""Uncertainty of the volume of taproot, hypocotyl and solid objects, which is reconstructed from the silhouettes."""
 
 from __future__ import annotations
 
@@ -19,37 +19,41 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
 
 _OUTLINE_PX, _OUTLINE_BINARY_PX = 0.1, 0.25
-"""90 % half-width of an outline's position: bands of 1 to 3 px are reconstructed with 0.97 to 1.02 of their width, in
-any direction. For a binary silhouette the threshold is unknown (any, half or full coverage of a pixel); the extremes
-are half a pixel apart, and half of that is almost the 90 % half-width."""
+"""90 % half-widths of the position of an outline: for photographs, and for binary silhouettes. In photographs, bands 1
+to 3 px wide in any direction are reconstructed with 0.97 to 1.02 of their width. The threshold of a binary silhouette
+is unknown: it may contain pixels with any, half or full coverage. The extremes are half a pixel apart, and half of that
+is almost the 90 % half-width."""
 _ABSENT = 0.1
-"""Fraction of the removed hull that may be present with 90 % confidence, if the shape is round like roots. The hull
-kept outside the spheres shows how far it is not: its share of all hull outside the spheres is also used as the fraction
-of the removed part. (For the square bar of a comb, along which few views look, all that was removed was present, and 69
-% of the comb's hull outside the spheres is kept; 17 % of a print's.)"""
+"""Fraction of the volume removed by trimming that is part of the shape, at most, with 90 % confidence. This fraction
+applies to shapes of round roots. If a larger fraction of the hull outside the inscribed spheres had to be kept, the
+shape is not round, and that fraction is used instead. For the square bar of a comb, along which few views look, all of
+the removed volume was part of the shape, and 69 % of the comb's hull outside the spheres is kept. For a print, 17 % is
+kept."""
 _LEAST_PX, _LEAST_BINARY_PX = 0.2, 0.4
-"""Inward bias of a sphere's radius, which is that of the most restrictive outline. Among some hundred outlines (24 to
-40 views, in each of which a ball's outline passes a handful of places with independent errors) with 0.1 px at 90 %, the
-minimum lies 2.5 to 3.3 standard deviations inside: 0.15 to 0.2 px. Exact pictures of a ball of 10 mm beside the axis,
-24 of 400 x 300, give 0.16 px; the spheres are 2.6 to 4.8 % too small by volume, the hull 1.1 to 1.4 %. Binary
-silhouettes determine an outline to the pixel: 0.29 px of noise, of which the blur leaves 0.12; measured are 0.35 to 0.4
-px (rods of 2 mm, a torus; 36 of 500 x 500)."""
+"""Systematic error of the radius of an inscribed sphere: for photographs, and for binary silhouettes. The radius is too
+small because it is determined by the most restrictive of all outlines. A ball's outline passes a handful of places with
+independent errors in each of 24 to 40 views. Among some hundred errors of 0.1 px at 90 %, the minimum lies 2.5 to 3.3
+standard deviations inside: 0.15 to 0.2 px. Exact pictures of a ball of 10 mm beside the axis, 24 of 400 x 300, give
+0.16 px. The spheres are 2.6 to 4.8 % too small by volume, the hull 1.1 to 1.4 %. Binary silhouettes determine an
+outline to the pixel: 0.29 px of noise, of which the blur leaves 0.12. Measured are 0.35 to 0.4 px (rods of 2 mm, a
+torus; 36 of 500 x 500)."""
 _COARSER = 4
-"""Factor on the node size for the hull of half the views, of which only the relative excess is used."""
+"""Node size of the hulls that are carved to compute the relative excess, as a multiple of the node size of the shape's
+hull. Only the ratio of two volumes is needed, so that large nodes are sufficient."""
 _MUCH_KEPT = 0.05
-"""Minimum fraction of untrimmed hull for which its excess is computed."""
+"""Minimum fraction of untrimmed hull in the volume for which the excess of the hull is computed."""
 _BY_AREA = 1.5
-"""Relative change of a solid's volume per relative change of its area in the pictures: volume has the third power of
-the size, area the second."""
+"""Ratio of the relative change of a solid's volume to the relative change of its area in the pictures. The volume is
+proportional to the third power of the size, the area to the second."""
 _INDEX = 0.002
-"""90 % half-width of the relative volume due to the refractive index: less than this for an error of 0.001 (salts, ten
-degrees)."""
+"""90 % half-width of the relative volume due to the refractive index of the water. An error of the index of 0.001 (from
+salts, or ten degrees) causes less than this."""
 
 
 def estimate_terms(
     bank: ViewBank, hull: Hull, part: Leaves, solids: TrimmedHull, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
-    """Return the terms of solids.
+    """Return the terms of the error budget for solids (taproot, hypocotyl and solid objects).
 
     Parameters
     ----------
@@ -96,9 +100,10 @@ def estimate_terms(
 
 
 def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_px: float) -> float:
-    """Return the volume of a hull (mm3) outside thick parts' spheres where outlines do not constrain it.
+    """Return the part of a hull's volume that outlines do not constrain, mm3.
 
-    It is the volume within some pixels of the spheres, and inside spheres that few views bound.
+    This part lies outside the spheres inscribed in thick parts: within ``least_px`` of them, or in spheres that few
+    views bound.
     """
     leaves = thick.leaves
     if not len(leaves.size) or not len(thick.spheres.radius_mm):
@@ -122,21 +127,22 @@ def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_p
 
 
 def _select(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
-    """Return a subset of spheres (N,)."""
+    """Return the spheres that are marked in a mask (N,)."""
     return Spheres(spheres.centre_mm[chosen], spheres.radius_mm[chosen])
 
 
 def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
-    """Return the growth of a hull per pixel that its outlines are moved out."""
+    """Return the increase of a hull's volume if its outlines are moved outwards by one pixel, mm3."""
     return (hull.moved_out_mm3 - hull.moved_in_mm3) / (2.0 * slack_px)
 
 
 def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: TrimmedHull, water: Water) -> float:
-    """Return the relative growth of a hull when every other view carves it; 0 if little untrimmed hull is kept.
+    """Return the relative increase of a hull's volume if only every other view carves it.
 
-    A flat face that no view looks along is bounded by the two adjacent views: its excess is inversely proportional to
-    the number of views, so that the growth with half of the views equals the excess with all. (The excess of round
-    bodies is inversely proportional to the square: a third of that.)
+    The result is 0 if the volume contains little untrimmed hull. A flat face that no view looks along is bounded by the
+    two adjacent views. Its excess is inversely proportional to the number of views, so that the increase with half of
+    the views equals the excess with all views. The excess of round bodies is inversely proportional to the square of
+    the number of views, so that it is a third of the increase.
 
     Parameters
     ----------
@@ -158,10 +164,16 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
 
 
 def every_second(frames: Sequence[int]) -> list[int]:
-    """Return the indices, ascending, of every other frame in the order of their numbers."""
+    """Return the indices of every other view, in ascending order.
+
+    Views are counted in the order of their frame numbers.
+    """
     return sorted(np.argsort(frames)[::2].tolist())
 
 
 def water_term(volume_mm3: float) -> Term:
-    """Return the term of the water's refractive index, which is neither measured nor estimated."""
+    """Return the term of the error budget for the refractive index of the water.
+
+    The term applies if the index is neither measured nor estimated.
+    """
     return Term.symmetric("water", _INDEX * volume_mm3, "the refractive index of the water may differ from the value used")

@@ -1,4 +1,4 @@
-"""Uncertainty of the tubes' volume, cause by cause."""
+"""Uncertainty of the volume of the tubes, with one term for each cause."""
 
 from __future__ import annotations
 
@@ -24,32 +24,39 @@ from rhizotwin.recon.uncertainty.budget import NINETY, Term
 Array = NDArray[np.float64]
 
 NO_DATA = 0.25
-"""Prior relative standard deviation of a radius without data: the scatter of roots of one order."""
+"""Prior standard deviation of a radius that the pictures do not constrain, as a fraction of the radius. It is the
+scatter of the radii of roots of the same order."""
 EXPLAINED = 0.03
-"""Minimum coverage by the tubes of pixels that they explain, together with a margin of two pixels."""
+"""Minimum coverage of a pixel by the tubes for the pixel to be explained by them. Pixels within two pixels of such a
+pixel are also explained."""
 _INSIDE = 0.3
-"""Minimum coverage inside a root when its width is measured to a pixel or two."""
+"""Minimum coverage of the pixels from which the width of missing roots is measured. The width is accurate to one or two
+pixels."""
 _FLAT, _FLAT_PX = 0.1, 0.1
-"""Minimum variation of a flat section's half-width from view to view, relative and in pixels."""
+"""Minimum variation of a root's half-width between views for the root to be considered flat: relative to the radius,
+and in pixels."""
 _FLATTEST = 0.26
-"""Maximum flatness, that of two equal touching roots: their half-width is r + r |cos|, on average r (1 + 2 / pi), with
-the second harmonic 4 r / (3 pi)."""
+"""Maximum relative variation of a root's half-width between views. It is that of two equal touching roots of radius r:
+their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r / (3 pi)."""
 _HAIRS_KNOWN = 0.5
-"""Relative uncertainty of absorption by hairs, due to their length of 0.1 to 0.5 mm."""
+"""Relative uncertainty of the light that hairs absorb. It is due to the length of the hairs, which varies from 0.1 to
+0.5 mm."""
 _OVAL = 0.01
-"""Maximum relative excess of a thick root's volume computed from a circle of its mean width: that of an ellipse with
-axes 6 to 7, and of a regular polygon with 18 sides (a section has less area than the circle of its perimeter)."""
+"""Maximum relative error of a thick root's volume if its cross-section is assumed to be a circle of its mean width. The
+true volume is smaller. This error occurs for an ellipse with axes in the ratio 6 to 7, and for a regular polygon with
+18 sides."""
 _FLAT_NODES = 5
-"""Number of nodes over which a section is assumed constant: 3 mm."""
+"""Number of nodes over which the shape of the cross-section is assumed to be constant, which corresponds to 3 mm."""
 _LEAST_FREE = 0.1
-"""Minimum free fraction of the root zone outside the tubes, for the estimate of roots that the tubes hide."""
+"""Minimum fraction of the root zone that is not covered by tubes in the estimate of hidden roots. Smaller fractions are
+replaced by this one."""
 _ZONE = (0.02, 0.98)
-"""Quantiles of the covered pixels' rows and columns that bound the root zone."""
+"""Two quantiles of the row and column numbers of covered pixels, which bound the root zone in a picture."""
 
 
 @dataclass(frozen=True)
 class TubeUncertainty:
-    """Terms of the budget, and quantities of the verdict."""
+    """Terms of the error budget for the tubes, and two quantities on which the verdict depends."""
 
     terms: tuple[Term, ...]
     unexplained: float
@@ -57,7 +64,7 @@ class TubeUncertainty:
 
 
 def estimate(system: RootSystem) -> TubeUncertainty:
-    """Compare the pictures with the fitted tubes, and convert the residuals to volumes."""
+    """Compare the pictures with the fitted tubes, and compute the error of the volume from the residuals."""
     tubes, drawn = system.tubes, system.rendering
     found = tube_profiles.profiles(drawn, root_light.changes(drawn, np.diag(system.attenuation.covariance) > 0.0))
     profiles, equations = found.host(), found.light_equations()
@@ -95,9 +102,10 @@ def estimate(system: RootSystem) -> TubeUncertainty:
 
 
 def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
-    """Return the terms of attenuation, blur and hairs, by which the volume changes by ``by_light`` (L,).
+    """Return the terms of the error budget for attenuation, blur and hairs.
 
-    Radii follow these parameters along the valley of equal absorption.
+    ``by_light`` (L,) is the derivative of the volume with respect to the light parameters. It includes the change of
+    the radii that keeps the absorbed light constant.
     """
     attenuation, evidence = system.attenuation, system.evidence
     half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
@@ -120,7 +128,10 @@ def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
 
 
 def _volume_change(system: RootSystem, other: Evidence) -> float:
-    """Return the change of the volume with other light parameters at equal absorption."""
+    """Return the change of the volume if the light parameters change, mm3.
+
+    The radii change with them, so that the roots absorb the same light.
+    """
     tubes = root_light.match_absorption(system.tubes, system.solid, system.evidence, other)
     return float(np.pi * (np.square(tubes.radius_mm) - np.square(system.tubes.radius_mm)) @ _lengths(tubes))
 
@@ -130,9 +141,10 @@ def _one_sided(name: str, change_mm3: float, why: str) -> Term:
 
 
 def _lengths(tubes: Tubes) -> Array:
-    """Return the length of tube (N,) that belongs to each node.
+    """Return the length (N,) of tube that each node represents, mm.
 
-    It is half of every segment at the node; the first segment of a branch belongs to the second node.
+    It is half of each segment at the node. However, the whole first segment of a branch with a parent belongs to its
+    second node.
     """
     half = np.zeros(len(tubes.radius_mm))
     for k, nodes in enumerate(tubes.branches):
@@ -143,9 +155,9 @@ def _lengths(tubes: Tubes) -> Array:
 
 
 def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
-    """Return the relative variation (N,) of the half-width of each node's section from view to view.
+    """Return the relative variation (N,) of each root's half-width between views.
 
-    It is 0 for round sections.
+    It is 0 for round roots. The variation is evaluated at each node.
 
     The half-widths in the views, w + u S u across the direction u, are fitted with a symmetric tensor S, constant over
     a few nodes. Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of radius
@@ -172,9 +184,9 @@ def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
 
 
 def _view_contributions(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
-    """Return the change of the volume that each view (V,) alone would cause.
+    """Return the change of the volume that each view (V,) would cause, mm3.
 
-    It is the view's contribution to one more Gauss-Newton step of all radii.
+    It is the contribution of the view to one further Gauss-Newton step of all radii.
 
     With the fit's equations H dr = g, where g is a sum over views, a view's contribution is gain . H^-1 g_v. The
     scatter of the views is the sandwich (jackknife) estimate of the volume's standard deviation, valid also for errors
@@ -186,14 +198,14 @@ def _view_contributions(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Ar
 
 
 def _radius_curvature(profiles: HostProfiles) -> Array:
-    """Return the curvature (N,) by the radii."""
+    """Return the curvature (N,) of the sum of squared residuals with respect to the radii, without smoothing."""
     return np.asarray((profiles.width_2 * profiles.scale**2).sum(axis=0))
 
 
 def _hidden_radii(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
-    """Return the 90 % half-width of the volume where pictures hardly constrain the radii.
+    """Return the 90 % half-width of the volume due to radii that pictures hardly constrain, mm3.
 
-    Errors are equal along a branch, and independent between branches.
+    Errors are assumed to be equal along a branch, and independent between branches.
     """
     curvature = _radius_curvature(profiles) / max(variance, 1e-9)
     sigma = 1.0 / np.sqrt(curvature + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
@@ -203,23 +215,27 @@ def _hidden_radii(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: f
 
 @dataclass(frozen=True)
 class _Residual:
-    """Residuals of the pictures after subtraction of the tubes."""
+    """Residuals of the pictures after subtraction of the tubes' coverage."""
 
     variance: float
-    """Variance of the difference at the tubes, per pixel."""
+    """Variance of the residual per pixel, in pixels on the tubes and within two pixels of them."""
     balance: float
-    """Difference at the tubes relative to the area they cover."""
+    """Sum of the residual over the pixels on the tubes and within two pixels of them, divided by the area that the
+    tubes cover."""
     missing_px3: float
-    """Volume of coverage far from tubes, corrected for the part that tubes hide, in cubic pixels.
+    """Volume of coverage far from tubes, in cubic pixels. It includes an estimate of the roots that tubes hide.
 
-    A root's volume is its covered area times a quarter of pi times its width."""
+    For opaque roots, the volume is the covered area times a quarter of pi times the width."""
     unexplained: float
-    """Covered area far from tubes relative to all covered area."""
+    """Fraction of all covered area that is far from tubes."""
     fill: float
 
     @staticmethod
     def compute(evidence: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Residual:
-        """Evaluate all views, one after the other, to limit memory."""
+        """Compute the residuals of all views.
+
+        Views are evaluated one after the other, to limit memory.
+        """
         (width, height), count = evidence.image_wh, evidence.bank.count
         pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, passing, difference)]
         views = [
@@ -240,7 +256,7 @@ class _Residual:
 
 @dataclass(frozen=True)
 class _ViewResidual:
-    """Residuals of one view, areas in pixels."""
+    """Residuals of one view. Areas are in pixels."""
 
     area: float
     """Area covered by the tubes."""
@@ -249,11 +265,11 @@ class _ViewResidual:
     pixels: int
     """Number of pixels on the tubes and within two pixels of them."""
     square: float
-    """Sum of the squared difference there."""
+    """Sum of the squared residual over the pixels on the tubes and within two pixels of them."""
     balance: float
-    """Sum of the difference there."""
+    """Sum of the residual over the pixels on the tubes and within two pixels of them."""
     beyond: float
-    """Sum of the difference elsewhere."""
+    """Sum of the residual over all pixels that are farther than two pixels from the tubes."""
     has_roots: bool
     fill: float = 0.0
     missing_px3: float = 0.0

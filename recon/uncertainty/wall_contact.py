@@ -1,4 +1,7 @@
-"""Uncertainty due to flat objects on the canister's wall: tape, labels or dirt, which rotate with it like roots."""
+"""Uncertainty due to flat objects on the wall of the canister.
+
+Examples are tape, labels and dirt. They rotate with the canister, so that they appear in the hull like roots.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +12,18 @@ from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.uncertainty.budget import Term
 
 _ROUND = 1.9
-"""Ratio of the volumes in the third and the first shell under the wall, for a round root that touches it along a line.
-Its section at a depth d is about as wide as the square root of d: 2.4 for wide ones, 1.9 for a radius of three shells.
-For a ball the ratio is 5."""
+"""Ratio of the volume in the third shell under the wall to that in the first, for a round root that touches the wall
+along a line. The width of its cross-section at a depth d is about proportional to the square root of d. The ratio is
+2.4 for wide roots, and 1.9 for roots with a radius of three shells. For a ball the ratio is 5."""
 
 
 def wall_contact(thick: Leaves, water: Water) -> Term:
-    """Return the term of flat parts of a shape on the wall.
+    """Return the term of the error budget for flat parts of a shape that lie on the wall.
 
-    A round root touches the wall along a line, so that its section at a depth d under the wall grows from zero; an
-    object on the wall has its full area there. The first and the third of three shells, each as thick as a finest node,
-    contain `V1 = F + r` and `V3 = F + q r`: the flat part F is equal in both, the round part r grows by the factor `q`.
-    An area on the wall hides at most the wedge from there to the axis.
+    A round root touches the wall along a line, so that its cross-section at a depth d under the wall grows from zero. A
+    flat object on the wall has its full area there. The first and the third of three shells, each as thick as a finest
+    node, contain `V1 = F + r` and `V3 = F + q r`. The flat part F is equal in both, and the round part r grows by the
+    factor `q`. An area on the wall hides at most the wedge from there to the axis.
 
     Parameters
     ----------
