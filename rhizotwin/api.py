@@ -180,7 +180,9 @@ def batch(
     cluster: str | None = None,
     device: Device = "auto",
 ) -> Any:
-    """Reconstruct many datasets, and keep the results of an earlier call.
+    """Reconstruct many datasets.
+
+    Datasets that an earlier call has already reconstructed are not reconstructed again.
 
     Parameters
     ----------
@@ -292,7 +294,9 @@ def export(
     undistorted: bool = False,
     monitor: Progress = None,
 ) -> list[Path]:
-    """Write a result in the format of another program; the suffix of ``output`` selects the format.
+    """Write a result in a file format of other programs.
+
+    The suffix of ``output`` selects the format.
 
     Parameters
     ----------
@@ -335,7 +339,7 @@ def scan(
     table_angle_deg: float | None = None,
     **twin: Any,
 ) -> Dataset:
-    """Scan the canister: take all planned pictures on a rig or on its emulation.
+    """Take all planned pictures of a canister on a real or an emulated rig.
 
     Parameters
     ----------
@@ -406,7 +410,10 @@ def _folder_of(dataset: Dataset | str | Path | None) -> Path | None:
 
 @contextmanager
 def _saved(result: Result | str | Path) -> Iterator[Path]:
-    """Provide the folder of a result; a result in memory is saved to a temporary folder first."""
+    """Yield the folder of a result.
+
+    A result in memory is first saved to a temporary folder, which is removed afterwards.
+    """
     if isinstance(result, str | Path):
         yield Path(result)
         return

@@ -26,7 +26,7 @@ WAIT_S = 30.0
 
 @contextmanager
 def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
-    """Provide a client of a Dask scheduler.
+    """Connect to a Dask scheduler, and yield its client.
 
     Parameters
     ----------
@@ -105,7 +105,10 @@ def _submit(client: Client, job: Job, attempt: int) -> Any:
 
 
 def _outcome(future: Any, job: Job) -> Outcome:
-    """Return the outcome of a finished job; exceptions come from Dask, because `work` raises none."""
+    """Return the outcome of a finished job.
+
+    `work` raises no exceptions. An exception therefore comes from Dask, and means that the job was lost.
+    """
     try:
         return Outcome(**future.result())
     except Exception as error:  # noqa: BLE001 - Dask raises KilledWorker, CancelledError, CommClosedError and others

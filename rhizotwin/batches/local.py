@@ -75,7 +75,11 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
 
 
 def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: float) -> None:
-    """Assign waiting jobs to idle or new workers within the limits of processes and memory; at least one job runs."""
+    """Assign waiting jobs to idle or new workers.
+
+    At most ``most`` workers are busy, and the predicted memory of their jobs is at most ``allowed_mib``. A job that
+    needs more memory runs only if no other job is running.
+    """
     for job in list(waiting):
         busy = [worker.job for worker in crew if worker.job]
         if len(busy) >= most:
@@ -102,7 +106,10 @@ def _hire(threads_each: int) -> _Worker:
 
 
 def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
-    """Receive and return the outcome of a worker's job; a worker that has died is removed from ``crew``."""
+    """Receive and return the outcome of a worker's job.
+
+    If the worker has died, it is removed from ``crew``.
+    """
     job = worker.job
     worker.job = None
     name = "" if job is None else job.name
@@ -132,7 +139,7 @@ def _serve(line: Connection, master: int, threads_each: int) -> None:
 
 
 def _leave_with(master: int) -> None:
-    """Poll for the main process, and exit this process when the main process has ended."""
+    """Wait until the main process has ended, and then exit this process."""
     while os.getppid() == master:
         time.sleep(LOOK_S)
     os._exit(1)

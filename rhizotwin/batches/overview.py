@@ -23,7 +23,8 @@ from rhizotwin.stored import result_files, stored_traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 112
-"""Height of a scan's picture, which is twice the height on the page."""
+"""Height of the pictures in the overview, in pixels. The page shows them at half this size, so that they are sharp on
+screens of high resolution."""
 _COLUMNS = ("total_length_mm", "depth_mm", "mean_diameter_mm", "tips")
 
 
@@ -77,7 +78,7 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
 
 def summarise(summaries: Sequence[Json]) -> str:
-    """Describe the number of usable volumes and the frequency of each reason for unusable volumes."""
+    """Return a text with the number of usable volumes, and with the number of scans for each reason against use."""
     codes = Counter(code for summary in summaries for code in reasons.reasons_for_volume(summary))
     usable = sum(bool(summary["volume_trusted"]) for summary in summaries)
     counted = ", ".join(f"{count} x {code.replace('_', ' ')}" for code, count in codes.most_common())
@@ -130,6 +131,9 @@ def _number(row: _Row, field: str) -> str:
 
 
 def _subject(row: _Row) -> dict[str, str]:
-    """Return the subject of a scan by key; values of several plants are joined by commas."""
+    """Return the description of the plants in a scan, keyed by field, such as species or treatment.
+
+    If the scan has several plants, their values are joined by commas.
+    """
     each = [subject.as_text(own.subject) for own in result_traits.traits_by_plant(row.name, row.summary, row.traits)]
     return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

@@ -28,7 +28,8 @@ PIXELS = 16
 LIMIT = 1e-3
 """Maximum difference of a sampled pixel from the reference, relative to full scale."""
 _SAME_VOLUME = 1e-6
-"""Maximum relative difference of the true volume from the reference, for rounding differences of mesh libraries."""
+"""Maximum relative difference between the true volume and its reference. It allows for rounding differences between
+mesh libraries."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +38,11 @@ class Comparison:
 
     case: str
     largest: float
-    """Largest difference of a sampled pixel, relative to full scale; infinite if there is no comparable reference."""
+    """Largest difference of a sampled pixel, relative to full scale. It is infinite if there is no comparable
+    reference."""
     volume: float
-    """Relative difference of the true volume; infinite if there is no comparable reference."""
+    """Relative difference between the true volume and its reference. It is infinite if there is no comparable
+    reference."""
 
     @property
     def same(self) -> bool:
@@ -70,7 +73,10 @@ def write(benchmark: Benchmark, folder: Path, goal: Path) -> None:
 
 
 def reference(benchmark: Benchmark) -> dict[str, Any]:
-    """Return the reference fingerprints of a benchmark by case; empty if the program includes none."""
+    """Return the reference fingerprints of a benchmark, keyed by the name of the case.
+
+    The result is empty if the program contains no reference for this benchmark.
+    """
     file = resources.files("rhizotwin.bench").joinpath("data", f"{benchmark.name}.json")
     return dict(json.loads(file.read_text(encoding="utf-8"))["cases"]) if benchmark.name in BENCHMARKS and file.is_file() else {}
 

@@ -34,11 +34,13 @@ from rhizotwin.scenes.truth import load_truth
 Picture = NDArray[np.uint8 | np.uint16]
 CameraSource = Literal["estimated", "true"]
 _HALF = 0.5
-"""Minimum coverage of a root pixel in a mask."""
+"""Minimum coverage of a pixel by roots. Pixels of at least this coverage are root pixels in the mask."""
 
 
 def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
-    """Write the input folder for other methods, as described in the module.
+    """Write the input folder for other methods.
+
+    The docstring of this module lists the files in the folder.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable
 
 
 _LARGEST = sys.float_info.max
-"""Largest accepted number, because JSON integers may exceed the range of a float."""
+"""Largest number that is accepted in a file. An integer in JSON may exceed the range of a float."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Quantity:
     name: str
     heading: str
     places: tuple[tuple[str, ...], ...]
-    """Alternative paths of the value in the nested dictionary of a row; the first existing path is used."""
+    """Paths at which the value may be stored in the nested dictionary of a row. The first path that exists is used."""
     scale: float
     """Factor that converts the value to the unit in the heading."""
     digits: int
     """Number of decimal places in tables."""
     larger_is_better: bool = False
     relative: float = 0.0
-    """Tolerance relative to the baseline, added to the absolute tolerance."""
+    """Relative tolerance, as a fraction of the value in the baseline. It is added to the absolute tolerance."""
     absolute: float = 0.0
     """Absolute tolerance, in the unit of the stored value."""
 
@@ -78,7 +78,7 @@ class Results:
     method: str
     cameras: str | None
     rows: dict[str, dict[str, Any]]
-    """Results of each case by its name, as JSON values."""
+    """Results of each case as JSON values, keyed by the name of the case."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,12 +170,19 @@ def ordered(several: Sequence[Results]) -> list[tuple[Results, dict[str, Any]]]:
 
 
 def held(row: dict[str, Any]) -> str:
-    """Return "holds" if the 90 % interval of the volume contains the true volume, "misses" if not, "" if unknown."""
+    """Return whether the 90 % interval of the volume contains the true volume, as a word for tables.
+
+    The word is "holds" if it does, "misses" if it does not, and empty if the interval is unknown.
+    """
     return {True: "holds", False: "misses", None: ""}[interval_holds(row)]
 
 
 def remark(row: dict[str, Any]) -> str:
-    """Return the reason why a row has no scores, or a remark that its volume is not reliable; otherwise ""."""
+    """Return a remark on a row for tables.
+
+    The remark is the reason why the row has no scores, or the note that its volume is not reliable. Otherwise it is
+    empty.
+    """
     if row["state"] != "done":
         return f"{row['state']}: {row.get('sentence', '')}"
     return "volume marked as not reliable" if row["scores"].get("trusted") is False else ""

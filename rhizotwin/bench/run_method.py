@@ -46,10 +46,10 @@ except ImportError:
 with open(sys.argv[1], "w", encoding="utf-8") as file:
     json.dump(measured, file)
 """
-"""Code of a small helper process that starts the method and measures it, because Linux includes the memory of the
-parent process in the peak memory of a child process."""
+"""Code of a helper process that starts the method and measures its memory. Linux includes the memory of the parent in
+the peak memory of a child process, so the parent must be small."""
 _LAST_WORDS = 400
-"""Maximum number of characters quoted from the last output line of a failed method."""
+"""Maximum number of characters that are quoted from the last line of output if a method fails."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,9 @@ class Row:
 
 
 def command_of(method: str) -> str:
-    """Return the command line for a method, which is the name of a built-in method or already a command line.
+    """Return the command line of a method.
+
+    ``method`` is the name of a built-in method, or already a command line.
 
     Raises
     ------

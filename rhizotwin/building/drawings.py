@@ -49,7 +49,10 @@ class _View:
 
 
 def part_page(part: Part, *, title: str) -> Page:
-    """Draw a part on a page, with views from the front, the right, above and a corner, dimensions and parameters."""
+    """Draw a part on a page with dimensions and a table of parameters.
+
+    The part is shown from the front, from the right, from above, and in an axonometric view.
+    """
     drawn = {side.name: draw(part.solid, side) for side in (FRONT, RIGHT, TOP, CORNER)}
     cell = (np.array(PAGE_MM) - [TABLE_WIDE_MM + MARGIN_MM, 2.0 * MARGIN_MM]) / 2.0
     largest = np.max([one.size_mm for one in drawn.values()], axis=0)
@@ -98,9 +101,9 @@ def _length(dimension: Dimension) -> float:
 
 
 def _way(dimension: Dimension, side: Side) -> str | None:
-    """Return the orientation ("across" or "up") of a dimension in a view, or None if the view does not show it.
+    """Return the direction of a dimension line in a view: "across", "up", or None if it is not drawn in this view.
 
-    Each dimension is drawn once, in the first view (front, right, above) that shows the true length.
+    Each dimension is drawn once, in the first view (front, right, above) in which its line has the true length.
     """
     for one in (FRONT, RIGHT, TOP):
         along = one.axes @ np.subtract(dimension.to_mm, dimension.from_mm)
@@ -212,7 +215,10 @@ def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> 
 
 
 def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str, list[Manifold]]]:
-    """Return the name of each object on the rig, and its solids displaced for the exploded view."""
+    """Return the name of each object on the rig, and its solids in the exploded view.
+
+    In this view, each solid is displaced by ``apart_mm``.
+    """
     things = [(part.name, [solid.translate(part.apart_mm) for solid in part.placed()]) for part in parts if part.rig_from_part]
     for one in bought:
         things.append((one.name, [one.solid.translate(one.apart_mm)]))
@@ -220,7 +226,7 @@ def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str,
 
 
 def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> Page:
-    """Draw the exploded view of the rig from a corner, with the name of each part."""
+    """Draw the axonometric exploded view of the rig, with the name of each part."""
     things = exploded(parts, bought)
     drawn = draw(Manifold.compose([solid for _, solids in things for solid in solids]), CORNER)
     room = np.array(PAGE_MM) - 2.0 * MARGIN_MM - [70.0, 8.0]
@@ -245,7 +251,10 @@ def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str
 
 
 def _middle(solid: Manifold) -> Array:
-    """Return a central vertex (3,) on the side that faces the viewer, as the end point of a leader line."""
+    """Return a vertex (3,) near the centre of the side that faces the viewer.
+
+    The leader line of the part's name ends at this vertex.
+    """
     vertices, _ = surface(solid)
     view = vertices @ CORNER.axes.T
     front = view[:, 2] > np.median(view[:, 2])

@@ -29,7 +29,10 @@ WALL_LONG_MM = 200.0
 
 
 def _clip_outline(measures: Measures) -> CrossSection:
-    """Return the C-shaped outline of a clip around a profile at the origin, open towards -y with its back at +y."""
+    """Return the C-shaped outline of a clip around a profile at the origin.
+
+    The clip is open towards -y, and its back is at +y.
+    """
     half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
     gap = half + fit
     nose = measures.slot_mm / 2.0 - fit
@@ -51,7 +54,10 @@ def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
 
 
 def lightbox_clip(scene: Scene, measures: Measures) -> Part:
-    """Create the clip that snaps onto a profile along its z axis, and to which a panel holder is screwed."""
+    """Create the clip that snaps onto an aluminium profile.
+
+    The profile is parallel to the z axis of the clip. A panel holder is screwed to the back of the clip.
+    """
     back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
     thick = CLIP_WALL_MM + 2.0
     drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
@@ -82,7 +88,10 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
 
 def _holder_back_mm(measures: Measures) -> float:
-    """Return the distance from the back of the holder to the front of a diffuser that is centred in its slot."""
+    """Return the distance from the back of a panel holder to the front face of the diffuser.
+
+    The diffuser is assumed to be in the middle of its slot.
+    """
     return _slots(measures)[1][1] - measures.fit_mm / 2.0
 
 
@@ -92,12 +101,18 @@ def _bar_x_mm(scene: Scene, measures: Measures) -> float:
 
 
 def _bar_beyond_mm() -> float:
-    """Return the distance from the edge of the panel to the centre of the profile, at which the holder is screwed."""
+    """Return the distance from the edge of the panel to the centre line of the profile beyond it.
+
+    The panel holder is screwed to the clip at this distance.
+    """
     return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
 
 
 def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the start and end of the slots for LED board and diffuser, measured from the back of the channel, mm."""
+    """Return two intervals (start, end): the slot for the LED board, and the slot for the diffuser.
+
+    They are measured from the back of the channel, in mm.
+    """
     wall, fit = HOLDER_WALL_MM, measures.fit_mm
     board = (wall, wall + measures.panel_board_mm + fit)
     bright = board[1] + measures.diffuser_gap_mm
@@ -105,7 +120,7 @@ def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]
 
 
 def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
-    """Return the outline of the channel at an edge of the panel.
+    """Return the cross-section of the channel that encloses the edge of the panel.
 
     The floor of the channel is below y = 0. Above it, fins on both sides of each slot guide LED board and diffuser.
     """
@@ -153,9 +168,10 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
 
 
 def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -> Array:
-    """Return the pose (4, 4) in the rig frame of a piece with its middle at a point on an edge of the panel.
+    """Return the pose (4, 4) in the rig frame of a piece at an edge of the panel.
 
-    ``up`` is the direction in which the channel opens: -1 at the upper edge, 1 at the lower edge.
+    The middle of the piece is at ``middle_mm``. ``up`` is the direction in which the channel opens: -1 at the upper
+    edge, 1 at the lower edge.
     """
     x, y, z = middle_mm
     axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -224,5 +240,5 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
 
 
 def _panel_x_mm(scene: Scene, measures: Measures) -> float:
-    """Return the x coordinate of the back of the channels in the rig frame."""
+    """Return the x coordinate, in the rig frame, of the back of the channels that hold the panel."""
     return -scene.lights.backlight_distance_mm - _holder_back_mm(measures)

@@ -21,13 +21,15 @@ class Measures:
     """Clearance on each side between a printed part and its counterpart. Printed parts that only need to move freely
     have half of this clearance."""
     wall_mm: float = bounded(2.4, 0.8, 20.0)
-    """Wall thickness of the net pot unless the scene specifies it; the default is six lines of a 0.4 mm nozzle."""
+    """Wall thickness of the net pot if the scene does not specify it. The default is the width of six printed lines
+    from a 0.4 mm nozzle."""
     mesh_opening_mm: float = bounded(6.0, 0.5, 50.0)
     """Side length of the square openings in the grid, through which roots grow."""
     mesh_bar_mm: float = bounded(2.0, 0.4, 20.0)
     """Width of the bars between the openings of the grid."""
     mesh_middle_mm: float = bounded(40.0, 0.0, 500.0)
-    """Diameter of the open centre of the grid, which prevents constriction of roots; 0 for no open centre."""
+    """Diameter of the open centre of the grid, which prevents constriction of roots. If it is 0, the grid has no open
+    centre."""
     motor_face_mm: float = bounded(42.3, 20.0, 100.0)
     """Side length of the stepper motor's face (NEMA 17)."""
     motor_holes_mm: float = bounded(31.0, 10.0, 80.0)
@@ -60,18 +62,20 @@ class Measures:
     """Distance from the back of the camera board to the projection centre of the lens. The default is approximately the
     17.5 mm flange distance of the C mount, for use until the camera is calibrated."""
     roll_face_mm: float = bounded(55.0, 5.0, 300.0)
-    """Distance from the arm's wrist pitch axis to the horn (mounting disc) of the roll servo (xArm: 53 to 55)."""
+    """Distance from the arm's wrist pitch axis to the horn (mounting disc) of the roll servo. For the xArm it is 53 to
+    55 mm."""
     horn_holes_mm: tuple[float, float] = bounded((12.0, 20.0), 2.0, 100.0)
-    """Minimum and maximum bolt circle diameter of the roll servo's horn that the slots of the bracket fit."""
+    """Smallest and largest diameter of the servo horn's bolt circle for which the bracket has slots."""
     arm_base_mm: tuple[float, float] = bounded((80.0, 60.0), 20.0, 400.0)
-    """Spacing of the holes in the arm's base plate, along and across the arm; published models do not include it."""
+    """Spacing of the holes in the arm's base plate, along and across the arm. It must be measured, because published
+    models of the arm do not include these holes."""
     panel_board_mm: float = bounded(5.0, 1.0, 40.0)
     """Thickness of the LED board of the panel."""
     diffuser_mm: float = bounded(3.0, 0.1, 20.0)
     """Thickness of the opal diffuser."""
     diffuser_gap_mm: float = bounded(50.0, 5.0, 200.0)
     """Distance from the LED board to the diffuser. The light is uniform within a few per cent if this distance is at
-    least three times the spacing of the LEDs, which is 17 mm."""
+    least three times the spacing of the LEDs. The LEDs are 17 mm apart."""
     stand_board_mm: float = bounded(4.0, 1.0, 30.0)
     """Thickness of the plate to which the calibration board is glued."""
 

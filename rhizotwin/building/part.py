@@ -34,16 +34,19 @@ class Part:
     solid: Manifold
     """Solid in the coordinate frame of the part."""
     bed_from_part: Array = field(default_factory=lambda: UPRIGHT)
-    """Rotation (4, 4) from the frame of the part to the printing orientation; a translation has no effect."""
+    """Rotation (4, 4) from the frame of the part to its orientation on the print bed. A translation in the matrix has
+    no effect."""
     rig_from_part: tuple[Array, ...] = ()
     """Poses (4, 4) in the rig frame, one per piece."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Displacement in the exploded view, rig frame."""
     dimensions: tuple[Dimension, ...] = ()
     support: str = ""
-    """Places that need a support structure, or reason why an overhang does not; empty without overhangs."""
+    """Places that need a support structure, or reason why overhangs need none. It is empty if the part has no
+    overhangs."""
     numbers: tuple[tuple[str, float, str], ...] = ()
-    """Name, value and source of each parameter; the name states whether the unit is mm, degrees or pieces."""
+    """Name, value and source of each parameter. The ending of the name states whether the value is in mm, in degrees or
+    a number of pieces."""
 
     @property
     def printed(self) -> Manifold:
@@ -70,13 +73,15 @@ class Part:
 
 
 def surface(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
-    """Return the vertices (V, 3), mm, and triangles (F, 3) of a solid's surface."""
+    """Return the vertices (V, 3) of a solid's surface in mm, and its triangles (F, 3)."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), np.asarray(mesh.tri_verts, dtype=np.int64)
 
 
 def check_bed(part: Part, bed_mm: tuple[float, float, float]) -> None:
-    """Check that a part fits the printer, as oriented or rotated by 90 degrees about the vertical axis.
+    """Check that the bed of the printer is large enough for a part.
+
+    The part may be rotated by 90 degrees about the vertical axis.
 
     Raises
     ------

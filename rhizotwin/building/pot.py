@@ -26,13 +26,17 @@ RING_SCREWS = 3
 WIRE_HOLE_MM = 1.2
 """Diameter of the holes for wires of 0.8 mm, the smallest hole that a printer produces reliably."""
 WIRES_AT_MM = ((14.0, 4.0), (-5.0, 13.0), (-13.0, -6.0), (4.0, -15.0))
-"""Positions (x, y) of the wires, as in the scene wire_phantom; a wire occludes another wire in only a few views."""
+"""Positions (x, y) of the wires, which equal those in the scene wire_phantom. They are chosen so that wires occlude
+each other in only a few views."""
 M3_MM = 3.4
 """Diameter of the clearance hole for an M3 screw (ISO 273, medium)."""
 
 
 def strip_seat_radius_mm(scene: Scene, measures: Measures) -> float:
-    """Return the radius of the net pot under the marker strip; the scene has the radius of the paper's outer face."""
+    """Return the outer radius of the net pot without the marker strip.
+
+    The radius in the scene includes the thickness of the paper.
+    """
     return scene.net_pot.outer_radius_mm - measures.paper_mm
 
 

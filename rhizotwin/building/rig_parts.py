@@ -74,7 +74,10 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
 
 
 def thesis_rig(scene: Scene | None = None) -> RigFile:
-    """Return the default rig with an arm; if the scene has a tank, the floor is lowered accordingly."""
+    """Return the default rig with an arm.
+
+    If the scene has a tank, the floor of the rig is lowered by the height that the tank requires.
+    """
     rig = RigFile(arm=ArmPart())
     if scene is None or scene.tank is None:
         return rig
@@ -123,7 +126,10 @@ def _shaft(measures: Measures) -> CrossSection:
 
 
 def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) -> Manifold:
-    """Create a profile along x, whose slots are simplified to a constant width and end where real slots widen."""
+    """Create an aluminium profile along x.
+
+    Its slots are narrow grooves of constant width. The wide inner part of real slots is omitted.
+    """
     side, slot, deep = measures.profile_mm, measures.slot_mm, 3.0 * measures.slot_lip_mm
     slots = union(
         CrossSection.square((slot, 2.0 * deep), center=True).translate((0.0, side / 2.0)).rotate(turn) for turn in (0.0, 90.0, 180.0, 270.0)

@@ -14,7 +14,8 @@ SIDES = 240
 PRESSURE_RAD = np.deg2rad(20.0)
 """Pressure angle of the gears (ISO 53)."""
 FLANK_POINTS = 6
-"""Number of points along the flank of a tooth; for the pinion, the chords are within 5 um of the involute."""
+"""Number of points along the flank of a tooth. With this number, the polygon deviates from the involute of the pinion
+by at most 5 um."""
 
 Outline: TypeAlias = Sequence[tuple[float, float]]
 
@@ -33,13 +34,20 @@ def circle(radius: float, at: tuple[float, float] = (0.0, 0.0), *, sides: int = 
 
 
 def hole(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a regular polygon circumscribed about a circle, so that a screw of this diameter fits."""
+    """Return the outline of a screw hole.
+
+    The outline is a regular polygon around the circle of the given diameter, so that the hole is nowhere smaller than
+    the screw.
+    """
     sides = 32
     return CrossSection.circle(diameter / 2.0 / np.cos(np.pi / sides), sides).translate(at)
 
 
 def slot(diameter: float, start: tuple[float, float], end: tuple[float, float]) -> CrossSection:
-    """Return a slotted hole between the centres of its round ends."""
+    """Return the outline of a slotted hole with round ends.
+
+    ``start`` and ``end`` are the centres of these ends.
+    """
     return CrossSection.batch_hull([hole(diameter, start), hole(diameter, end)])
 
 

@@ -25,17 +25,20 @@ BACKLASH_MM = 0.15
 """Reduction of the tooth thickness. Backlash does not affect a scan, which approaches all angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
 PLATE_GAP_MM = 2.0
-"""Gap between plate and base, which do not touch even if the ball grooves are 0.5 mm too deep."""
+"""Gap between the turntable plate and the base. It is large enough that they do not touch even if the ball grooves are
+0.5 mm too deep."""
 TAP_M3_MM, TAP_M4_MM = 2.6, 3.4
 """Diameters of holes in plastic for self-tapping M3 and M4 screws."""
 M4_MM = 4.5
 """Diameter of the clearance hole for an M4 screw (ISO 273, medium)."""
 COUNTERSINK_M4_MM = 9.4
-"""Diameter of the countersink for the head of an M4 screw (ISO 10642: at most 8.96), above which the plate rotates."""
+"""Diameter of the countersink in the base. It encloses the head of an M4 screw (ISO 10642: at most 8.96), because the
+plate rotates directly above."""
 HEX_M8_MM, HEX_M8_HIGH_MM = 13.3, 5.6
-"""Width across flats and depth of the pocket for the head of an M8 bolt (ISO 4017: width 13, height 5.3)."""
+"""Pocket for the head of an M8 bolt: width across flats, and depth. ISO 4017 specifies a width of 13 and a height of
+5.3."""
 SLIDE_MM = 1.5
-"""Adjustment range of the motor in each direction, with which the backlash is set."""
+"""Distance by which the motor can be moved in each direction to adjust the backlash."""
 FOOT_MM = 24.0
 """Length of a foot along the profile."""
 HUB_MM = 6.0
@@ -92,9 +95,10 @@ def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
 
 
 def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tuple[float, float]]:
-    """Return the outline (radius, z) of the V-shaped ball groove in a face at height ``z``.
+    """Return the outline of the V-shaped ball groove in a horizontal face, as points (radius, z).
 
-    ``into`` is the vertical direction into the material: -1 for a face that points up, 1 for a face that points down.
+    The face is at height ``z``. ``into`` is the vertical direction into the material: -1 for a face that points up, 1
+    for a face that points down.
     """
     deep = measures.ball_mm / np.sqrt(2.0) - PLATE_GAP_MM / 2.0
     r, past = drive.race_radius_mm, 0.5

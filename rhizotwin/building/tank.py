@@ -27,7 +27,8 @@ PAD_WIDE_MM = 16.0
 GLIDE_WIDE_MM = 3.0
 MAGNETS = 6
 PIN_MM, PIN_HIGH_MM, FOOT_MM, FOOT_HIGH_MM = 8.0, 6.0, 30.0, 0.8
-"""Diameter and height of the pin, and diameter and height of the foot, of the pivot on the floor of the tank."""
+"""Dimensions of the pivot on the floor of the tank: diameter and height of its pin, and diameter and height of its
+foot."""
 POST_MM, LIP_MM, LIP_HIGH_MM = 40.0, 4.0, 10.0
 """Side length of a post, and thickness and height of the lip that surrounds the corner of the tank."""
 LEAST_DRY_MM = 3.9
@@ -36,7 +37,7 @@ sqrt(2) times the capillary length of water (2.7 mm at 20 degrees C)."""
 
 
 def drop_mm(tank: Tank) -> float:
-    """Return the distance by which the tank lowers the turntable."""
+    """Return the distance by which the turntable must be lowered to make room for the tank."""
     return CARRIER_MM + GLIDE_MM + tank.wall_mm + PLAY_MM + PAD_MM
 
 
@@ -46,7 +47,11 @@ def floor_mm(scene: Scene, tank: Tank) -> float:
 
 
 def below(scene: Scene) -> Scene:
-    """Return a copy of the scene for the parts of the turntable, with the canister lowered by `drop_mm` for a tank."""
+    """Return the scene from which the parts of the turntable are computed.
+
+    If the scene has a tank, the canister in the copy is higher by `drop_mm`, which lowers the turntable by this
+    distance.
+    """
     if scene.tank is None:
         return scene
     lower = replace(scene.canister, height_mm=scene.canister.height_mm + drop_mm(scene.tank))
@@ -65,13 +70,19 @@ def magnet_places_mm(scene: Scene) -> list[tuple[float, float]]:
 
 
 def pockets(scene: Scene, measures: Measures, top_mm: float) -> Manifold:
-    """Return the pockets for the magnets, whose upper faces are at the height ``top_mm``."""
+    """Return the solid of all magnet pockets, which is subtracted from a part.
+
+    The upper faces of the magnets are at the height ``top_mm``.
+    """
     wide, high = measures.magnet_mm
     return joined(raised(hole(wide + 0.2, at), top_mm - high - 0.2, top_mm + 1.0) for at in magnet_places_mm(scene))
 
 
 def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
-    """Return the turntable plate with a ring that contains the magnets, or the unchanged plate without a tank."""
+    """Return the turntable plate with a ring on top that contains the magnets.
+
+    Without a tank, the plate is returned unchanged.
+    """
     if scene.tank is None:
         return plate
     radius, half = magnet_radius_mm(scene), PAD_WIDE_MM / 2.0

@@ -27,7 +27,7 @@ class Wire:
     """Electrical connection between two pins, or between a power supply and a pin."""
 
     start: tuple[str, str]
-    """Box and pin at the first end; for a power supply, "" and the label of the supply."""
+    """Box and pin at the first end. For a power supply, the box is empty and the pin is the label of the supply."""
     end: tuple[str, str]
     """Box and pin at the second end."""
     note: str = ""
