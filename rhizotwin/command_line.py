@@ -1,4 +1,7 @@
-"""Command-line parser: a cyclopts application of all commands with help texts and messages for invalid arguments."""
+"""Parser of the command line, implemented as a cyclopts application.
+
+It contains all commands and their help texts, and the messages for invalid arguments.
+"""
 
 import inspect
 import re
@@ -200,7 +203,11 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
 
 
 def _name(argument: Any) -> str:
-    """Return the name of an argument for messages: its option, such as ``--output (-o)``, or its metavar."""
+    """Return the name of an argument for messages.
+
+    The name of an option contains all its forms, such as ``--output (-o)``. Any other argument is represented by its
+    metavar.
+    """
     options = [name for name in argument.names if name.startswith("-")]
     if not options:
         return str(argument.parameter.metavar or argument.names[0].upper())

@@ -23,7 +23,8 @@ MIN_LLVM = 17
 APT_LLVM = (19, 22, 21, 20, 18, 17)
 """LLVM versions to install with apt, in order of preference; versions 19 and 22 are the best tested."""
 LLVM_WHEEL = "karellen-llvm-core==19.1.7"
-"""Python package of LLVM, a dependency on Linux on x86-64. Dr.Jit 1.5 cannot load its versions 21 and 23."""
+"""Python package that contains LLVM. It is installed as a dependency on Linux on x86-64. Its versions 21 and 23 are not
+used, because Dr.Jit 1.5 cannot load them."""
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
 """Nonexistent path passed to Dr.Jit if no usable LLVM is installed, so that Dr.Jit does not load an old version."""
 

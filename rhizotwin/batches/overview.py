@@ -23,8 +23,7 @@ from rhizotwin.stored import result_files, stored_traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 112
-"""Height of the pictures in the overview, in pixels. The page shows them at half this size, so that they are sharp on
-screens of high resolution."""
+"""Height of the pictures in the overview, in pixels. The page shows them at half this height."""
 _COLUMNS = ("total_length_mm", "depth_mm", "mean_diameter_mm", "tips")
 
 

@@ -30,10 +30,11 @@ class Added:
 
 
 def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
-    """Add datasets, results, mass tables (.csv), and all of these in folders and their subfolders.
+    """Add datasets, results and mass tables (.csv) to a catalogue.
 
-    Existing entries are updated. A damaged file does not prevent other files from being added. Datasets are added
-    before results, because the brightness of the panel in a scan is stored with the result.
+    Folders are searched with all their subfolders. Entries that already exist are updated. A damaged file does not
+    prevent other files from being added. Datasets are added before results, because the brightness of the panel in a
+    scan is stored with the result.
 
     Raises
     ------
@@ -224,7 +225,10 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
 
 
 def _add_subject(catalogue: Catalogue, one: Subject) -> None:
-    """Add the plant of a dataset, result or mass, or add missing data to its entry."""
+    """Add the plant of a dataset, result or mass to the catalogue.
+
+    If the plant already exists, only missing data are added to its entry.
+    """
     if one.plant:
         catalogue.add_plant(Plant(name=one.plant, species=one.species, treatment=one.treatment, replicate=one.replicate))
 

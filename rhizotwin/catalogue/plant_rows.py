@@ -22,7 +22,9 @@ def solution_text(solution: Solution) -> str:
 
 
 def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
-    """Convert a database row to a plant; ``where`` names the catalogue in messages.
+    """Convert a database row to a plant.
+
+    ``where`` is the name of the catalogue in error messages.
 
     Raises
     ------
@@ -55,7 +57,9 @@ def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
 
 
 def merge(before: Plant, now: Plant, *, where: str) -> Plant:
-    """Merge the existing and the new entry of a plant; ``where`` names the catalogue in messages.
+    """Merge the existing and the new entry of a plant.
+
+    ``where`` is the name of the catalogue in error messages.
 
     Raises
     ------
@@ -103,5 +107,8 @@ def refuse_tag(plant: Plant, others: Sequence[Plant], *, where: str) -> None:
 
 
 def _is_known(value: Any) -> bool:
-    """Return whether a field has a value; the replicate 0 is a value."""
+    """Return whether a field of a plant has been filled in.
+
+    A replicate of 0 counts as filled in.
+    """
     return value.known if isinstance(value, Solution) else not (value is None or value is False or value == "")

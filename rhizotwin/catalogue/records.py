@@ -105,7 +105,8 @@ class StoredResult:
     edits: Path | None
     """File of the log of corrections; None for an uncorrected result."""
     rig_numbers: Mapping[str, float]
-    """Measured rig parameters by name, see `experiment.drift.RIG_NUMBERS`."""
+    """Rig parameters that were measured in the reconstruction. The keys are listed in
+    `experiment.drift.RIG_NUMBERS`."""
 
 
 @dataclass(frozen=True, kw_only=True)

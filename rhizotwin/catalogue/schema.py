@@ -178,7 +178,10 @@ def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
 
 
 def is_empty(path: Path) -> bool:
-    """Return whether a file is a database without tables, which remains if a run is killed during its creation."""
+    """Return whether a file is a database without tables.
+
+    Such a file remains if the program is killed while it creates a catalogue.
+    """
     try:
         with closing(_connect(path)) as connection:
             return not _has_tables(connection)
@@ -247,7 +250,10 @@ def damaged(path: Path, reason: object) -> UserError:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Connect to a file without changing it; commits are flushed to the disk, so that they survive a power failure."""
+    """Connect to a file without changing it.
+
+    The connection writes each commit to the disk before it continues, so that the data survive a power failure.
+    """
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         oldest = ".".join(str(part) for part in OLDEST_SQLITE)
         raise UserError(
@@ -261,7 +267,10 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
-    """Set the journal mode of the file to WAL; the mode is left unchanged if another process is using the file."""
+    """Set the journal mode of the file to WAL (write-ahead log).
+
+    The mode remains unchanged if another process is using the file.
+    """
     with suppress(sqlite3.OperationalError):
         connection.execute("PRAGMA journal_mode = WAL")
 

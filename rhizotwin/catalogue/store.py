@@ -128,7 +128,7 @@ class Catalogue:
         return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()
 
     def full_path(self, stored: str) -> Path:
-        """Convert a stored path to a path relative to the working folder of this process.
+        """Convert a stored path to a path that can be opened from the working folder of this process.
 
         Raises
         ------
@@ -278,7 +278,10 @@ class Catalogue:
     # visits
 
     def plan_visits(self, visits: Sequence[tuple[str, str]]) -> None:
-        """Add planned scans, given as plant and planned time (UTC, ISO 8601); existing entries are not changed."""
+        """Add planned scans, given as pairs of plant name and planned time (UTC, ISO 8601).
+
+        Scans that are already in the catalogue are not changed.
+        """
         with self.writing():
             for plant, due_utc in visits:
                 self.connection.execute(
@@ -287,7 +290,11 @@ class Catalogue:
                 )
 
     def visits(self, *, plant: str | None = None, state: State | None = None) -> list[Visit]:
-        """Return the planned scans that match all given criteria, sorted by planned time and then by order of entry."""
+        """Return the planned scans that match all given criteria.
+
+        They are sorted by planned time. Scans that are planned for the same time are sorted by the order in which they
+        were added.
+        """
         found = self.rows(
             "SELECT v.*, p.name, s.path FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan"
             " WHERE (?1 IS NULL OR p.name = ?1) AND (?2 IS NULL OR v.state = ?2) ORDER BY v.due_utc, v.id",
@@ -359,16 +366,20 @@ class Catalogue:
     # helpers for `catalogue.adding`
 
     def solution_id(self, solution: Solution) -> int | None:
-        """Return the row number of a nutrient solution, and add a row if necessary; None for an unknown solution."""
+        """Return the row number of a nutrient solution.
+
+        If the solution is new, a row is added. The result is None if the solution is unknown.
+        """
         return self._id_of("solutions", "content", plant_rows.solution_text(solution))
 
     def _place(self, plant: Plant) -> Place:
         return Place(f"{self.path}, plant {plant.name!r}")
 
     def _id_of(self, table: str, column: str, value: str) -> int | None:
-        """Return the row number of a unique text, and add a row if necessary; None for an empty text.
+        """Return the row number of a text in a table in which each text occurs once.
 
-        ``table`` and ``column`` must be constants, because they are formatted into the SQL statement.
+        If the text is new, a row is added. The result is None if the text is empty. ``table`` and ``column`` must be
+        constants, because they are formatted into the SQL statement.
         """
         if not value:
             return None
@@ -388,9 +399,10 @@ def now_utc() -> str:
 
 
 def _selection(plant: str | None, treatment: str | None, day: float | None, *, plants: str) -> tuple[str, list[Any]]:
-    """Return a WHERE clause that combines the given criteria, and its bound values.
+    """Return an SQL WHERE clause for the given criteria, and the values to bind to its placeholders.
 
-    ``plants`` is a SELECT statement for the plants of a row ``x``.
+    ``x`` is the name of the selected row in the statement, and ``plants`` is a SELECT statement that returns the plants
+    of this row.
     """
     conditions, values = [], list[Any]()
     if plant is not None:

@@ -109,5 +109,8 @@ def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[st
 
 
 def _name(folder: Path) -> str:
-    """Return the name of a result folder, which is resolved first so that ``.`` has a name."""
+    """Return the name of a result folder.
+
+    The path is made absolute first, because ``.`` contains no name.
+    """
     return folder.resolve().name
