@@ -13,7 +13,8 @@ from rhizotwin.scenes.picture_codec import Grey
 
 SUFFIXES = (".dng",)
 BITS = 16
-"""Bit depth of the grey picture; the mean of four raw pixels has two bits more than the sensor's 12 or 14."""
+"""Bit depth of the grey picture. It exceeds the 12 or 14 bits of the sensor, because the mean of four raw pixels has
+two bits more."""
 
 
 def is_raw(path: Path) -> bool:

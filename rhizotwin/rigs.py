@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
 SHOTS_FILE = "truth/shots.jsonl"
-"""File with the true state of the emulated rig in each picture, from which the ground truth of a scan is written."""
+"""File with the true state of the emulated rig at the time of each picture. The ground truth of a scan is computed from
+it."""
 
 RigName: TypeAlias = Annotated[str, with_metavar("RIG|twin")]
 Fidelity: TypeAlias = Literal["render", "sketch"]
@@ -86,7 +87,10 @@ class Bench:
         return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
 
     def open_devices(self, recorder: "Recorder | None", stack: ExitStack) -> "Devices":
-        """Open all devices; ``stack`` closes them, even if the terminal is closed."""
+        """Open all devices, and close them when ``stack`` is left.
+
+        They are also closed if the terminal is closed.
+        """
         from rhizotwin.rig.open import open_devices
 
         stack.enter_context(hang_up_stops())
@@ -234,7 +238,7 @@ def take_scan(
 
 
 def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:
-    """Return the settings of the emulated rig that are recorded in the dataset, with a digest of the scene."""
+    """Return the settings of the emulated rig that are stored in the dataset, and the SHA-256 of the scene."""
     digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
     return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}
 

@@ -17,21 +17,23 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 Colouring = Callable[[int, Line], Bytes]
-"""Function that returns the colours (N, 3) of the points of a root, from its number and centre line."""
+"""Function that returns the colours (N, 3) of the points of a root. Its arguments are the number of the root and its
+centre line."""
 
 ORDERS: tuple[Rgb, ...] = ((222, 160, 92), (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189), (230, 90, 200))
-"""Colour of each root order, from main roots upwards; the last colour is used for all higher orders."""
+"""Colour of each root order, beginning with main roots. The last colour is used for all higher orders."""
 SURFACE: Rgb = ORDERS[0]
 """Colour of a surface without centre lines."""
 VISIBLE, HIDDEN = (44, 120, 160), (230, 120, 30)
-"""Colours of roots with a visible tip, and of roots whose tip is hidden by other roots."""
+"""Colour of roots whose tip is visible, and colour of roots whose tip is hidden by other roots."""
 UNKNOWN: Rgb = (150, 150, 150)
 CHOICES = ("order", "diameter", "depth", "uncertainty", "tip visibility")
 PER_ROOT = ("uncertainty", "tip visibility")
-"""Colourings of a root that do not change when other roots are edited."""
+"""Quantities by which roots can be coloured, and whose colours depend on one root only. They do not change when other
+roots are edited."""
 WIDEST_UNCERTAINTY = 0.25
-"""Upper end of the uncertainty scale: 90 % half-width of the diameter, relative to the diameter
-(`recon.uncertainty.root_uncertainty`)."""
+"""Uncertainty of the diameter that has the last colour of the scale. The uncertainty is half the width of the 90 %
+interval, relative to the diameter (`recon.uncertainty.root_uncertainty`)."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,9 @@ def colour_depths(heights_mm: Array) -> tuple[Callable[[Array], Bytes], Key]:
 
 
 def colour_surface(points_mm: Array, lines: Lines, colour: Colouring) -> Bytes:
-    """Return the colours (N, 3) of points on the surface, which are those of the nearest roots.
+    """Return the colours (N, 3) of points on the surface.
+
+    Each point has the colour of the nearest root.
 
     Parameters
     ----------
@@ -113,7 +117,10 @@ def half_widths(line: Line) -> Array | None:
 
 
 def root_orders(lines: Lines) -> dict[int, int]:
-    """Return the order of each root by its number; the order is 0 for a root without parent."""
+    """Return the order of each root, keyed by root number.
+
+    A root without parent has the order 0, and its laterals have the order 1.
+    """
     found: dict[int, int] = {}
     for number in lines:
         path, here = list[int](), number

@@ -43,7 +43,8 @@ class Raster:
     hit: NDArray[np.bool_]
     """Mask (H, W) of the pixels that the surface covers."""
     depth_mm: Pixels
-    """Coordinate of the surface towards the viewer (H, W), mm; 0 outside the surface."""
+    """Depth map (H, W), as the coordinate of the surface towards the viewer, in mm. It is 0 in pixels without a
+    surface."""
     normal: Pixels
     """Unit normals of the surface (H, W, 3) with the components right, up and towards the viewer."""
 
@@ -110,7 +111,10 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
 
 
 def _of_faces(least: np.ufunc, values: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return the minimum or maximum (F, K) of vertex values (V, K) over the corners of each face (F, 3)."""
+    """Return the minimum or maximum (F, K), over the three corners of each face (F, 3), of K values per vertex (V, K).
+
+    ``least`` is the function of two arrays that computes the minimum or the maximum.
+    """
     a, b, c = (values[corner] for corner in faces.T)
     return np.asarray(least(least(a, b), c))
 

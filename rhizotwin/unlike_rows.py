@@ -10,16 +10,19 @@ from rhizotwin.scenes.picture_codec import Grey
 COLUMNS = 256
 """Approximate number of columns per picture that are compared."""
 LEAST = 5
-"""Minimum number of pictures in a ring for the comparison, so that a deviating picture can be identified."""
+"""Minimum number of pictures in a ring that are compared. With fewer pictures, the one that deviates from the others
+could not be identified."""
 OTHER = 0.15
 """Minimum difference of a deviating pixel from the median over the ring, relative to the brightness of the panel."""
 NEAR = 2
-"""Number of rows above and below a row that are included in the comparison, for small vertical shifts of a picture."""
+"""A row is also compared with this number of rows above it and below it in other pictures. They allow for small
+vertical shifts between pictures."""
 MORE = 0.2
-"""Minimum fraction of deviating pixels in a damaged row, above the largest fraction in any other picture of the ring.
+"""Minimum difference between the fraction of deviating pixels in a damaged row, and the largest such fraction in any
+other picture.
 
-In 1,600 intact pictures of the accuracy ladder and of a real rig the value was at most 0.11, and at most 0.14 with 5
-views in a ring.
+In 1,600 intact pictures of the accuracy ladder and of a real rig the difference was at most 0.11, and at most 0.14 with
+5 views in a ring.
 """
 WHOLE = 0.95
 """Maximum fraction of damaged rows in a picture. Above it the illumination has changed, which the checks of the

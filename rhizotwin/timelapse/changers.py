@@ -53,7 +53,9 @@ class PersonChanger:
 
 
 class CarouselChanger:
-    """Changer that uses a carousel, in which the number of a canister is that of its position.
+    """Changer that uses a carousel.
+
+    Canisters and positions of the carousel have the same numbers.
 
     Parameters
     ----------

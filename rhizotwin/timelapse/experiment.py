@@ -46,15 +46,18 @@ class Member:
     replicate: int | None = field(default=None, metadata={"limits": _limits("replicate")})
     """Number of the replicate within the treatment."""
     sown: str = ""
-    """Date of sowing, such as 2026-11-26; empty: date of `start` in [schedule]."""
+    """Date of sowing, such as 2026-11-26. If it is empty, it is the date of `start` in [schedule]."""
     notes: str = ""
     """Free text."""
     scene: str = ""
-    """Scene whose specimen is in this canister of the emulated rig; empty: scene of the experiment."""
+    """Scene that contains the specimen in this canister, for the emulated rig. If it is empty, the scene of the
+    experiment is used."""
     growth: float = bounded(1.0, 0.1, 10.0)
-    """Factor by which the roots of a simulated plant grow faster and longer than in the scene (emulated rig only)."""
+    """Growth of a simulated plant relative to the scene, for the emulated rig. With a larger factor, roots grow faster
+    and become longer."""
     every_h: float | None = field(default=None, metadata={"limits": EVERY_H})
-    """Interval between the scans of this plant, h, such as 168 for a phantom; empty: as in [schedule]."""
+    """Interval between the scans of this plant in hours, such as 168 for a phantom. If it is empty, the interval in
+    [schedule] is used."""
     phantom: bool = False
     """Whether the canister contains a phantom of known shape, which is excluded from the growth curves."""
     solution: Solution = field(default_factory=Solution)
@@ -102,7 +105,7 @@ class Reconstruction:
     run: bool = True
     """Whether finished scans are reconstructed and the growth curves updated."""
     voxel_mm: float | None = field(default=None, metadata={"limits": (0.01, 10.0)})
-    """Edge length of the smallest voxels, mm; empty: default of `rhizotwin reconstruct`."""
+    """Edge length of the smallest voxels, in mm. If it is empty, the default of `rhizotwin reconstruct` is used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +122,7 @@ class Experiment:
     """Plants and phantoms."""
     schedule: Schedule
     catalogue: str = ""
-    """Catalogue file; empty: name of the experiment file with the suffix .rhizotwin."""
+    """Catalogue file. If it is empty, it has the name of the experiment file with the suffix .rhizotwin."""
     scans: str = "scans"
     """Folder of the datasets."""
     results: str = "results"
@@ -127,7 +130,8 @@ class Experiment:
     twin: TwinPart = TwinPart()
     reconstruction: Reconstruction = Reconstruction()
     file: str = field(default="", compare=False)
-    """Path of the experiment file, to whose folder other paths are relative; set by `load_experiment`."""
+    """Path of the experiment file, which is set by `load_experiment`. Relative paths in the file are relative to its
+    folder."""
 
     @property
     def folder(self) -> Path:
@@ -210,7 +214,7 @@ class Experiment:
     def day(self, member: Member, due_utc: str) -> float:
         """Return the age of a plant at a planned scan, in days since sowing.
 
-        The age is a whole number at the time of day of the first round.
+        The age is a whole number of days if the scan is planned for the same time of day as the first round.
         """
         first = datetime.fromisoformat(self.schedule.start).date()
         days = (datetime.fromisoformat(due_utc) - self.start_utc) / timedelta(days=1)

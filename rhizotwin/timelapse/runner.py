@@ -88,7 +88,7 @@ class Runner:
         self._calendar = calendar
         self._numbers = {visit: number for number, visit in enumerate(experiment.visits())}
         self.table: RealTable | EmulatedTable | None = None
-        """Rig of the experiment; None before the run has started."""
+        """Rig of the experiment with its turntable. It is None until the run starts."""
 
     def prepare(self) -> None:
         """Create the catalogue if necessary, and add plants and planned scans that are not yet listed.

@@ -15,7 +15,8 @@ from rhizotwin.timelapse.changers import CarouselChanger, Changer, EmulatedHand,
 from rhizotwin.timelapse.experiment import Experiment, Member
 
 SEEDS_APART = 1000
-"""Multiplier of `TwinPart.seed`, to which the number of a scan is added to obtain a different seed for each scan."""
+"""Factor by which the seed of the experiment is multiplied before the number of a scan is added. The scans of an
+experiment thus have different seeds."""
 
 
 class RealTable:
@@ -26,7 +27,9 @@ class RealTable:
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
     def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
-        """Return the rig with the scene of a scan; the second value is None, because the rig is real.
+        """Return the rig with the scene of a scan.
+
+        The second value is None, because options for simulated pictures do not apply to a real rig.
 
         Parameters
         ----------
@@ -39,7 +42,10 @@ class RealTable:
 
 
 class EmulatedTable:
-    """Turntable of the emulated rig; a scan shows the canister that was placed on it, even if it is the wrong one."""
+    """Turntable of the emulated rig.
+
+    A scan shows the canister that was placed on it, even if it is not the canister of the plant to be scanned.
+    """
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
