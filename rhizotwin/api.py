@@ -65,7 +65,7 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
 
 
 class View:
-    """Running viewer with its address and a method that stops it."""
+    """Viewer that is running, with its address and a method to stop it."""
 
     def __init__(self, viewer: Viewer, temporary: ExitStack) -> None:
         self._viewer, self._temporary = viewer, temporary
@@ -77,7 +77,7 @@ class View:
         self._temporary.close()
 
     def __repr__(self) -> str:
-        """Return a text with the address of the viewer."""
+        """Return a short description that contains the address of the viewer."""
         return f"View at {self.address}"
 
     def _repr_html_(self) -> str:

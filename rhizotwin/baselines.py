@@ -171,7 +171,10 @@ TITLES: dict[Baseline, str] = {
 
 
 def _result(method: Baseline, shape: _Shape, *, settings: Settings, monitor: Monitor) -> Result:
-    """Convert the shape of a baseline method to a result whose volume is marked as not trusted."""
+    """Convert the hull of a baseline method to a result.
+
+    Its volume is marked as not reliable.
+    """
     pictures, carved, coverage, volume_mm3 = shape
     cameras = carved.cameras
     solid = shaping.measure(

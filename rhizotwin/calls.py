@@ -42,7 +42,8 @@ SHARES = {
     "surface": 0.3,
     "pictures": 6.0,
 }
-"""Typical duration of each reconstruction stage, s, for progress bars (radish_day05b, 20 views of 400x300, 2 cores)."""
+"""Typical duration of each stage of a reconstruction, in seconds, from which progress bars are computed. The durations
+were measured with radish_day05b, 20 views of 400x300, and 2 cores."""
 
 
 @contextmanager

@@ -21,12 +21,13 @@ from rhizotwin.scenes.errors import UserError
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17
 APT_LLVM = (19, 22, 21, 20, 18, 17)
-"""LLVM versions to install with apt, in order of preference; versions 19 and 22 are the best tested."""
+"""Versions of LLVM to install with apt, in order of preference. Versions 19 and 22 have been tested most."""
 LLVM_WHEEL = "karellen-llvm-core==19.1.7"
 """Python package that contains LLVM. It is installed as a dependency on Linux on x86-64. Its versions 21 and 23 are not
 used, because Dr.Jit 1.5 cannot load them."""
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
-"""Nonexistent path passed to Dr.Jit if no usable LLVM is installed, so that Dr.Jit does not load an old version."""
+"""Path passed to Dr.Jit if no usable LLVM is installed. It does not exist, so that Dr.Jit does not load a version that
+is too old."""
 
 _VARIANTS = {"cpu": "llvm_ad_mono", "cuda": "cuda_ad_mono"}
 _FILE_VERSION = re.compile(r"^libLLVM(?:-C)?(?:-(?P<dashed>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<dotted>\d+)[\d.]*)?$")

@@ -192,7 +192,9 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
 
 
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write cameras in nerfstudio's format transforms.json, with translations in mm.
+    """Write cameras to a file transforms.json in nerfstudio's format.
+
+    Translations are in mm.
 
     Parameters
     ----------

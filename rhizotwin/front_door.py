@@ -33,7 +33,10 @@ log = logging.getLogger("rhizotwin")
 
 
 class SceneChanges(TypedDict, total=False):
-    """Options of `simulate` that override properties of the scene; None leaves a property unchanged."""
+    """Options of `simulate` that change properties of the scene.
+
+    If an option is None, the property is not changed.
+    """
 
     profile: str | None
     views: int | None

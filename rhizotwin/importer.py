@@ -147,7 +147,8 @@ def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
 
 
 Alike: TypeAlias = tuple[int, str]
-"""Ring and band of a picture; pictures with the same ring and band are similar and can be compared."""
+"""Ring and band of a picture. Pictures that have the same ring and band are similar, and are compared with each
+other."""
 Placed: TypeAlias = tuple[int, str, int, float | None]
 """View, band, ring and table angle of a picture."""
 
@@ -242,7 +243,10 @@ def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
 
 
 def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
-    """Read a camera file; return the scene with the lens of the file, and the cameras."""
+    """Read a camera file.
+
+    The result is a copy of the scene with the lens of the file, and the cameras.
+    """
     given = read_cameras(cameras, scene.camera)
     changed = replace(scene, camera=given.camera)
     scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
@@ -337,7 +341,10 @@ def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
 
 
 class _Turns:
-    """Detects damaged pictures without a checksum by comparison with the other pictures of the same ring."""
+    """Detects damage in pictures whose file format has no checksum.
+
+    Each picture is compared with the other pictures of the same ring.
+    """
 
     def __init__(self) -> None:
         self._turns: dict[Alike, Turn] = {}

@@ -53,7 +53,7 @@ def read_squares(text: str) -> tuple[int, int]:
 
 
 def read_square_mm(text: str) -> float:
-    """Convert text to the side length of a square, mm."""
+    """Convert text to the side length of a square in mm."""
     return read_length_mm(text, SQUARE_LIMITS_MM)
 
 

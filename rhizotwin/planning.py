@@ -27,7 +27,7 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
-"""Duration of rotation, settling and exposure of one view on the rig of the documentation, s."""
+"""Time for rotation, settling and exposure of one view on the rig in the documentation, in seconds."""
 RING_TIME_S = 10.0
 """Time that the camera needs to move to another ring, in seconds."""
 SECOND_RING_MM = 52.0
@@ -37,7 +37,7 @@ In the first ring at -42 mm, the top of a plant appears in front of the dark net
 rim, sees the top in front of the backlight.
 """
 RUN = "unfinished"
-"""Name of the subfolder of the current run, whose pictures are reused after an interruption."""
+"""Name of the subfolder for the run in progress. After an interruption, its pictures are used again."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
 
 
@@ -127,7 +127,10 @@ def _run(
 
 
 def stage_of(variant: Variant, seed: int) -> str:
-    """Return the name of a run (capture plan and random seed) for progress output."""
+    """Return the name of a run for the progress output.
+
+    It consists of the name of the capture plan and the random seed.
+    """
     return f"{variant.name}, seed {seed}"
 
 

@@ -11,7 +11,7 @@ class Height:
     """Camera position of a ring: height, and optionally tilt and distance."""
 
     mm: float
-    """Height of the camera in the rig frame, mm; 0 is the rim of the canister."""
+    """Height of the camera in the rig frame, in mm. The rim of the canister is at 0."""
     tilt_deg: float | None = None
     """Tilt of the optical axis below the horizon, in degrees. If it is None, the camera is aimed at the target point of
     the scene's first ring."""
@@ -87,6 +87,6 @@ class Row:
     """Median precision of the centre lines of the roots. It is the precision of the voxels if the roots could not be
     scored in every run."""
     capture_min: float
-    """Estimated duration of the scan, min."""
+    """Estimated duration of the scan, in minutes."""
     compute_s: float
-    """Median duration of the reconstruction, s."""
+    """Median duration of the reconstruction, in seconds."""

@@ -95,7 +95,10 @@ def _black(order: str, pattern: NDArray[np.uint8], black: Sequence[float]) -> tu
 
 
 def _gains(names: str, balance: Sequence[float]) -> tuple[float, float]:
-    """Return the white balance factors of red and blue relative to green; (1, 1) if the file has none."""
+    """Return the white balance factors of red and blue relative to green.
+
+    They are (1, 1) if the file contains none.
+    """
     of = {name: balance[place] for place, name in reversed(list(enumerate(names)))}
     if min(of.get(name, 0.0) for name in "RGB") <= 0.0:
         return 1.0, 1.0

@@ -74,7 +74,7 @@ class Bench:
     """Scene with nominal or calibrated values, as known in a laboratory, without the simulated imperfections."""
     clock: Any
     twin: Any = None
-    """Emulated rig; None for a real rig."""
+    """Emulated rig. It is None if the rig is real."""
 
     def open_camera(self) -> "Camera":
         """Open the camera of the rig, and return it."""
@@ -186,7 +186,7 @@ def take_scan(
     resume: bool = False,
     table_angle_deg: float | None = None,
 ) -> "Dataset":
-    """Scan on open devices; for rendered pictures of the emulated rig, also write the ground truth.
+    """Scan with devices that are already open, and write the ground truth if the pictures are rendered.
 
     Parameters
     ----------
@@ -260,7 +260,10 @@ def _with_plan(scene: Scene, plan: str | None) -> Scene:
 
 
 def recorder(path: Path | None, stack: ExitStack) -> Any:
-    """Open a file that records the serial communication; None if ``path`` is None."""
+    """Open a file to which the serial communication is recorded.
+
+    If ``path`` is None, nothing is recorded, and the result is None.
+    """
     if path is None:
         return None
     from rhizotwin.rig.serial_line.recording import Recorder
@@ -276,7 +279,10 @@ def recorder(path: Path | None, stack: ExitStack) -> Any:
 
 
 def asker() -> Callable[[str], str] | None:
-    """Return a function that prompts the user on the terminal and returns the answer; None without a terminal."""
+    """Return a function that asks the user a question on the terminal, and returns the answer.
+
+    The result is None if there is no terminal.
+    """
     if not sys.stdin.isatty():
         return None
 

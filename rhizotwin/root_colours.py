@@ -38,11 +38,15 @@ interval, relative to the diameter (`recon.uncertainty.root_uncertainty`)."""
 
 @dataclass(frozen=True)
 class Key:
-    """Colour key: swatches with labels, or the labels at both ends of a continuous scale."""
+    """Colour key of a picture.
+
+    It consists of colour swatches with labels, or of a continuous scale with a label at each end.
+    """
 
     swatches: tuple[tuple[Rgb, str], ...] = ()
     ends: tuple[str, str] | None = None
-    """Labels at the first and the last colour of the continuous scale (viridis); None for swatches."""
+    """Labels at the first and the last colour of the continuous scale (viridis), or None if the key consists of
+    swatches."""
 
 
 def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
@@ -112,7 +116,10 @@ def order_name(order: int) -> str:
 
 
 def half_widths(line: Line) -> Array | None:
-    """Return the half-widths (N,) of the 90 % intervals of a root's diameters, mm; None if they are unknown."""
+    """Return half the width (N,) of the 90 % interval of each diameter of a root, in mm.
+
+    The result is None if the intervals are unknown.
+    """
     return None if line.sigma_mm is None else NINETY * line.sigma_mm
 
 

@@ -1,4 +1,7 @@
-"""Mesh of roots for display, with one coloured tube per root; overlapping tubes are not united."""
+"""Mesh of roots for display, with one coloured tube for each root.
+
+Tubes that overlap are not united to one surface.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ of the scale for all other roots."""
 
 
 def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
-    """Return a mesh of closed tubes along roots, canister frame, mm, with a colour for each vertex.
+    """Return a mesh of closed tubes along roots, in mm in the canister frame.
+
+    Each vertex has a colour.
 
     Parameters
     ----------

@@ -150,13 +150,19 @@ def vertex_normals(mesh: Mesh) -> Floats:
 
 
 def unit_normals(mesh: Mesh) -> Floats:
-    """Return the outward unit normals (V, 3) of the vertices; zero for vertices without triangles."""
+    """Return the outward unit normals (V, 3) of the vertices.
+
+    The normal of a vertex without triangles is zero.
+    """
     normals = vertex_normals(mesh)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
 def _blurred(image: Pixels, sigma_px: float) -> Pixels:
-    """Blur an image with a Gaussian; a wide Gaussian is applied at a lower resolution."""
+    """Blur an image with a Gaussian filter.
+
+    If the filter is wide, the image is reduced first, which saves time.
+    """
     fewer = max(1, int(sigma_px / 4.0))
     height, width = image.shape
     small = cv2.resize(image, (max(1, width // fewer), max(1, height // fewer)), interpolation=cv2.INTER_AREA)

@@ -20,13 +20,14 @@ PACKAGES = (
     "rhizotwin.stored",
     "benchmarks",
 )
-"""Packages whose modules are included in a digest; other libraries are identified by their versions."""
+"""Packages whose modules are included in a digest. Other libraries are represented in it by their version numbers."""
 
 DATA_OF_SCENES = ("rhizotwin/scenes/library", "rhizotwin/scenes/profiles")
 """Data folders excluded from digests, because their contents are recorded in the settings of each picture."""
 
 _Import = tuple[int, str, tuple[str, ...]]
-"""Import statement: level of a relative import (0 for an absolute import), module, and imported names."""
+"""Import statement: level of a relative import, name of the module, and imported names. The level is 0 for an absolute
+import."""
 
 
 def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> list[str]:
@@ -74,7 +75,10 @@ def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str]
 
 
 def _file(module: str, root: Path) -> Path | None:
-    """Return the source file of a module; None if the name is not a module of the project."""
+    """Return the source file of a module.
+
+    The result is None if the name is not that of a module of this project.
+    """
     if not _package(module):
         return None
     place = root.joinpath(*module.split("."))

@@ -22,7 +22,7 @@ _FIRST_TOLERANCE_MM, _GROWTH = 0.01, 1.4
 shrink thin roots less: a bean reduced from 900,000 to 120,000 triangles loses 5 % of its volume, but 14 % in a single
 step."""
 _LARGEST_TOLERANCE_MM = 1.0
-"""Maximum tolerance of the simplification, mm."""
+"""Upper limit of the tolerance of a simplification, in mm."""
 
 
 def close(mesh: Mesh) -> Mesh:
@@ -152,7 +152,10 @@ def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return a 64-bit hash (N,) of each row (N, 3); sorting hashes is ten times faster than sorting rows."""
+    """Return a 64-bit hash (N,) of each row (N, 3).
+
+    Hashes can be sorted ten times faster than rows.
+    """
     key = np.zeros(len(rows), np.uint64)
     for column in rows.T:
         key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing: 2^64 over the golden ratio

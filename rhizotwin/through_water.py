@@ -152,7 +152,7 @@ class Pictures(Cameras):
             cv2.circle(mask, (int(middle[0]), int(middle[1])), int(r), 255, -1, cv2.LINE_8, _SHIFT)
 
     def _project_flanks(self, place: int, lines: Mapping[int, Line]) -> tuple[Array, Array]:
-        """Project both edges of roots into a picture; return the pixels (N, 2) of each edge.
+        """Project the left and right edge of each root into a picture, and return the pixels (N, 2) of both.
 
         An edge is the centre line, displaced by the radius perpendicular to the root and to the line of sight.
         """

@@ -44,7 +44,7 @@ class VirtualCamera:
     view: View
     optics: Optics
     distance_mm: float
-    """Horizontal distance from the canister's axis to the pinhole."""
+    """Horizontal distance from the canister's axis to the pinhole, in mm."""
     heights_mm: tuple[float, float]
     """Height of the lowest and of the highest point of the water, in the canister frame."""
     focal_px: float | None = None
@@ -53,7 +53,10 @@ class VirtualCamera:
 
     @property
     def cam_from_canister(self) -> Array:
-        """Pose (4, 4) of the pinhole camera, which looks horizontally at the axis from the real azimuth and height."""
+        """Pose (4, 4) of the pinhole camera.
+
+        The camera has the azimuth and height of the real camera, and looks horizontally at the axis.
+        """
         level = frames.level_camera(distance_mm=self.distance_mm, height_mm=float(self.view.centre_mm[2]), tilt_deg=0.0)
         return level @ frames.rotation_z(-self._azimuth_rad)
 
@@ -68,7 +71,7 @@ class VirtualCamera:
         return Camera(image_wh=(width, height), focal_px=(focal, focal), principal_px=((width - 1) / 2.0, (height - 1) / 2.0))
 
     def pixels(self, points_mm: Array) -> Array:
-        """Project points (N, 3) with the pinhole camera, without refraction; return pixels (N, 2)."""
+        """Project points (N, 3) with the pinhole camera, without refraction, and return the pixels (N, 2)."""
         x, y, z = frames.apply(self.cam_from_canister, points_mm).T
         (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
         return np.stack([focal * x / z + cx, focal * y / z + cy], axis=1)

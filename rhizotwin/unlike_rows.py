@@ -13,7 +13,8 @@ LEAST = 5
 """Minimum number of pictures in a ring that are compared. With fewer pictures, the one that deviates from the others
 could not be identified."""
 OTHER = 0.15
-"""Minimum difference of a deviating pixel from the median over the ring, relative to the brightness of the panel."""
+"""Difference above which a pixel deviates from the other pictures. It is the absolute difference from the median over
+the ring, relative to the brightness of the panel."""
 NEAR = 2
 """A row is also compared with this number of rows above it and below it in other pictures. They allow for small
 vertical shifts between pictures."""
@@ -25,8 +26,8 @@ In 1,600 intact pictures of the accuracy ladder and of a real rig the difference
 5 views in a ring.
 """
 WHOLE = 0.95
-"""Maximum fraction of damaged rows in a picture. Above it the illumination has changed, which the checks of the
-reconstruction detect."""
+"""Maximum fraction of damaged rows in a damaged picture. A larger fraction indicates that the illumination has changed,
+which the checks of the reconstruction detect."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,10 @@ class Turn:
         self._rows: list[Grey] = []
 
     def add(self, name: str, grey: Grey) -> None:
-        """Add a picture (H, W); all pictures must have the same size and bit depth."""
+        """Add a picture (H, W).
+
+        All pictures must have the same size and bit depth.
+        """
         self._names.append(name)
         self._rows.append(np.ascontiguousarray(grey[:, :: max(1, grey.shape[1] // COLUMNS)]))
 

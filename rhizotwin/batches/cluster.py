@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SLURM = "slurm"
 WAIT_S = 30.0
-"""Timeout for connecting to a scheduler, s."""
+"""Maximum time to wait for a connection to a scheduler, in seconds."""
 
 
 @contextmanager
@@ -70,7 +70,10 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
 
 
 def slurm(jobs: Sequence[Job]) -> Any:
-    """Return a Dask cluster whose workers are Slurm jobs with enough memory for the largest job."""
+    """Return a Dask cluster whose workers run as Slurm jobs.
+
+    Each worker has enough memory for the largest of the given jobs.
+    """
     from dask_jobqueue.slurm import SLURMCluster
 
     memory_mib = max((job.memory_mib for job in jobs), default=1000.0)

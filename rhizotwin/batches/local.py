@@ -1,6 +1,6 @@
-"""Execution of jobs in worker processes on this computer, with as many processes as the memory allows.
+"""Execution of jobs in several worker processes on this computer.
 
-The job of a process that dies is repeated.
+The number of processes is limited by the memory. If a process dies, its job is repeated.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from rhizotwin.scenes.monitor import threads
 MOST_TRIES = 3
 """Maximum number of attempts to run a job that fails for an external reason, such as a full disk."""
 LEFT_FREE = 0.1
-"""Fraction of the available memory that is reserved for other programs."""
+"""Fraction of the available memory that batches leave free for other programs."""
 LOOK_S = 1.0
-"""Interval at which a worker checks that the main process still exists, s."""
+"""Interval, in seconds, at which a worker process checks that the main process still exists."""
 
 
 @dataclass

@@ -85,7 +85,10 @@ def summarise(summaries: Sequence[Json]) -> str:
 
 
 def _thumbnail(result: Path) -> bytes | None:
-    """Return the front view of the reconstructed shape as a small JPEG; None if the result has no picture."""
+    """Return the front view of the reconstructed shape as a small JPEG picture.
+
+    The result is None if the reconstruction has stored no picture of the shape.
+    """
     image = result_files.read_shape_picture(result)
     if image is None:
         return None
@@ -124,7 +127,10 @@ def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition
 
 
 def _number(row: _Row, field: str) -> str:
-    """Format a trait for the table; the verdict is appended unless it is "reliable"."""
+    """Format the value of a trait for the table.
+
+    The verdict about the trait is appended in parentheses, unless it is "reliable".
+    """
     value, verdict = getattr(row.traits, field), row.assessed[field].verdict
     return trait_table.format_number(value) if value is None or verdict == "reliable" else f"{trait_table.format_number(value)} ({verdict})"
 

@@ -28,7 +28,10 @@ def join(place: str, *names: str) -> str:
 
 
 def name_of(place: str) -> str:
-    """Return the last component of a path or address; for ``.`` the name of the current folder."""
+    """Return the last component of a path or address.
+
+    For ``.`` it is the name of the current folder.
+    """
     return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(os.path.realpath(place)).name
 
 

@@ -95,7 +95,10 @@ def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
 
 
 class _Bar:
-    """Progress bar of a batch with the estimated remaining time; without a terminal, one line of text per job."""
+    """Progress bar of a batch with the estimated remaining time.
+
+    If the output is not a terminal, one line of text is printed for each job instead.
+    """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
         self._total, self._count = len(jobs), 0

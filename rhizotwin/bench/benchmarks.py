@@ -29,7 +29,9 @@ dark net pot. The second ring at 10 mm sees them in front of the backlight, whic
 
 
 def rendered_scene(scene: Scene, profile: str, *, rings: int, views: int, image_wh: tuple[int, int], seed: int) -> Scene:
-    """Return a copy of a scene with the plant, views and simulated imperfections of a benchmark case.
+    """Return the scene of a benchmark case.
+
+    It is a copy of a library scene with a different plant, number of views and simulated imperfections.
 
     Parameters
     ----------

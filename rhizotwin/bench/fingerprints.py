@@ -34,7 +34,7 @@ mesh libraries."""
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Difference between a rendered case and its reference fingerprint."""
+    """Result of comparing a rendered case with its reference fingerprint."""
 
     case: str
     largest: float
@@ -46,12 +46,15 @@ class Comparison:
 
     @property
     def same(self) -> bool:
-        """Whether pixels and volume equal the reference within the tolerances."""
+        """Whether sampled pixels and true volume agree with the reference within the tolerances."""
         return self.largest <= LIMIT and self.volume <= _SAME_VOLUME
 
 
 def take(folder: Path) -> dict[str, Any]:
-    """Return the fingerprint of a rendered case: sampled 16-bit grey levels and true volume, as JSON values."""
+    """Return the fingerprint of a rendered case as JSON values.
+
+    It consists of the grey levels (16 bits) of sampled pixels, and of the true volume.
+    """
     dataset = load_dataset(folder)
     return {"volume_mm3": load_truth(folder).volume_mm3, "pixels": [_sampled(dataset, k).tolist() for k in range(len(dataset.frames))]}
 

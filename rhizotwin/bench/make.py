@@ -42,7 +42,7 @@ def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[
 
 
 def sentence(one: Comparison) -> str:
-    """Return a sentence that describes a comparison."""
+    """Return a sentence for the user about the result of a comparison."""
     if one.largest == float("inf"):
         return f"{one.case}: rendered; this version of the program has no reference for this case"
     amount = f"maximum difference of sampled pixels {one.largest:.1e} of full scale (limit {fingerprints.LIMIT:g})"

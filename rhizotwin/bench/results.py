@@ -123,7 +123,7 @@ def read(path: Path) -> Results:
 
 
 def value(row: dict[str, Any], quantity: Quantity) -> float | None:
-    """Return the value of a quantity in a row; None if it is missing."""
+    """Return the value of a quantity in a row, or None if it is missing."""
     for place in quantity.places:
         found: Any = row if len(place) == 1 else row["scores"]
         for name in place:
@@ -134,7 +134,7 @@ def value(row: dict[str, Any], quantity: Quantity) -> float | None:
 
 
 def interval_holds(row: dict[str, Any]) -> bool | None:
-    """Return whether the 90 % interval of the volume contains the true volume; None if the row has no interval."""
+    """Return whether the 90 % interval of the volume contains the true volume, or None if the row has no interval."""
     try:
         holds = row["scores"]["traits"]["traits"]["volume"]["holds"]
     except (KeyError, TypeError):
@@ -143,7 +143,10 @@ def interval_holds(row: dict[str, Any]) -> bool | None:
 
 
 def text(row: dict[str, Any], quantity: Quantity) -> str:
-    """Format the value of a quantity in a row for a table; empty if it is missing."""
+    """Format the value of a quantity in a row for a table.
+
+    The text is empty if the value is missing.
+    """
     found = value(row, quantity)
     if found is None:
         return ""
@@ -189,7 +192,9 @@ def remark(row: dict[str, Any]) -> str:
 
 
 def compare(found: Results, baseline: Results) -> list[Finding]:
-    """Compare results with a baseline; a case that is missing or has failed is a deterioration.
+    """Compare results with a baseline.
+
+    A case that is missing or has failed counts as a deterioration.
 
     Raises
     ------

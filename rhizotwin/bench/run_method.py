@@ -65,9 +65,10 @@ class Row:
     exit_code: int | None = None
     wall_s: float | None = None
     cpu_s: float | None = None
-    """Total CPU time of all finished processes; None if the operating system does not report CPU time."""
+    """Total CPU time of all finished processes, in seconds. It is None if the operating system does not report CPU
+    time."""
     memory_mib: float | None = None
-    """Peak memory of the largest process; None if the operating system does not report it."""
+    """Peak memory of the largest process, in MiB. It is None if the operating system does not report it."""
     scores: dict[str, Any] = field(default_factory=dict)
 
 
@@ -147,7 +148,9 @@ def run(
 
 
 def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[Row], None] = lambda _: None) -> list[Row]:
-    """Score output folders that another program has written; times and memory are unknown.
+    """Score output folders that another program has written.
+
+    The rows contain no running times and no memory, because these are unknown.
 
     Parameters
     ----------
@@ -175,7 +178,9 @@ def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[R
 
 
 def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, cameras: CameraSource | None) -> dict[str, Any]:
-    """Convert rows to the JSON values of a results file, with versions, computer and options of the run.
+    """Convert rows to the JSON values of a results file.
+
+    The file also contains the versions of software, a description of the computer, and the options of the run.
 
     Parameters
     ----------
@@ -231,7 +236,10 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
 
 
 def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
-    """Run a method on one case, score its output, and then move the output to ``keep``."""
+    """Run a method on one case, and score its output.
+
+    If ``keep`` is given, the output is moved to this folder afterwards.
+    """
     with tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True) as temporary:
         working = Path(temporary)
         offered, output = working / "dataset", working / "output"

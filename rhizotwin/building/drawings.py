@@ -32,7 +32,10 @@ LETTER_MM = 1.7
 
 @dataclass(frozen=True, kw_only=True)
 class _View:
-    """View of a part on the page, with page position = corner + scale * (right, -up)."""
+    """View of a part on a page.
+
+    The position on the page is corner + scale * (right, -up), where right and up are coordinates in the view.
+    """
 
     side: Side
     drawn: Drawn
@@ -44,7 +47,10 @@ class _View:
         return self.on_page((self.side.axes @ point_mm)[:2])
 
     def on_page(self, points_mm: Array) -> Array:
-        """Return the page positions (..., 2) of points (..., 2) in the right and up coordinates of the view."""
+        """Return the page positions (..., 2) of points (..., 2) in a view.
+
+        The coordinates of the points in the view are right and up.
+        """
         return np.asarray(self.corner_mm + self.scale * (points_mm - self.drawn.low_mm) * np.array([1.0, -1.0]))
 
 

@@ -213,7 +213,10 @@ def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, m
 
 
 def _side_piece(scene: Scene, measures: Measures) -> Part:
-    """Create a wall piece for the sides of the lightbox, whose fins do not touch the upper and lower walls."""
+    """Create a wall piece for the left and right side of the lightbox.
+
+    Its fins are shortened so that they do not touch the upper and lower walls.
+    """
     wide, high = scene.lights.backlight_wh_mm
     count = int(np.ceil(high / WALL_LONG_MM))
     long = high / count - measures.fit_mm

@@ -16,7 +16,7 @@ SHARP_DEG = 25.0
 """Minimum angle between the normals of adjacent faces for which their common edge is drawn. On a round wall with 240
 sides the angle is 1.5 degrees, so that the edges between its faces are not drawn."""
 PIXELS = 700
-"""Number of pixels along the longer side of the depth image for the hidden-line test."""
+"""Size of the depth image for the hidden-line test: number of pixels along its longer side."""
 NEAR_PX = 2.5
 """Depth tolerance of the hidden-line test, in pixels of the depth image. Visible edges lie on the surface, and would
 otherwise be hidden by rounding errors of the depth."""
@@ -123,7 +123,10 @@ def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> li
 
 
 def _chained(strokes: list[Array]) -> list[Array]:
-    """Join consecutive strokes to polylines, which reduces the size of the file without changing the drawing."""
+    """Join consecutive strokes to polylines.
+
+    This reduces the size of the file, and does not change the drawing.
+    """
     kept: dict[tuple[int, ...], Array] = {}
     for stroke in strokes:  # two edges may coincide in the view
         key = tuple(np.rint(stroke * 100.0).astype(int).ravel())

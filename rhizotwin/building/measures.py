@@ -13,13 +13,16 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 @dataclass(frozen=True, kw_only=True)
 class Measures:
-    """Dimensions of purchased parts, and clearances. The defaults are nominal; measure real parts with a caliper."""
+    """Dimensions of purchased parts, and clearances. The defaults are nominal.
+
+    Measure the real parts with a caliper.
+    """
 
     paper_mm: float = bounded(0.1, 0.0, 2.0)
-    """Paper thickness of the marker strip, as in `rhizotwin markers --paper-mm`."""
+    """Thickness of the paper on which the marker strip is printed, as given by `rhizotwin markers --paper-mm`."""
     fit_mm: float = bounded(0.3, 0.05, 2.0)
-    """Clearance on each side between a printed part and its counterpart. Printed parts that only need to move freely
-    have half of this clearance."""
+    """Gap on each side between a printed part and the part that it must fit. Half of this gap is used between printed
+    parts that only need to move freely."""
     wall_mm: float = bounded(2.4, 0.8, 20.0)
     """Wall thickness of the net pot if the scene does not specify it. The default is the width of six printed lines
     from a 0.4 mm nozzle."""
@@ -81,7 +84,9 @@ class Measures:
 
 
 def load_measures(path: Path) -> Measures:
-    """Load dimensions from a TOML file; missing keys have their default values.
+    """Load dimensions from a TOML file.
+
+    Keys that are missing in the file have their default values.
 
     Raises
     ------

@@ -39,7 +39,7 @@ class Part:
     rig_from_part: tuple[Array, ...] = ()
     """Poses (4, 4) in the rig frame, one per piece."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Displacement in the exploded view, rig frame."""
+    """Displacement of the part in the exploded view, in the rig frame."""
     dimensions: tuple[Dimension, ...] = ()
     support: str = ""
     """Places that need a support structure, or reason why overhangs need none. It is empty if the part has no
@@ -50,7 +50,10 @@ class Part:
 
     @property
     def printed(self) -> Manifold:
-        """Solid in printing orientation, centred at x = y = 0, with the lowest point at z = 0."""
+        """Solid in the orientation on the print bed.
+
+        The solid is centred at x = y = 0, and its lowest point is at z = 0.
+        """
         lying = self.solid.transform(self.bed_from_part[:3])
         low_x, low_y, low_z, high_x, high_y, _ = lying.bounding_box()
         return lying.translate((-(low_x + high_x) / 2.0, -(low_y + high_y) / 2.0, -low_z))

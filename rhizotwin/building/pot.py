@@ -10,7 +10,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 LEAST_WALL_MM = 1.2
-"""Minimum wall thickness, which is three lines of a 0.4 mm nozzle; thinner walls leak and bend."""
+"""Minimum wall thickness, which is the width of three printed lines from a 0.4 mm nozzle. Thinner walls leak and
+bend."""
 SEAT_MM = 3.0
 """Width of the conical seat of the grid in the net pot."""
 GRID_MM = 2.4

@@ -26,7 +26,7 @@ class Bought:
     solid: Manifold
     """Solid in the rig frame."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Displacement in the exploded view, rig frame."""
+    """Displacement of the part in the exploded view, in the rig frame."""
 
 
 def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBoard) -> list[Part]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.frames import Array
 
 SIDES = 240
-"""Number of sides of the polygon that approximates a circle; at a radius of 80 mm the deviation is 7 um."""
+"""Number of sides of the polygon that approximates a circle. At a radius of 80 mm, the polygon deviates from the circle
+by at most 7 um."""
 PRESSURE_RAD = np.deg2rad(20.0)
 """Pressure angle of the gears (ISO 53)."""
 FLANK_POINTS = 6
@@ -52,7 +53,10 @@ def slot(diameter: float, start: tuple[float, float], end: tuple[float, float]) 
 
 
 def teardrop(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a teardrop-shaped hole, whose 45 degree roof towards +y can be printed without support."""
+    """Return the outline of a teardrop-shaped hole.
+
+    Its roof, which is inclined by 45 degrees and points towards +y, can be printed without support.
+    """
     radius = diameter / 2.0
     return CrossSection.batch_hull([circle(radius, sides=32), polygon([(-0.1, 0.0), (0.1, 0.0), (0.0, np.sqrt(2.0) * radius)])]).translate(
         at

@@ -20,7 +20,8 @@ from rhizotwin.scenes.model import Scene
 MODULE_MM = 1.0
 """Module of the gears, the smallest that a 0.4 mm nozzle prints with clean flanks."""
 PINION_TEETH = 18
-"""Number of teeth of the pinion; at a pressure angle of 20 degrees, at least 17 are required to avoid undercut."""
+"""Number of teeth of the pinion. At a pressure angle of 20 degrees, a gear needs at least 17 teeth to avoid
+undercut."""
 BACKLASH_MM = 0.15
 """Reduction of the tooth thickness. Backlash does not affect a scan, which approaches all angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
@@ -147,7 +148,10 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion(scene: Scene, measures: Measures) -> Part:
-    """Create the pinion of the motor, whose teeth start at z = 0 with the hub above them."""
+    """Create the pinion of the motor.
+
+    Its teeth start at z = 0, and its hub is above them.
+    """
     shaft = circle(measures.shaft_mm / 2.0 + 0.1, sides=48) ^ rectangle(
         (-measures.shaft_mm, -measures.shaft_mm), (measures.shaft_flat_mm - measures.shaft_mm / 2.0 + 0.1, measures.shaft_mm)
     )
@@ -234,7 +238,9 @@ def table_base(scene: Scene, measures: Measures) -> Part:
 
 
 def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
-    """Create a foot of the base, whose upper face is at z = 0 and whose tongue fits the slot of the profile below.
+    """Create a foot of the base.
+
+    The upper face of the foot is at z = 0, and its tongue fits the slot of the profile below.
 
     Raises
     ------

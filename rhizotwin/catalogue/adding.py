@@ -247,7 +247,10 @@ def _insert_traits(catalogue: Catalogue, result: int | None, one: measured.Measu
 
 
 def _panel_level(scan: Path) -> dict[str, float]:
-    """Return the brightness of the panel in the pictures of a scan, or {} if the pictures cannot be read."""
+    """Return the brightness of the panel in the pictures of a scan.
+
+    The result is empty if the pictures cannot be read.
+    """
     try:
         level = drift.panel_level(load_dataset(scan))
     except UserError:

@@ -38,10 +38,10 @@ ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_
 MOST_ROWS = 100_000
 """Maximum number of rows that a query may return."""
 MOST_BYTES = 100_000_000
-"""Maximum amount of text that a query may return, bytes, which limits the memory."""
+"""Maximum amount of text that a query may return, in bytes. It limits the memory of the query."""
 LIMITS = {sqlite3.SQLITE_LIMIT_LENGTH: 1_000_000, sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 1000}
-"""Maximum length of a value and of a LIKE pattern in a query, bytes. A LIKE comparison cannot be interrupted, and its
-duration is proportional to the product of both lengths."""
+"""Maximum length of a value and of a LIKE pattern in a query, in bytes. A LIKE comparison cannot be interrupted, and
+its duration is proportional to the product of both lengths."""
 MOST_S = 60.0
 """Maximum duration of a query, in seconds. It ends queries that would not end by themselves, such as an infinite
 recursion."""

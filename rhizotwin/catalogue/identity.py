@@ -23,7 +23,7 @@ class WrongPlantError(UserError):
     def __init__(self, text: str, *, found: str = "") -> None:
         super().__init__(text)
         self.found = found
-        """Name of the plant on the turntable; empty if unknown."""
+        """Name of the plant on the turntable. It is empty if the plant is unknown."""
 
 
 def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
@@ -76,7 +76,7 @@ def tag_in(ids: Iterable[int], tags: Sequence[Tag]) -> Tag | None:
 
 
 def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
-    """Return the plant whose marker strip is visible in a picture.
+    """Identify the plant in a picture from the markers on the marker strip of its net pot.
 
     Parameters
     ----------

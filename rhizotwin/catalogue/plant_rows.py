@@ -12,12 +12,15 @@ from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.solution import Solution, check_solution
 
 KEPT = ("notes", "solution")
-"""Fields that may differ between an existing and a new entry of a plant. New notes replace existing ones, and the first
-nutrient solution is retained, because each scan stores its own solution."""
+"""Fields in which a new entry of a plant may differ from the existing one. New notes replace the existing notes. The
+existing nutrient solution is kept, because each scan stores its own solution."""
 
 
 def solution_text(solution: Solution) -> str:
-    """Return a nutrient solution as JSON text for storage; empty for an unknown solution."""
+    """Return a nutrient solution as JSON text for the catalogue.
+
+    The text is empty if the solution is unknown.
+    """
     return json.dumps(to_plain(solution), sort_keys=True) if solution.known else ""
 
 

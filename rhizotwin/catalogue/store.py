@@ -29,7 +29,8 @@ class Catalogue:
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path.resolve() if path.is_symlink() else path
-        """Path of the catalogue file, with links resolved; stored paths are relative to the folder of this file."""
+        """Path of the catalogue file, in which symbolic links are resolved. Stored paths are relative to the folder of
+        this file."""
         self.connection = connection
         """Connection to the file, which only the methods of this class should use for writing."""
         self.lock = threading.RLock()
@@ -101,7 +102,9 @@ class Catalogue:
                 raise
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
-        """Return the rows of a SELECT statement with bound values.
+        """Return the rows of a SELECT statement.
+
+        ``values`` are bound to the placeholders of the statement.
 
         Raises
         ------
@@ -111,7 +114,10 @@ class Catalogue:
         return self.select(sql, values)[1]
 
     def select(self, sql: str, values: Sequence[Any] = ()) -> tuple[tuple[str, ...], list[sqlite3.Row]]:
-        """Return the column names and the rows of a SELECT statement with bound values."""
+        """Return the column names and the rows of a SELECT statement.
+
+        ``values`` are bound to the placeholders of the statement.
+        """
         with self.lock:
             try:
                 cursor = self.connection.execute(sql, values)
@@ -201,7 +207,7 @@ class Catalogue:
         raise UserError(f"{self.path}: no plant is named {name!r}; known plants: {names}{', ...' if len(known) > MOST_LISTED else ''}")
 
     def plant_with_tag(self, tag: Tag) -> Plant | None:
-        """Return the plant with the given tag; None if the catalogue has no such plant."""
+        """Return the plant with the given tag, or None if the catalogue contains no such plant."""
         return next((one for one in self.plants() if one.tag == tag), None)
 
     # scans, results, masses
@@ -394,7 +400,7 @@ class Catalogue:
 
 
 def now_utc() -> str:
-    """Return the current time in the format of the catalogue (UTC, ISO 8601, seconds)."""
+    """Return the current time as text in the format of the catalogue: UTC, ISO 8601, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 

@@ -178,7 +178,10 @@ def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
 
 
 def _print_calibration(made: "Calibration", *, of: int) -> None:
-    """Print the estimated lens parameters and the excluded pictures; ``of`` is the number of pictures."""
+    """Print the estimated lens parameters, and the pictures that were excluded.
+
+    ``of`` is the total number of pictures.
+    """
     for name, reason in made.rejected.items():
         print(f"excluded picture: {name}: {reason}")
     for warning in made.warnings:

@@ -108,7 +108,10 @@ def scan(
 def _scan(
     bench: rigs.Bench, output: Path, subject: SubjectOptions, *, options: ScanOptions, twin: rigs.TwinPictures | None, progress: Progress
 ) -> "Dataset":
-    """Open the devices, identify the plant if a catalogue is given, and scan the plant."""
+    """Open the devices and scan the plant.
+
+    If a catalogue is given, the plant is identified first.
+    """
     with ExitStack() as stack:
         devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         if options.catalogue is None:

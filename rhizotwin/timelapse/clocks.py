@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
 STEP_S = 1.0
-"""Polling interval at which a waiting clock checks whether the run is to end, s."""
+"""Interval, in seconds, at which a waiting clock checks whether the run is to be stopped."""
 
 
 class Calendar(Protocol):
@@ -19,7 +19,10 @@ class Calendar(Protocol):
         """Wait until a given time, or until ``stop`` returns True."""
 
     def advance(self, seconds: float) -> None:
-        """Advance virtual time by the duration of an emulated scan; the time of the computer is not affected."""
+        """Advance the virtual time by the duration of an emulated scan.
+
+        A clock with the time of the computer ignores the call.
+        """
 
 
 class SystemCalendar:

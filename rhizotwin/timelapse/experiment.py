@@ -20,8 +20,8 @@ from rhizotwin.scenes.subject import Subject, check_subject
 
 Changing = Literal["person", "carousel"]
 EVERY_H = (0.25, 10000.0)
-"""Minimum and maximum interval between two scans of a plant, h. The names of datasets contain the day with two
-decimals, so that intervals below 0.24 h could not be distinguished."""
+"""Minimum and maximum interval between two scans of a plant, in hours. The names of datasets contain the day with two
+decimals. Below 0.24 h, two scans could have the same name."""
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -38,7 +38,8 @@ class Member:
     name: str
     """Name of the plant."""
     canister: int = bounded(1, 1, 500)
-    """Number of the canister and its marker strip; `rhizotwin markers SCENE --labels N` prints the strips 1 to N."""
+    """Number of the canister, and of its marker strip. The strips 1 to N are printed by `rhizotwin markers SCENE
+    --labels N`."""
     species: str = ""
     """Latin name, such as Raphanus sativus."""
     treatment: str = ""
@@ -69,20 +70,20 @@ class Schedule:
     """Times at which the plants are scanned, and handling of delays and failures."""
 
     start: str
-    """Date and time of the first round of scans, such as 2026-12-01T09:00; local time unless an offset such as +01:00
-    is appended."""
+    """Date and time of the first round of scans, such as 2026-12-01T09:00. The time is local, unless an offset such as
+    +01:00 is appended."""
     every_h: float = bounded(24.0, *EVERY_H)
-    """Interval between two rounds, h."""
+    """Interval between two rounds, in hours."""
     rounds: int = bounded(10, 1, 10000)
     """Number of rounds, in each of which all plants are scanned."""
     late_h: float = bounded(12.0, 0.1, 10000.0)
-    """Maximum delay of a scan, h; a scan that has not started by then is recorded as missed."""
+    """Maximum delay of a scan, in hours. A scan that has not started by then is recorded as missed."""
     change: Changing = "person"
     """Method of placing canisters on the turntable: by a person, who is prompted, or by a carousel."""
     tries: int = bounded(3, 1, 100)
     """Maximum number of attempts before a scan is recorded as missed."""
     pause_min: float = bounded(5.0, 0.0, 1000.0)
-    """Pause between two attempts, min."""
+    """Pause between two attempts, in minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +156,7 @@ class Experiment:
 
     @property
     def start_utc(self) -> datetime:
-        """Time of the first round of scans, UTC."""
+        """Time of the first round of scans, in UTC."""
         return datetime.fromisoformat(self.schedule.start).astimezone(UTC)
 
     @property

@@ -37,17 +37,18 @@ class Listener:
     say: Callable[[str], None] = lambda _: None
     """Function that is called with each line of output for the user."""
     say_devices: Callable[[str], None] | None = None
-    """Function that is called with each line of output about devices; None: same as ``say``."""
+    """Function that is called with each line of output about devices. If it is None, these lines are passed to
+    ``say``."""
     on_visit: Callable[[Visit], object] = lambda _: None
     """Function that is called after each change of a planned scan's state."""
     stop: Callable[[], bool] = lambda: False
     """Function that returns True if the run is to end before the next scan."""
     ask: Ask | None = None
-    """Function that asks the user a question and returns the answer; None if no user is available."""
+    """Function that asks the user a question, and returns the answer. It is None if there is no user to ask."""
     observer: Observer = field(default_factory=Observer)
-    """Receiver of the pictures of a scan, which can also pause the scan."""
+    """Receives the pictures of a scan, and can pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
-    """Receiver of the progress of a scan."""
+    """Receives the progress of a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +60,9 @@ class Outcome:
     missed: tuple[Visit, ...]
     """Missed scans."""
     open: tuple[Visit, ...]
-    """Planned scans that are neither finished nor missed."""
+    """Scans that are still to be performed."""
     growth: Path | None
-    """Path of the page with the growth curves; None if there are none yet."""
+    """Path of the page with the growth curves. It is None if no growth curves have been computed yet."""
 
 
 class Runner:
@@ -144,7 +145,7 @@ class Runner:
         return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
 
     def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
-        """Perform a scan whose time has come, or record the scan as missed."""
+        """Perform a planned scan at its time, or record it as missed."""
         member = self.experiment.member(visit.plant)
         folder = self.experiment.scan_folder(member, visit.due_utc)
         if self._is_complete(folder, member):
@@ -208,7 +209,10 @@ class Runner:
         self.listener.on_visit(done)
 
     def _reconstruct(self, catalogue: Catalogue, *, leave_out: set[Path]) -> set[Path]:
-        """Reconstruct scans that have no result yet; return the datasets whose reconstruction was attempted."""
+        """Reconstruct all scans that have no result yet.
+
+        The result is the set of datasets whose reconstruction was attempted.
+        """
         if not self.experiment.reconstruction.run:
             return set()
         return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
@@ -221,7 +225,10 @@ class Runner:
         return changed
 
     def _is_complete(self, folder: Path, member: Member) -> bool:
-        """Return whether an interrupted run has finished a scan without recording it in the catalogue."""
+        """Return whether a scan is complete, although the catalogue does not record it as finished.
+
+        This happens if a run is interrupted directly after the scan.
+        """
         if not (folder / "dataset.json").is_file():
             return False
         dataset = load_dataset(folder)
@@ -252,5 +259,5 @@ def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
 
 
 def _next_visit(catalogue: Catalogue) -> Visit | None:
-    """Return the earliest planned scan that is neither finished nor missed; None if there is none."""
+    """Return the earliest scan that is still to be performed, or None if there is none."""
     return next((one for one in catalogue.visits() if one.state in ("due", "scanning")), None)

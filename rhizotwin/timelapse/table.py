@@ -50,7 +50,7 @@ class EmulatedTable:
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
         self.canister = 0
-        """Number of the canister on the turntable; 0 if the turntable is empty."""
+        """Number of the canister on the turntable. It is 0 if the turntable is empty."""
         if experiment.twin.fidelity == "render":
             engine.ensure("auto")
 
