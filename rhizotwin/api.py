@@ -92,7 +92,7 @@ def view(
     port: int = 8080,
     open_browser: bool = True,
 ) -> View:
-    """Show results in a browser, with their pictures and tools for manual correction.
+    """Show results with their pictures in a browser, where they can be corrected manually.
 
     Parameters
     ----------
@@ -132,7 +132,9 @@ def import_pictures(
     no_strip: bool = False,
     monitor: Progress = None,
 ) -> Dataset:
-    """Convert a folder of pictures to a dataset, and log the automatic choices of the import.
+    """Convert a folder of pictures to a dataset.
+
+    Decisions that the import has made automatically are logged.
 
     Parameters
     ----------
@@ -389,7 +391,10 @@ def scan(
 
 
 def _several(name: str, given: Any, *kinds: str) -> list[Any]:
-    """Convert an argument to a list, and check the type of each item with `calls.require`."""
+    """Return the given values as a list.
+
+    A single value becomes a list of length 1. The type of each value is checked with `calls.require`.
+    """
     several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     for one in several:
         require(name, one, *kinds)
@@ -424,7 +429,10 @@ def _saved(result: Result | str | Path) -> Iterator[Path]:
 
 @contextmanager
 def _logged() -> Iterator[None]:
-    """Capture the standard output of a command, and log its lines even if the command fails."""
+    """Replace the standard output of a command by log messages.
+
+    The output is logged even if the command fails.
+    """
     printed = io.StringIO()
     try:
         with redirect_stdout(printed):

@@ -84,7 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Printed:
-    """Standard output in which control characters from untrusted file names and texts are replaced."""
+    """Standard output that replaces control characters.
+
+    Names of files and other texts from untrusted sources may contain such characters.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

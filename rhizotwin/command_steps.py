@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def start_engine(device: str, *, quiet: bool = False) -> None:
-    """Start the compute engine on a device and print its name."""
+    """Start the compute engine on a device, and print the name of the device."""
     chosen = engine.start(device)
     gc.freeze()  # exclude the loaded modules from garbage collection, which runs about forty times in a reconstruction
     if not quiet:
@@ -114,7 +114,9 @@ def reconstruct_whole(
     method: Method = "ours",
     progress: Progress = Progress(),
 ) -> list[Path]:
-    """Reconstruct a dataset, and write the result folder with figures and report atomically.
+    """Reconstruct a dataset, and write the result folder with its figures and report.
+
+    The folder appears only when it is complete.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
 
 
 def _ask_version(library: Path) -> int | None:
-    """Load the library and return the major version that it reports.
+    """Load an LLVM library, and return the major version that the library itself reports.
 
     Returns
     -------
@@ -269,7 +269,10 @@ def most_threads(count: int) -> None:
 
 
 def choose_on_first_use() -> None:
-    """Make Mitsuba start the compute engine on first use instead of failing because no variant is set."""
+    """Change Mitsuba so that it starts the compute engine when it is first used.
+
+    Without this change, the first use would fail, because no variant is set.
+    """
     import mitsuba
 
     fail: Callable[[str], Any] = mitsuba.__dict__["__getattr__"]

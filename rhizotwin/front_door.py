@@ -378,7 +378,7 @@ def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Setti
 
 
 def _for_notebooks(result: Result) -> Result:
-    """Return a copy of the result that notebooks display as a table with a picture."""
+    """Return a copy of the result that is displayed in notebooks as a table with a picture."""
     from rhizotwin.report import notebook
 
     return replace(result, notebook=notebook.html)

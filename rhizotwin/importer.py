@@ -35,11 +35,11 @@ MASK_GREYS = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """Imported dataset with notes about automatic decisions."""
+    """Dataset that was imported, and notes about decisions that the import has made automatically."""
 
     dataset: Dataset
     notes: tuple[str, ...]
-    """Sentences about automatic choices, conversions and excluded pictures, for the user."""
+    """Sentences for the user about automatic decisions, conversions and excluded pictures."""
 
 
 def import_pictures(
@@ -122,7 +122,7 @@ def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
 
 
 def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
-    """Reject incompatible combinations of options."""
+    """Raise UserError if options were given that cannot be combined."""
     if scene.tank is not None and (cameras is not None or no_strip):
         raise UserError(
             f"scene {scene.name} has a tank, whose pose is estimated from the marker strip; "
@@ -280,7 +280,7 @@ def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: 
 
 
 def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
-    """Reject cameras inside the canister, which indicate a wrong unit or coordinate frame."""
+    """Raise UserError if a camera is inside the canister, which indicates a wrong unit or coordinate frame."""
     for name, cam_from_canister in given.cam_from_canister.items():
         centre_mm = frames.invert(cam_from_canister)[:3, 3]
         inside = np.hypot(centre_mm[0], centre_mm[1]) < scene.canister.outer_radius_mm

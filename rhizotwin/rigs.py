@@ -71,7 +71,8 @@ class Bench:
 
     rig: "RigFile"
     scene: Scene
-    """Scene with nominal or calibrated values, as known in a laboratory, without the simulated imperfections."""
+    """Scene as it is known in a laboratory. It contains nominal or calibrated values, and no simulated
+    imperfections."""
     clock: Any
     twin: Any = None
     """Emulated rig. It is None if the rig is real."""
@@ -161,10 +162,11 @@ def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
 
 
 def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
-    """Return a copy of the scene with a plant's marker strip, nutrient solution and age from the catalogue.
+    """Return a copy of the scene for a plant in the catalogue.
 
-    An age that the scene specifies is not changed. Otherwise the age is the number of days from sowing to the date of
-    the scan, or None if the date precedes sowing.
+    The copy has the marker strip, nutrient solution and age of the plant. If the scene specifies an age, it is not
+    changed. Otherwise the age is the number of days from sowing to the date of the scan, or None if the date precedes
+    sowing.
     """
     strip, subject = scene.strip, scene.subject
     if plant.tag is not None:
@@ -244,7 +246,7 @@ def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:
 
 
 def _with_plan(scene: Scene, plan: str | None) -> Scene:
-    """Return a copy of the scene with the rings of a scan plan file or of another scene."""
+    """Return a copy of the scene with the rings of a scan plan, which is a file or another scene."""
     if plan is None:
         return scene
     path = Path(plan)
@@ -297,7 +299,10 @@ def asker() -> Callable[[str], str] | None:
 
 @contextmanager
 def hang_up_stops() -> Iterator[None]:
-    """Handle the closing of the terminal like Ctrl-C, so that the lamps are switched off and the arm is parked."""
+    """Treat the closing of the terminal like Ctrl-C.
+
+    The lamps are then switched off, and the arm is parked.
+    """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
         yield
         return

@@ -50,7 +50,7 @@ class Key:
 
 
 def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
-    """Return a function that computes the colours (N, 3) of a root's points, and the colour key.
+    """Return a function that computes the colours (N, 3) of the points of a root, and a colour key.
 
     Parameters
     ----------
@@ -81,7 +81,10 @@ def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
 
 
 def colour_depths(heights_mm: Array) -> tuple[Callable[[Array], Bytes], Key]:
-    """Return a function that computes colours (N, 3) from heights (N,) in the given range, and the colour key."""
+    """Return a function that converts heights (N,) to colours (N, 3), and a colour key.
+
+    The colour scale covers the range of the given heights.
+    """
     top, bottom = (float(heights_mm.max()), float(heights_mm.min())) if len(heights_mm) else (0.0, -1.0)
     span = max(top - bottom, 1e-6)
     return lambda z: scale_colours((top - z) / span), Key(ends=(f"{-top:.0f} mm below the rim", f"{-bottom:.0f} mm"))

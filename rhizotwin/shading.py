@@ -12,12 +12,15 @@ Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 2_000_000
-"""Maximum number of triangle-pixel pairs in one vectorised step, which limits the memory."""
+"""Maximum number of pairs of a triangle and a pixel that are processed in one vectorised step. It limits the memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """Viewing direction, defined by the directions in the canister frame that point right and up in the picture."""
+    """Viewing direction.
+
+    It is defined by the two directions in the canister frame that point right and up in the picture.
+    """
 
     name: str
     right: tuple[float, float, float]
@@ -137,9 +140,10 @@ def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def vertex_normals(mesh: Mesh) -> Floats:
-    """Return the outward normals (V, 3) of the vertices, as sums of the area vectors of adjacent faces.
+    """Return the outward normals (V, 3) of the vertices.
 
-    The normals are not normalised. Their orientation makes the signed volume of the mesh positive.
+    The normal of a vertex is the sum of the area vectors of its triangles, and does not have unit length. Their
+    orientation makes the signed volume of the mesh positive.
     """
     a, b, c = mesh.corners_mm
     area = np.cross(b - a, c - a)
@@ -173,7 +177,9 @@ def _blurred(image: Pixels, sigma_px: float) -> Pixels:
 def shade(
     raster: Raster, colour: tuple[float, float, float] | NDArray[np.floating], *, px_mm: float, shrink: int = 1, flat: bool = False
 ) -> Pixels:
-    """Shade a rendered mesh with light from the upper left, darkened hollows, and distant parts faded to white.
+    """Shade a rendered mesh.
+
+    The light comes from the upper left, hollows are darker, and distant parts fade to white.
 
     Parameters
     ----------

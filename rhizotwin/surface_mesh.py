@@ -125,7 +125,10 @@ def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
 
 
 def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Merge vertices at the same position, and remove degenerate triangles and pairs with opposite orientations."""
+    """Merge vertices that have the same position.
+
+    Triangles without area, and pairs of identical triangles with opposite orientation, are removed.
+    """
     _, first, inverse = np.unique(_row_keys((vertices + 0.0).view(np.uint64)), return_index=True, return_inverse=True)
     faces = inverse[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
@@ -164,14 +167,14 @@ def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _half_edges(faces: Index) -> tuple[Index, Index]:
-    """Return the start and end vertices (3 F,) of all half-edges of the triangles (F, 3)."""
+    """Return the start vertices (3 F,) and the end vertices (3 F,) of all half-edges of the triangles (F, 3)."""
     return faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
 
 
 def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
-    """Return the number of connected components of a graph with ``count`` nodes, and the component of each node.
+    """Find the connected components of a graph, and return their number and the component of each node.
 
-    The edges (E,) connect the nodes ``start`` and ``end``.
+    The graph has ``count`` nodes. Its edges (E,) connect the nodes ``start`` and ``end``.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components  # SciPy is loaded on first use
@@ -181,7 +184,7 @@ def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
 
 
 def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Close each connected boundary of the surface by a triangle fan about the centre of the boundary."""
+    """Close each hole of the surface by a triangle fan about the centre of its boundary."""
     start, end = _half_edges(faces)
     count = len(vertices)
     low, high = np.minimum(start, end), np.maximum(start, end)

@@ -52,7 +52,7 @@ class Pictures(Cameras):
         return cls(found.files, found.views, found.table_deg, found.optics, dataset)
 
     def picture(self, place: int) -> Colour:
-        """Return a picture (H, W, 3) in sRGB, scaled to full brightness."""
+        """Return a picture (H, W, 3) in sRGB, in which the brightness is scaled to the full range."""
         frame = next(frame for frame in self.dataset.frames if frame.file == self.files[place])
         grey = read_image(self.dataset, frame).astype(np.float64)
         grey = np.clip(grey / max(float(np.percentile(grey, 99.8)), 1.0), 0.0, 1.0)
@@ -72,7 +72,7 @@ class Pictures(Cameras):
         return found
 
     def nearest(self, azimuth_deg: float) -> int:
-        """Return the index of the picture whose camera is nearest to an azimuth about the canister's axis."""
+        """Return the index of the picture whose camera has the azimuth nearest to the given one."""
         centre = np.array([view.centre_mm for view in self.views])
         off = np.rad2deg(np.arctan2(centre[:, 1], centre[:, 0])) - azimuth_deg
         return int(np.abs((off + 180.0) % 360.0 - 180.0).argmin())

@@ -1,4 +1,7 @@
-"""Detection of damaged pictures without a checksum: rows of pixels that differ from all other pictures of the ring."""
+"""Detection of damage in pictures whose file format has no checksum.
+
+A picture is damaged if rows of its pixels differ from those in all other pictures of the ring.
+"""
 
 from dataclasses import dataclass
 
@@ -32,7 +35,7 @@ which the checks of the reconstruction detect."""
 
 @dataclass(frozen=True)
 class Unlike:
-    """Picture with rows that differ from all other pictures of the ring."""
+    """Picture in which some rows differ from those of all other pictures of the ring."""
 
     name: str
     """File name of the picture."""
@@ -43,7 +46,10 @@ class Unlike:
 
 
 class Turn:
-    """Compares the pictures of one ring, of which it stores a subset of the columns."""
+    """Compares the pictures of one ring.
+
+    Only a subset of the columns of each picture is stored.
+    """
 
     def __init__(self) -> None:
         self._names: list[str] = []
@@ -79,7 +85,7 @@ class Turn:
         return np.asarray(other - most)
 
     def unlike(self) -> list[Unlike]:
-        """Return the pictures with rows that differ from all other pictures."""
+        """Return the pictures in which some rows differ from those of all other pictures."""
         if not self.enough:
             return []
         found = []

@@ -58,7 +58,9 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
 
 
 def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed: int, device: str) -> list[Job]:
-    """Create a rendering job for each scene, whose dataset has the name of the scene.
+    """Create a rendering job for each scene.
+
+    The dataset has the name of the scene.
 
     Parameters
     ----------

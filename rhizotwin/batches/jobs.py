@@ -17,7 +17,7 @@ Kind = Literal["reconstruct", "simulate"]
 State = Literal["done", "failed", "again"]
 
 RECORDS = ".rhizotwin-jobs"
-"""Name of the hidden folder of job records, in the folder of the outputs."""
+"""Name of the hidden folder, inside the folder of the outputs, in which the records of jobs are stored."""
 HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json"}
 """Name of the file whose existence shows that an output is complete. The key is the kind of job."""
 
@@ -48,7 +48,7 @@ class Job:
     key: str
     """SHA-256 of all inputs that affect the outcome: dataset or scene, settings, and code."""
     pixels: float
-    """Total number of pixels of all pictures, which determines memory and duration."""
+    """Total number of pixels in all pictures. The memory and duration of the job are predicted from it."""
     options: dict[str, Any]
     """Arguments of the reconstruction or rendering, as JSON values."""
 
@@ -64,7 +64,7 @@ class Job:
         return places.join(beside or ".", RECORDS, f"{self.name}.json")
 
     def plain(self) -> dict[str, Any]:
-        """Convert the job to JSON values, for transfer to another process."""
+        """Convert the job to JSON values, which can be sent to another process."""
         return asdict(self)
 
 
@@ -95,7 +95,7 @@ def key_of(settings: Mapping[str, Any], *, code: str) -> str:
 
 
 def is_done(job: Job) -> bool:
-    """Return whether an earlier run finished a job with the same key, and the output still exists."""
+    """Return whether an earlier run has finished a job with the same key, and its output still exists."""
     data = places.read(job.record)
     try:
         record = {} if data is None else json.loads(data)

@@ -38,7 +38,7 @@ class _Worker:
 
 
 def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None) -> Iterator[tuple[Job, Outcome]]:
-    """Run jobs in the order of decreasing size, and yield each job with its final outcome.
+    """Run jobs, the largest first, and yield each job with its final outcome.
 
     Parameters
     ----------

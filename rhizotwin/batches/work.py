@@ -1,4 +1,7 @@
-"""Execution of one job in the current process, with errors converted to messages in the outcome."""
+"""Execution of one job in the current process.
+
+Errors are converted to messages in the outcome of the job.
+"""
 
 from __future__ import annotations
 

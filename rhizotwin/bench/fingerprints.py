@@ -26,7 +26,7 @@ from rhizotwin.scenes.truth import load_truth
 PIXELS = 16
 """Number of sampled pixels per picture."""
 LIMIT = 1e-3
-"""Maximum difference of a sampled pixel from the reference, relative to full scale."""
+"""Maximum difference between a sampled pixel and its reference, relative to full scale."""
 _SAME_VOLUME = 1e-6
 """Maximum relative difference between the true volume and its reference. It allows for rounding differences between
 mesh libraries."""

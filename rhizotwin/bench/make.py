@@ -50,7 +50,7 @@ def sentence(one: Comparison) -> str:
 
 
 def check_made(benchmark: Benchmark, folder: Path) -> None:
-    """Check that all cases of a benchmark have been rendered to a folder.
+    """Raise UserError if a case of a benchmark has not been rendered to a folder.
 
     Raises
     ------

@@ -24,7 +24,10 @@ _LARGEST = sys.float_info.max
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity in the results of a case, with its tolerance in comparisons with a baseline."""
+    """Quantity in the results of a case.
+
+    Its tolerances are used in the comparison with a baseline.
+    """
 
     name: str
     heading: str
@@ -166,7 +169,7 @@ def markdown(several: Sequence[Results]) -> str:
 
 
 def ordered(several: Sequence[Results]) -> list[tuple[Results, dict[str, Any]]]:
-    """Return all rows with their results, sorted by benchmark and case."""
+    """Return each row together with the results to which it belongs, sorted by benchmark and case."""
     pairs = [(one, row) for one in several for row in one.rows.values()]
     place = {(one.benchmark, case): number for one in reversed(several) for number, case in enumerate(one.rows)}
     return sorted(pairs, key=lambda pair: (pair[0].benchmark, place[pair[0].benchmark, pair[1]["case"]]))

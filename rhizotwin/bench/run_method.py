@@ -206,7 +206,7 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
 
 
 def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
-    """Return the rows of the finished cases of an interrupted run with the same command.
+    """Return the rows of cases that an interrupted run with the same command has already finished.
 
     Parameters
     ----------
@@ -256,7 +256,10 @@ def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, tim
 
 
 def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> Row:
-    """Run a command in a separate process group, and measure its time and memory."""
+    """Run a command, and measure its time and memory.
+
+    The command gets its own process group, so that its child processes can be ended with it.
+    """
     used, began = working / "used.json", time.perf_counter()
     with (working / "errors.txt").open("w+b") as errors:
         child = subprocess.Popen(
@@ -303,7 +306,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def _scored(row: Row, output: Path, dataset: Path) -> Row:
-    """Score the output of a case, and return a copy of the row with the scores."""
+    """Score the output of a case, and return a copy of the row that contains the scores."""
     if row.state != "done":
         return row
     scores, sentences = score_outputs(output, dataset)

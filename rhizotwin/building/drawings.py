@@ -155,7 +155,7 @@ def _arrows(a: tuple[float, float], b: tuple[float, float]) -> list[Ink]:
 
 
 def _table(part: Part, *, title: str, scale: float) -> list[Ink]:
-    """Draw the title and purpose of a part, and the table of its parameters with their sources."""
+    """Draw the title and the purpose of a part, and a table with the values and sources of its parameters."""
     left = PAGE_MM[0] - TABLE_WIDE_MM
     wide, deep, high = part.size_mm
     lines = [

@@ -18,12 +18,12 @@ from rhizotwin.scenes.model import Scene
 
 CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
 CLIP_SCREWS_MM = 10.0
-"""Half the distance between the two screws that fasten a panel holder to a clip."""
+"""Half the distance between the two screws with which a panel holder is fastened to a clip."""
 HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
 HOLDER_TAB_MM = 40.0
 """Length of the tab that is screwed to the clip."""
 HOLDER_EVERY_MM = 250.0
-"""Maximum spacing of the holders along the upper and lower edge of the panel."""
+"""Maximum distance between two adjacent holders on the upper and lower edge of the panel."""
 WALL_LONG_MM = 200.0
 """Maximum length of a wall piece of the lightbox."""
 
@@ -45,7 +45,7 @@ def _clip_outline(measures: Measures) -> CrossSection:
 
 
 def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return the positions (y, z in the rig frame) of clips and holders along the edges of the panel."""
+    """Return the positions (y, z) of the clips and holders along the edges of the panel, in the rig frame."""
     wide, high = scene.lights.backlight_wh_mm
     count = max(2, int(np.ceil(wide / HOLDER_EVERY_MM)))
     across = (np.arange(count) + 0.5) / count * wide - wide / 2.0
@@ -179,7 +179,10 @@ def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -
 
 
 def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
-    """Create the wall pieces that close the lightbox between the holders and at both sides."""
+    """Create the wall pieces of the lightbox.
+
+    They close the gaps between the holders and the two sides.
+    """
     wide = scene.lights.backlight_wh_mm[0]
     centres = sorted({y for y, _ in clip_places_mm(scene)})
     half = HOLDER_LONG_MM / 2.0

@@ -1,4 +1,7 @@
-"""Line drawings of solids with silhouettes and sharp edges, and with hidden lines removed."""
+"""Line drawings of solids.
+
+Silhouettes and sharp edges are drawn, and hidden lines are removed.
+"""
 
 from dataclasses import dataclass
 
@@ -84,7 +87,10 @@ def _nearest(mesh: Mesh, side: Side, box: tuple[float, float, float, float], px_
 
 
 def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sharp edges and silhouette edges of a closed surface as vertex indices (E, 2)."""
+    """Return the edges (E, 2) to draw, as pairs of vertex indices.
+
+    They are the sharp edges and the silhouette edges of a closed surface.
+    """
     a, b, c = (view[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)

@@ -43,14 +43,14 @@ class Measures:
     shaft_mm: float = bounded(5.0, 2.0, 20.0)
     """Diameter of the motor shaft."""
     shaft_flat_mm: float = bounded(4.5, 1.5, 20.0)
-    """Distance from the flat side of the motor shaft to the opposite side."""
+    """Distance from the flat side of the motor shaft to the opposite point of its surface."""
     shaft_length_mm: float = bounded(24.0, 8.0, 80.0)
     bearing_mm: tuple[float, float, float] = bounded((8.0, 22.0, 7.0), 1.0, 100.0)
     """Bore, outer diameter and width of the ball bearing below the turntable (608, ISO 15)."""
     ball_mm: float = bounded(6.0, 2.0, 20.0)
     """Diameter of the loose balls between turntable plate and base."""
     magnet_mm: tuple[float, float] = bounded((10.0, 3.0), 1.0, 30.0)
-    """Diameter and height of the magnets that rotate the canister in a tank."""
+    """Diameter and height of the magnets that turn the canister if it stands in a tank."""
     profile_mm: float = bounded(20.0, 10.0, 60.0)
     """Side length of the aluminium profiles (2020)."""
     slot_mm: float = bounded(6.2, 3.0, 20.0)
@@ -58,7 +58,8 @@ class Measures:
     slot_lip_mm: float = bounded(1.5, 0.5, 6.0)
     """Depth of the narrow opening of the profile's slots."""
     camera_holes_mm: float = bounded(30.0, 10.0, 100.0)
-    """Spacing of the M2.5 holes of the camera board (Raspberry Pi HQ camera: 30 x 30 holes on a 38 x 38 board)."""
+    """Spacing of the M2.5 holes of the camera board. The Raspberry Pi HQ camera has holes at 30 x 30 on a board of 38 x
+    38."""
     camera_board_mm: float = bounded(38.0, 15.0, 120.0)
     """Side length of the camera board."""
     camera_centre_mm: float = bounded(18.0, 0.0, 200.0)

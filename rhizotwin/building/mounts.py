@@ -23,7 +23,7 @@ DRIVER_MM = 10.0
 """Diameter of the passage for the head of an M5 screw and a screwdriver."""
 MOUNT_WALL_MM, MOUNT_TOP_MM, MOUNT_FOOT_MM = 5.0, 6.0, 6.0
 STAND_LEAN_DEG = 15.0
-"""Backward inclination of the calibration board in its stand."""
+"""Angle by which the calibration board in its stand is inclined backwards from the vertical."""
 STAND_DEEP_MM, STAND_WIDE_MM = 12.0, 24.0
 
 

@@ -19,13 +19,14 @@ GRID_MM = 2.4
 RIM_MM = 3.0
 """Width of the solid rim of the grid, which rests on the seat."""
 NOTCH_MM = 1.5
-"""Depth of the notch in the upper edge of the net pot, at which the ends of the marker strip meet."""
+"""Depth of the notch in the upper edge of the net pot. The ends of the marker strip meet at this notch."""
 RING_WIDE_MM = 8.0
-"""Radial width of the canister ring, which leaves space for the head of an M3 screw beside the canister."""
+"""Radial width of the ring that centres the canister. It leaves space for the head of an M3 screw beside the
+canister."""
 RING_SCREWS = 3
-"""Number of screws of the canister ring."""
+"""Number of screws with which the canister ring is fastened."""
 WIRE_HOLE_MM = 1.2
-"""Diameter of the holes for wires of 0.8 mm, the smallest hole that a printer produces reliably."""
+"""Diameter of the holes for wires of 0.8 mm. It is the smallest hole that a printer produces reliably."""
 WIRES_AT_MM = ((14.0, 4.0), (-5.0, 13.0), (-13.0, -6.0), (4.0, -15.0))
 """Positions (x, y) of the wires, which equal those in the scene wire_phantom. They are chosen so that wires occlude
 each other in only a few views."""

@@ -15,7 +15,7 @@ from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.model import Scene
 
 BAR_END_MM = 20.0
-"""Distance from the panel to the ends of the two profiles below the turntable."""
+"""Distance between the panel and the nearer ends of the two profiles below the turntable."""
 
 
 @dataclass(frozen=True, kw_only=True)

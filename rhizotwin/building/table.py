@@ -23,7 +23,8 @@ PINION_TEETH = 18
 """Number of teeth of the pinion. At a pressure angle of 20 degrees, a gear needs at least 17 teeth to avoid
 undercut."""
 BACKLASH_MM = 0.15
-"""Reduction of the tooth thickness. Backlash does not affect a scan, which approaches all angles from the same side."""
+"""Amount by which the teeth are thinner than without backlash. Backlash does not affect a scan, which approaches all
+angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
 PLATE_GAP_MM = 2.0
 """Gap between the turntable plate and the base. It is large enough that they do not touch even if the ball grooves are

@@ -32,7 +32,7 @@ foot."""
 POST_MM, LIP_MM, LIP_HIGH_MM = 40.0, 4.0, 10.0
 """Side length of a post, and thickness and height of the lip that surrounds the corner of the tank."""
 LEAST_DRY_MM = 3.9
-"""Minimum height of the marker strip above the water in the tank, which is the height of the meniscus on a wetted wall:
+"""Minimum height of the marker strip above the water in the tank. It is the height of the meniscus on a wetted wall:
 sqrt(2) times the capillary length of water (2.7 mm at 20 degrees C)."""
 
 
@@ -59,7 +59,7 @@ def below(scene: Scene) -> Scene:
 
 
 def magnet_radius_mm(scene: Scene) -> float:
-    """Return the radius of the circle on which the magnets are placed."""
+    """Return the radius of the circle on which the centres of the magnets lie."""
     return 0.5 * scene.canister.outer_radius_mm
 
 

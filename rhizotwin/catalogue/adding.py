@@ -66,7 +66,9 @@ def add_scan(catalogue: Catalogue, folder: Path) -> None:
 
 
 def add_result(catalogue: Catalogue, folder: Path) -> None:
-    """Add a result with its traits, rig parameters and log of corrections, or update the existing entry.
+    """Add a result to a catalogue, or update its entry.
+
+    Its traits, rig parameters and log of corrections are added too.
 
     Raises
     ------
@@ -137,7 +139,7 @@ def add_masses(catalogue: Catalogue, table: Path) -> None:
 
 
 def set_tags(catalogue: Catalogue) -> list[str]:
-    """Set the missing tags of plants from the marker strips in their scans.
+    """Set the tags of plants that have none, from the marker strips in their scans.
 
     A strip that was used for several plants is ignored.
 
@@ -172,7 +174,7 @@ def is_sketch(dataset: Dataset) -> bool:
 
 
 def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
-    """Return the datasets, results and mass tables at a path and in its subfolders."""
+    """Find the datasets, results and mass tables at a path and in all its subfolders."""
     if source.suffix.lower() == ".csv":
         return [], [], [source]
     if not source.is_dir():

@@ -34,7 +34,8 @@ VIEWS = {
 """SQL statement of each exported table. The statement replaces the row numbers of plants and results by their names or
 paths. The first column of a table is the plant or the result."""
 ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE})
-"""SQLite actions permitted in a user's query, which exclude changes, access to other files, and settings."""
+"""SQLite actions that a user's query may perform. They exclude changes to the catalogue, access to other files, and
+changes to settings."""
 MOST_ROWS = 100_000
 """Maximum number of rows that a query may return."""
 MOST_BYTES = 100_000_000

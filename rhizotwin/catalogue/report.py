@@ -99,7 +99,10 @@ def charts(history: Mapping[str, Sequence[DriftPoint]]) -> dict[str, Chart]:
 
 
 def sentences(drawn: Mapping[str, Chart]) -> list[str]:
-    """Return a message for each control chart with points outside the control limits, and for each trend."""
+    """Return the messages about control charts.
+
+    There is one message for each chart with points outside the control limits, and one for each trend.
+    """
     found = []
     for heading, chart in _ordered(drawn):
         if chart.limits is not None and chart.outside:

@@ -17,9 +17,10 @@ APPLICATION_ID = 0x52485A54
 VERSION = 1
 SUFFIX = ".rhizotwin"
 BUSY_S = 30.0
-"""Timeout for access to a file that another process is writing, s."""
+"""Maximum time, in seconds, to wait for access to a file that another process is writing."""
 OLDEST_SQLITE = (3, 37, 0)
-"""Minimum version of SQLite, in which STRICT tables were introduced (https://www.sqlite.org/stricttables.html)."""
+"""Minimum version of SQLite. STRICT tables were introduced in this version
+(https://www.sqlite.org/stricttables.html)."""
 
 TABLES = """
 CREATE TABLE treatments (
@@ -232,7 +233,10 @@ def explained(error: sqlite3.Error, path: Path) -> UserError:
 
 @contextmanager
 def _connecting(path: Path) -> Iterator[sqlite3.Connection]:
-    """Connect to a file, and close the connection only if the block raises an exception."""
+    """Connect to a file for a block of statements.
+
+    The connection is closed only if the block raises an exception.
+    """
     try:
         connection = _connect(path)
         try:

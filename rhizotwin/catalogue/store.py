@@ -32,7 +32,7 @@ class Catalogue:
         """Path of the catalogue file, in which symbolic links are resolved. Stored paths are relative to the folder of
         this file."""
         self.connection = connection
-        """Connection to the file, which only the methods of this class should use for writing."""
+        """Connection to the file. Only the methods of this class should write through it."""
         self.lock = threading.RLock()
         """Lock that a thread must acquire while it uses the connection."""
 
@@ -79,7 +79,9 @@ class Catalogue:
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """Provide the connection in a transaction, which is rolled back if the block raises an exception.
+        """Begin a transaction, and yield the connection.
+
+        The transaction is rolled back if the block raises an exception.
 
         Raises
         ------
@@ -261,7 +263,10 @@ class Catalogue:
         ]
 
     def chosen_results(self) -> list[StoredResult]:
-        """Return one result per scan: the most recently added corrected result, or otherwise the most recent result."""
+        """Return one result for each scan.
+
+        It is the corrected result that was added last, or the result that was added last if none is corrected.
+        """
         order = {self.full_path(row["path"]): row["id"] for row in self.rows("SELECT id, path FROM results")}
         found = self.results()
         by_rank = sorted(found, key=lambda one: (one.corrected, order[one.path]))
@@ -278,7 +283,7 @@ class Catalogue:
         return [Mass(plant=name, day=day, kind=kind, grams=grams, source=self.full_path(path)) for name, day, kind, grams, path in found]
 
     def mass_tables(self) -> list[Path]:
-        """Return the paths of the tables from which the masses were read."""
+        """Return the paths of the CSV tables from which the masses were read."""
         return [self.full_path(row["path"]) for row in self.rows("SELECT path FROM tables ORDER BY path")]
 
     # visits

@@ -82,7 +82,10 @@ def _checksums(folder: Path) -> str:
 
 
 def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:
-    """Draw the middle picture of each scan and the shape of each result, and return the contact sheet as PNG."""
+    """Draw the contact sheet of a publication, and return it as PNG.
+
+    It shows the middle picture of each scan, and the shape of each result.
+    """
     shown = [(scan.name, _small(read_image(scan.dataset, scan.dataset.frames[len(scan.dataset.frames) // 2]))) for scan in scans]
     for found in results:
         shape = result_files.read_shape_picture(found.folder)

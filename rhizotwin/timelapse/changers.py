@@ -76,7 +76,7 @@ class CarouselChanger:
 
 
 class EmulatedHand:
-    """Emulated person who always places the right canister on the emulated turntable.
+    """Emulated person who always places the right canister on the turntable of the emulated rig.
 
     Parameters
     ----------

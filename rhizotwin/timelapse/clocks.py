@@ -1,4 +1,4 @@
-"""Clocks of an experiment: time of the computer, or virtual time for the emulated rig."""
+"""Clocks for an experiment: the clock of the computer, and a clock of virtual time for the emulated rig."""
 
 import time
 from collections.abc import Callable
@@ -58,7 +58,10 @@ class VirtualCalendar:
         return self._now
 
     def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:  # noqa: ARG002 - the wait is over at once
-        """Set the virtual time to ``then`` without waiting, unless it is already later."""
+        """Set the virtual time to ``then`` without waiting.
+
+        The time is not changed if it is already later.
+        """
         self._now = max(self._now, then)
 
     def advance(self, seconds: float) -> None:

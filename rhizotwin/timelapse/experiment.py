@@ -67,7 +67,7 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Times at which the plants are scanned, and handling of delays and failures."""
+    """Times at which the plants are scanned, and what is done after delays and failures."""
 
     start: str
     """Date and time of the first round of scans, such as 2026-12-01T09:00. The time is local, unless an offset such as
@@ -79,7 +79,7 @@ class Schedule:
     late_h: float = bounded(12.0, 0.1, 10000.0)
     """Maximum delay of a scan, in hours. A scan that has not started by then is recorded as missed."""
     change: Changing = "person"
-    """Method of placing canisters on the turntable: by a person, who is prompted, or by a carousel."""
+    """Way in which canisters are placed on the turntable: by a person, who is prompted, or by a carousel."""
     tries: int = bounded(3, 1, 100)
     """Maximum number of attempts before a scan is recorded as missed."""
     pause_min: float = bounded(5.0, 0.0, 1000.0)
@@ -95,8 +95,8 @@ class TwinPart:
     seed: int = bounded(0, 0, 2**31)
     """Random seed for all simulated errors and noise."""
     fidelity: Literal["render", "sketch"] = "sketch"
-    """Rendering of the pictures: render (realistic, as by `rhizotwin simulate`) or sketch (marker strip and panel only,
-    which cannot be reconstructed)."""
+    """Rendering of the pictures. It is render (realistic, as by `rhizotwin simulate`), or sketch (only the marker strip
+    and the panel, so that the pictures cannot be reconstructed)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +203,7 @@ class Experiment:
         return date.fromisoformat(member.sown) if member.sown else datetime.fromisoformat(self.schedule.start).date()
 
     def visits(self) -> list[tuple[str, str]]:
-        """Return the plant and planned time (UTC, ISO 8601) of each scan, sorted by time."""
+        """Return the plant and the planned time (UTC, ISO 8601) of each scan, sorted by time."""
         length_h = self.schedule.every_h * self.schedule.rounds
         found: list[tuple[datetime, int, str]] = []
         for number, one in enumerate(self.plants):
@@ -222,11 +222,17 @@ class Experiment:
         return round((first - self.sown(member)).days + days, 4)
 
     def scan_folder(self, member: Member, due_utc: str) -> Path:
-        """Return the folder of a planned scan's dataset, which depends only on plant and planned time."""
+        """Return the folder for the dataset of a planned scan.
+
+        Its name depends only on the plant and the planned time.
+        """
         return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{self.day(member, due_utc):06.2f}"
 
     def known_scene(self, member: Member, due_utc: str) -> Scene:
-        """Return the nominal scene of a planned scan, with marker strip, subject and nutrient solution of the plant."""
+        """Return the scene of a planned scan with nominal values.
+
+        It contains the marker strip, the subject and the nutrient solution of the plant.
+        """
         base = self.base_scene()
         when = datetime.fromisoformat(due_utc).astimezone(datetime.fromisoformat(self.schedule.start).tzinfo)
         whose = Subject(

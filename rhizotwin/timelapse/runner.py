@@ -32,17 +32,17 @@ from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
 
 @dataclass(frozen=True, kw_only=True)
 class Listener:
-    """Callbacks for the events of a run, provided by the console or the command line."""
+    """Functions that are called during a run. They are provided by the console or the command line."""
 
     say: Callable[[str], None] = lambda _: None
-    """Function that is called with each line of output for the user."""
+    """Function that is called with each line of text for the user."""
     say_devices: Callable[[str], None] | None = None
     """Function that is called with each line of output about devices. If it is None, these lines are passed to
     ``say``."""
     on_visit: Callable[[Visit], object] = lambda _: None
-    """Function that is called after each change of a planned scan's state."""
+    """Function that is called whenever the state of a planned scan has changed."""
     stop: Callable[[], bool] = lambda: False
-    """Function that returns True if the run is to end before the next scan."""
+    """Function that returns whether the run should end before the next scan."""
     ask: Ask | None = None
     """Function that asks the user a question, and returns the answer. It is None if there is no user to ask."""
     observer: Observer = field(default_factory=Observer)
@@ -103,7 +103,9 @@ class Runner:
             self._prepare(catalogue)
 
     def run(self) -> Outcome:
-        """Perform all planned scans at their times, until the schedule is complete or the listener stops the run.
+        """Perform all planned scans at their times.
+
+        The method returns when the schedule is complete, or when the listener stops the run.
 
         Returns
         -------
@@ -176,7 +178,7 @@ class Runner:
         self._change(catalogue, visit, state="missed", note=reason)
 
     def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path, *, reason: str) -> None:
-        """Place the canister on the turntable, and scan the plant after verifying its identity in the first picture."""
+        """Place the canister on the turntable, check the identity of the plant in the first picture, and scan it."""
         if self.table is None or self._changer is None or self._calendar is None:
             raise RuntimeError("the run has not started")
         self._changer.change(member, reason=reason)
@@ -200,7 +202,10 @@ class Runner:
             self._calendar.advance(bench.clock.now_s() - begin_s)
 
     def _finish(self, catalogue: Catalogue, visit: Visit, folder: Path) -> None:
-        """Add the dataset to the catalogue and record the scan as finished, in a single transaction."""
+        """Add the dataset to the catalogue, and record the scan as finished.
+
+        Both changes are made in a single transaction.
+        """
         with catalogue.writing():
             adding.add_scan(catalogue, folder)
             done = catalogue.update_visit(visit, state="scanned", at_utc=self._now().isoformat(timespec="seconds"), scan=folder)

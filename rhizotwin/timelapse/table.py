@@ -1,4 +1,4 @@
-"""Rig of an experiment, real or emulated, with the canister on its turntable."""
+"""Real or emulated rig of an experiment, with the canister that is on its turntable."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ class EmulatedTable:
         self.canister = canister
 
     def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, rigs.TwinPictures]:
-        """Return the emulated rig for a scan, with calibrated lens, and the options of its pictures.
+        """Return the emulated rig for a scan, with its calibrated lens, and the options for its pictures.
 
         Parameters
         ----------
@@ -84,10 +84,10 @@ class EmulatedTable:
 
 
 def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
-    """Return the true scene of a canister on the emulated rig, with the plant grown to its age at the planned time.
+    """Return the true scene of a canister on the emulated rig.
 
-    Simulated plants of the experiment are grown from different seeds. Growth is not simulated for sketches, because
-    they show no roots.
+    The plant has grown to its age at the planned time. Simulated plants of the experiment are grown from different
+    seeds. Growth is not simulated for sketches, because they show no roots.
     """
     known = experiment.known_scene(member, due_utc)
     own = experiment.base_scene() if not member.scene else files.load_scene(member.scene)
