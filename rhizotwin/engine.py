@@ -138,7 +138,9 @@ def apt_packages() -> list[str]:
 
 
 def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
-    """Select the LLVM library: the given library, or otherwise the newest library in the folders.
+    """Select the LLVM library.
+
+    It is the given library, or the newest library in the folders if none is given.
 
     Returns
     -------

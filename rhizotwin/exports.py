@@ -59,7 +59,7 @@ def export(
     undistorted: bool = False,
     monitor: Monitor | None = None,
 ) -> list[Path]:
-    """Write a result in another file format, which the suffix of the output selects.
+    """Write a result in the file format that the suffix of the output selects.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Conversion of existing pictures to a dataset, with cameras from a file or to be estimated from the markers."""
+"""Conversion of existing pictures to a dataset.
+
+The camera poses are read from a file, or are estimated later from the markers.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

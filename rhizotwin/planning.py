@@ -1,7 +1,8 @@
-"""Comparison of capture plans in simulation by number of views, rings, camera heights and picture size.
+"""Comparison of capture plans in simulation.
 
-Each capture plan is simulated, reconstructed and scored for a number of random seeds. All plans use the same seeds, so
-that random differences between the plans cancel. `rhizotwin.plan_report` formats the table and the figure.
+The plans differ in number of views, number of rings, camera heights and picture size. Each capture plan is simulated,
+reconstructed and scored for a number of random seeds. All plans use the same seeds, so that random differences between
+the plans cancel. `rhizotwin.plan_report` formats the table and the figure.
 """
 
 import itertools
@@ -135,7 +136,10 @@ def stage_of(variant: Variant, seed: int) -> str:
 
 
 def shares(variants: Sequence[Variant], seeds: int) -> dict[str, float]:
-    """Return the estimated relative duration of each run, which is its number of pictures."""
+    """Return the estimated relative duration of each run.
+
+    It is proportional to the number of pictures of the run.
+    """
     return {stage_of(variant, seed): float(variant.views * len(variant.heights)) for variant in variants for seed in range(seeds)}
 
 

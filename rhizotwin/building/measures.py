@@ -54,9 +54,9 @@ class Measures:
     profile_mm: float = bounded(20.0, 10.0, 60.0)
     """Side length of the aluminium profiles (2020)."""
     slot_mm: float = bounded(6.2, 3.0, 20.0)
-    """Opening width of the profile's slots (I-type, slot 6)."""
+    """Width of the narrow opening of the slots in the aluminium profiles (I-type, slot 6)."""
     slot_lip_mm: float = bounded(1.5, 0.5, 6.0)
-    """Depth of the narrow opening of the profile's slots."""
+    """Depth of the narrow opening of the slots in the aluminium profiles."""
     camera_holes_mm: float = bounded(30.0, 10.0, 100.0)
     """Spacing of the M2.5 holes of the camera board. The Raspberry Pi HQ camera has holes at 30 x 30 on a board of 38 x
     38."""
@@ -64,7 +64,7 @@ class Measures:
     """Side length of the camera board."""
     camera_centre_mm: float = bounded(18.0, 0.0, 200.0)
     """Distance from the back of the camera board to the projection centre of the lens. The default is approximately the
-    17.5 mm flange distance of the C mount, for use until the camera is calibrated."""
+    flange distance of the C mount (17.5 mm), and is used until the camera is calibrated."""
     roll_face_mm: float = bounded(55.0, 5.0, 300.0)
     """Distance from the arm's wrist pitch axis to the horn (mounting disc) of the roll servo. For the xArm it is 53 to
     55 mm."""

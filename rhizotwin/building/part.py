@@ -17,7 +17,7 @@ UPRIGHT: Array = np.eye(4)
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """Dimension line of a drawing between two points of the part."""
+    """Dimension of a part, which is drawn as a line between two of its points."""
 
     name: str
     from_mm: tuple[float, float, float]
@@ -60,7 +60,7 @@ class Part:
 
     @property
     def size_mm(self) -> tuple[float, float, float]:
-        """Width, depth and height of the part in printing orientation."""
+        """Width, depth and height of the part in its orientation on the print bed."""
         low_x, low_y, low_z, high_x, high_y, high_z = self.printed.bounding_box()
         return high_x - low_x, high_y - low_y, high_z - low_z
 

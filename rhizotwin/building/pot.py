@@ -13,11 +13,11 @@ LEAST_WALL_MM = 1.2
 """Minimum wall thickness, which is the width of three printed lines from a 0.4 mm nozzle. Thinner walls leak and
 bend."""
 SEAT_MM = 3.0
-"""Width of the conical seat of the grid in the net pot."""
+"""Width of the conical seat in the net pot, on which the grid rests."""
 GRID_MM = 2.4
 """Thickness of the grid."""
 RIM_MM = 3.0
-"""Width of the solid rim of the grid, which rests on the seat."""
+"""Width of the solid rim of the grid. The rim rests on the conical seat of the net pot."""
 NOTCH_MM = 1.5
 """Depth of the notch in the upper edge of the net pot. The ends of the marker strip meet at this notch."""
 RING_WIDE_MM = 8.0

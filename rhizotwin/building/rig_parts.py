@@ -20,7 +20,7 @@ BAR_END_MM = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class Bought:
-    """Purchased part, for drawings and collision checks."""
+    """Purchased part, which is drawn and included in collision checks."""
 
     name: str
     solid: Manifold
@@ -85,7 +85,10 @@ def thesis_rig(scene: Scene | None = None) -> RigFile:
 
 
 def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
-    """Create the canister, motor, tank, frame profiles, LED board and diffuser at their positions on the rig."""
+    """Create the solids of all purchased parts at their positions on the rig.
+
+    The parts are the canister, motor, tank, frame profiles, LED board and diffuser.
+    """
     can, floor_mm = scene.canister, rig.clearance.floor_z_mm
     under = tank.below(scene)
     drive = table.drive_of(scene, measures)
@@ -140,7 +143,7 @@ def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) 
 
 
 def collisions(parts: Sequence[Part], bought: Sequence[Bought], *, least_mm3: float = 1e-2) -> list[tuple[str, str, float]]:
-    """Return the names of each pair of overlapping parts on the rig, and the volume of the overlap, mm3.
+    """Find the pairs of parts that overlap on the rig, and return their names and the volume of the overlap in mm3.
 
     Overlaps of at most ``least_mm3`` are ignored, so that parts may touch.
     """

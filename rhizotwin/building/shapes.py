@@ -22,7 +22,7 @@ Outline: TypeAlias = Sequence[tuple[float, float]]
 
 
 def polygon(points: Outline | Array) -> CrossSection:
-    """Return the polygon with vertices (N, 2), which may be clockwise or counter-clockwise."""
+    """Return the polygon with the vertices (N, 2), in clockwise or counter-clockwise order."""
     corners = np.asarray(points, dtype=np.float64)
     x, y = corners.T
     turn = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
@@ -69,7 +69,7 @@ def rectangle(low: tuple[float, float], high: tuple[float, float]) -> CrossSecti
 
 
 def rounded(width: float, height: float, radius: float) -> CrossSection:
-    """Return a rectangle with rounded corners, centred at the origin."""
+    """Return a rectangle with rounded corners whose centre is at the origin."""
     inner = CrossSection.square((width - 2.0 * radius, height - 2.0 * radius), center=True)
     return inner.offset(radius, JoinType.Round, circular_segments=48)
 

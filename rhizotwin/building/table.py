@@ -18,7 +18,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 MODULE_MM = 1.0
-"""Module of the gears, the smallest that a 0.4 mm nozzle prints with clean flanks."""
+"""Module of the gears, which is the pitch diameter divided by the number of teeth. It is the smallest module for which
+a 0.4 mm nozzle prints clean flanks."""
 PINION_TEETH = 18
 """Number of teeth of the pinion. At a pressure angle of 20 degrees, a gear needs at least 17 teeth to avoid
 undercut."""
@@ -59,7 +60,7 @@ class Drive:
 
     @property
     def ratio(self) -> float:
-        """Gear ratio, as turns of the motor per turn of the turntable."""
+        """Gear ratio, which is the number of turns of the motor per turn of the turntable."""
         return self.teeth / PINION_TEETH
 
     @property
@@ -74,24 +75,30 @@ class Drive:
 
 
 def drive_of(scene: Scene, measures: Measures) -> Drive:
-    """Return the drive with the smallest integer gear ratio for which the canister ring fits on the plate."""
+    """Return the drive for which the canister ring fits on the turntable plate.
+
+    Its gear ratio is the smallest integer for which this is the case.
+    """
     needed = 2.0 * (ring_outer_radius_mm(scene, measures) + 1.0 + 1.25 * MODULE_MM) / MODULE_MM
     teeth = PINION_TEETH * int(np.ceil(needed / PINION_TEETH))
     return Drive(teeth=teeth, race_radius_mm=round(0.7 * scene.canister.outer_radius_mm))
 
 
 def top_mm(scene: Scene) -> float:
-    """Return the height of the turntable plate's upper face in the rig frame."""
+    """Return the height of the upper face of the turntable plate, in the rig frame."""
     return -scene.canister.height_mm
 
 
 def base_top_mm(scene: Scene) -> float:
-    """Return the height of the base's upper face in the rig frame."""
+    """Return the height of the upper face of the base, in the rig frame."""
     return top_mm(scene) - PLATE_MM - PLATE_GAP_MM
 
 
 def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
-    """Return the positions (x, y) of the feet, which form a row along x on each of the two frame profiles."""
+    """Return the positions (x, y) of the feet.
+
+    On each of the two frame profiles, the feet form a row along x.
+    """
     reach = round(drive.race_radius_mm * 0.83)
     return [(x, y) for x in (-reach, reach) for y in (-reach, reach)]
 
@@ -108,7 +115,9 @@ def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tup
 
 
 def table_plate(scene: Scene, measures: Measures) -> Part:
-    """Create the turntable plate with its ring gear, with the upper face at z = 0.
+    """Create the turntable plate with its ring gear.
+
+    The upper face of the plate is at z = 0.
 
     Raises
     ------
@@ -183,14 +192,19 @@ def pinion(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion_turn_deg(drive: Drive) -> float:
-    """Return the rotation angle at which the pinion, located at -y, meshes with the ring gear."""
+    """Return the rotation angle of the pinion at which its teeth mesh with those of the ring gear.
+
+    The axis of the pinion is displaced towards -y from that of the turntable.
+    """
     pitch_ring, pitch = 360.0 / drive.teeth, 360.0 / PINION_TEETH
     ring_phase = (-90.0 / pitch_ring) % 1.0  # angle of the ring's teeth at -y, from a tooth
     return 90.0 + pitch * (0.5 + ring_phase)
 
 
 def table_base(scene: Scene, measures: Measures) -> Part:
-    """Create the base below the turntable plate, with its upper face at z = 0.
+    """Create the base below the turntable plate.
+
+    The upper face of the base is at z = 0.
 
     Raises
     ------

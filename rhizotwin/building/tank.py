@@ -42,7 +42,7 @@ def drop_mm(tank: Tank) -> float:
 
 
 def floor_mm(scene: Scene, tank: Tank) -> float:
-    """Return the height of the tank's lower face in the rig frame."""
+    """Return the height of the lower face of the tank, in the rig frame."""
     return -scene.canister.height_mm - CARRIER_MM - GLIDE_MM - tank.wall_mm
 
 
@@ -64,7 +64,10 @@ def magnet_radius_mm(scene: Scene) -> float:
 
 
 def magnet_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return the positions (x, y) of the magnets in turntable plate and carrier."""
+    """Return the positions (x, y) of the magnets.
+
+    They are the same in the turntable plate and in the carrier.
+    """
     radius, turn = magnet_radius_mm(scene), 2.0 * np.pi * np.arange(MAGNETS) / MAGNETS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
 
@@ -134,7 +137,10 @@ def solid(scene: Scene, tank: Tank) -> Manifold:
 
 
 def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
-    """Create the carrier, a disc below the canister with its upper face at z = 0."""
+    """Create the carrier, a disc on which the canister stands in the tank.
+
+    The upper face of the disc is at z = 0.
+    """
     outer, glide = ring_outer_radius_mm(scene, measures), 0.7 * scene.canister.outer_radius_mm
     screws = union(hole(table.TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     disc = raised(circle(outer) - screws, -CARRIER_MM, 0.0)
@@ -159,7 +165,10 @@ def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
 
 
 def _pivot(scene: Scene, tank: Tank) -> Part:
-    """Create the pivot of the carrier, a pin on the floor of the tank with its lower face at z = 0."""
+    """Create the pivot of the carrier, a pin on the floor of the tank.
+
+    The lower face of the pivot is at z = 0.
+    """
     pin = raised(circle(PIN_MM / 2.0, sides=96), 0.0, FOOT_HIGH_MM + PIN_HIGH_MM)
     return Part(
         name="tank_pivot",
@@ -172,7 +181,9 @@ def _pivot(scene: Scene, tank: Tank) -> Part:
 
 
 def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
-    """Create a post below a corner of the tank, with the lower corner of the tank at the origin.
+    """Create a post that supports one corner of the tank.
+
+    The lower corner of the tank is at the origin.
 
     Raises
     ------

@@ -19,7 +19,7 @@ PIN_MM = 5.4
 LETTER_MM = 1.8
 BOX_WIDE_MM = 62.0
 COLUMNS_MM = (14.0, 168.0)
-"""Positions of the left edges of both columns of boxes."""
+"""Positions of the left edges of the two columns of boxes, in mm."""
 
 
 @dataclass(frozen=True, kw_only=True)

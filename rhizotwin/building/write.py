@@ -51,7 +51,7 @@ def write_parts(
     bed_mm: tuple[float, float, float],
     names: Sequence[str] = (),
 ) -> list[Part]:
-    """Write a folder with all files that are needed to print and assemble the parts.
+    """Write all files that are needed to print and assemble the parts to a folder.
 
     If ``names`` are given, only these parts are written, without drawings, pictures and wiring of the complete rig. All
     parts are checked for collisions in any case.

@@ -119,7 +119,10 @@ def export(catalogue: Catalogue, folder: Path) -> list[Path]:
 
 
 def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> Table:
-    """Run a statement with restricted permissions and limits of time and size."""
+    """Run a statement with restricted permissions.
+
+    The duration of the statement and the size of its result are limited.
+    """
     begin = time.monotonic()
     before = {limit: connection.setlimit(limit, most) for limit, most in LIMITS.items()}
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)

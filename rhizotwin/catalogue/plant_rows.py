@@ -85,7 +85,7 @@ def merge(before: Plant, now: Plant, *, where: str) -> Plant:
 
 
 def refuse_tag(plant: Plant, others: Sequence[Plant], *, where: str) -> None:
-    """Check that the marker strip of a plant has no marker in common with the strip of another plant.
+    """Raise UserError if the marker strips of two plants have a marker in common.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class Tag:
         return same and self.first_id <= other.last_id and other.first_id <= self.last_id
 
     def __str__(self) -> str:
-        """Return a text with the dictionary and the range of marker numbers."""
+        """Return the dictionary and the range of marker numbers as text."""
         return f"{self.dictionary} markers {self.first_id} to {self.last_id}"
 
 

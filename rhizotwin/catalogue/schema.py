@@ -221,7 +221,7 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
 
 
 def explained(error: sqlite3.Error, path: Path) -> UserError:
-    """Convert an SQLite error to a UserError with advice."""
+    """Convert an SQLite error to a UserError that advises the user what to do."""
     if "malformed" in str(error) or "not a database" in str(error):
         return damaged(path, error)
     if "locked" in str(error):

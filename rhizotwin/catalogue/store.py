@@ -128,9 +128,10 @@ class Catalogue:
                 raise schema.explained(error, self.path) from error
 
     def stored_path(self, path: Path | str) -> str:
-        """Convert a path for storage.
+        """Convert a path to the form in which it is stored.
 
-        Paths below the catalogue's folder are stored relative to it with forward slashes, and other paths as absolute.
+        A path below the catalogue's folder is stored relative to this folder, with forward slashes. Any other path is
+        stored as an absolute path.
         """
         whole, base = Path(path).resolve(), self.path.parent.resolve()
         return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()

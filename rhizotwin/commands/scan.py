@@ -160,7 +160,7 @@ def _take(
 def _identified(
     known: "Catalogue", bench: rigs.Bench, devices: "Devices", subject: SubjectOptions
 ) -> "tuple[Scene, Callable[[Grey], object]]":
-    """Identify the plant on the turntable; return its scene, and a function that checks the first picture of the scan.
+    """Identify the plant on the turntable, and return its scene and a function that checks the first picture.
 
     The date and age of a resumed scan must be the same as at its start, and therefore must be given again.
     """

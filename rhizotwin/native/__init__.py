@@ -1,4 +1,7 @@
-"""Substitute for the system library libatomic, which Dr.Jit requires and a minimal Linux system lacks."""
+"""Substitute for the system library libatomic.
+
+Dr.Jit requires this library, which is missing on a minimal Linux system.
+"""
 
 import ctypes
 import platform

@@ -24,7 +24,7 @@ CHECKSUMS = "checksums-sha256.txt"
 """Name of the file with checksums."""
 Image = NDArray[np.uint8 | np.uint16]
 _ACROSS, _EDGE_PX = 4, 320
-"""Number of pictures per row of the contact sheet, and maximum length of a picture's longer edge, pixels."""
+"""Number of pictures in each row of the contact sheet, and maximum length of the longer edge of a picture in pixels."""
 
 
 def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[Path]:
