@@ -83,7 +83,7 @@ _PLACES = {
     "simulate": "front_door",
     "view": "api",
 }
-"""Module below ``rhizotwin`` that defines each public name."""
+"""Name of the submodule of ``rhizotwin`` in which each public name is defined. The key is the public name."""
 
 
 def __getattr__(name: str) -> _Any:

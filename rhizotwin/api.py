@@ -65,7 +65,7 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
 
 
 class View:
-    """Running viewer with its address and a method that stops it."""
+    """Viewer that is running, with its address and a method to stop it."""
 
     def __init__(self, viewer: Viewer, temporary: ExitStack) -> None:
         self._viewer, self._temporary = viewer, temporary
@@ -77,7 +77,7 @@ class View:
         self._temporary.close()
 
     def __repr__(self) -> str:
-        """Return a text with the address of the viewer."""
+        """Return a short description that contains the address of the viewer."""
         return f"View at {self.address}"
 
     def _repr_html_(self) -> str:
@@ -92,7 +92,7 @@ def view(
     port: int = 8080,
     open_browser: bool = True,
 ) -> View:
-    """Show results in a browser, with their pictures and tools for manual correction.
+    """Show results with their pictures in a browser, where they can be corrected manually.
 
     Parameters
     ----------
@@ -132,7 +132,9 @@ def import_pictures(
     no_strip: bool = False,
     monitor: Progress = None,
 ) -> Dataset:
-    """Convert a folder of pictures to a dataset, and log the automatic choices of the import.
+    """Convert a folder of pictures to a dataset.
+
+    Decisions that the import has made automatically are logged.
 
     Parameters
     ----------
@@ -180,7 +182,9 @@ def batch(
     cluster: str | None = None,
     device: Device = "auto",
 ) -> Any:
-    """Reconstruct many datasets, and keep the results of an earlier call.
+    """Reconstruct many datasets.
+
+    Datasets that an earlier call has already reconstructed are not reconstructed again.
 
     Parameters
     ----------
@@ -292,7 +296,9 @@ def export(
     undistorted: bool = False,
     monitor: Progress = None,
 ) -> list[Path]:
-    """Write a result in the format of another program; the suffix of ``output`` selects the format.
+    """Write a result in a file format of other programs.
+
+    The suffix of ``output`` selects the format.
 
     Parameters
     ----------
@@ -335,7 +341,7 @@ def scan(
     table_angle_deg: float | None = None,
     **twin: Any,
 ) -> Dataset:
-    """Scan the canister: take all planned pictures on a rig or on its emulation.
+    """Take all planned pictures of a canister on a real or an emulated rig.
 
     Parameters
     ----------
@@ -385,7 +391,10 @@ def scan(
 
 
 def _several(name: str, given: Any, *kinds: str) -> list[Any]:
-    """Convert an argument to a list, and check the type of each item with `calls.require`."""
+    """Return the given values as a list.
+
+    A single value becomes a list of length 1. The type of each value is checked with `calls.require`.
+    """
     several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     for one in several:
         require(name, one, *kinds)
@@ -406,7 +415,10 @@ def _folder_of(dataset: Dataset | str | Path | None) -> Path | None:
 
 @contextmanager
 def _saved(result: Result | str | Path) -> Iterator[Path]:
-    """Provide the folder of a result; a result in memory is saved to a temporary folder first."""
+    """Yield the folder of a result.
+
+    A result in memory is first saved to a temporary folder, which is removed afterwards.
+    """
     if isinstance(result, str | Path):
         yield Path(result)
         return
@@ -417,7 +429,10 @@ def _saved(result: Result | str | Path) -> Iterator[Path]:
 
 @contextmanager
 def _logged() -> Iterator[None]:
-    """Capture the standard output of a command, and log its lines even if the command fails."""
+    """Replace the standard output of a command by log messages.
+
+    The output is logged even if the command fails.
+    """
     printed = io.StringIO()
     try:
         with redirect_stdout(printed):

@@ -37,9 +37,10 @@ MAX_SEEDS = 1000
 
 
 def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None, **more: Any) -> Parameter:
-    """Define a command-line parameter with a single value; ``read`` converts the text or raises ValueError.
+    """Define a command-line parameter that has a single value.
 
-    Other arguments are passed to `cyclopts.Parameter`.
+    The function ``read`` converts the typed text, and raises ValueError if it is invalid. Other arguments are passed to
+    `cyclopts.Parameter`.
     """
 
     def convert(_: Any, tokens: Any) -> object:
@@ -49,7 +50,10 @@ def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str
 
 
 def options(read: Callable[[str], object], metavar: str) -> Parameter:
-    """Define a repeatable option; the values of all repetitions are collected in a tuple."""
+    """Define an option that may be repeated.
+
+    The values of all repetitions are collected in a tuple.
+    """
 
     def convert(_: Any, tokens: Any) -> object:
         return tuple(read(token.value) for token in tokens)
@@ -58,7 +62,10 @@ def options(read: Callable[[str], object], metavar: str) -> Parameter:
 
 
 def with_metavar(metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Define a parameter for a text or path with the given metavar; paths are validated by `check_paths`."""
+    """Define a parameter for a text or a path.
+
+    ``metavar`` is its placeholder in the help text. A path is validated by `check_paths`.
+    """
     return Parameter(name=name, metavar=metavar, validator=check_paths)
 
 
@@ -145,7 +152,10 @@ def read_length_mm(text: str, limits: tuple[float, float]) -> float:
 
 
 def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tuple[T, ...]]:
-    """Return a function that converts comma-separated text to a tuple; ``once`` removes duplicate values."""
+    """Return a function that converts comma-separated text to a tuple.
+
+    ``one`` converts each part. If ``once`` is true, duplicate values are removed.
+    """
 
     def read(text: str) -> tuple[T, ...]:
         values = [one(part) for part in text.split(",")]
@@ -286,7 +296,10 @@ class Progress:
     """Print the name and duration of each stage instead of a progress bar."""
 
     def bar(self, **shares: float) -> OneBar:
-        """Return a progress bar for stages with the relative durations ``shares``."""
+        """Return a progress bar.
+
+        ``shares`` contains the name of each stage and its relative duration.
+        """
         return OneBar(shares, quiet=self.quiet, verbose=self.verbose)
 
 

@@ -30,9 +30,10 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 
 Baseline = Literal["thesis", "regularised", "hull"]
 SEARCH_PX = 2.0
-"""Dilation of the silhouettes within which cells may be added to the hull, px.
+"""Dilation of the silhouettes before carving, in pixels.
 
-A radish remains in 20 parts with 1 px, and in 2 parts with 2 px. With 4 px there are four times as many cells
+Cells inside the dilated silhouettes may be added to the hull. With 1 px the hull of a radish is divided into 20
+disconnected parts, and with 2 px into 2 parts. With 4 px there are four times as many cells
 (docs/log/regularised-hull.md).
 """
 
@@ -109,7 +110,9 @@ def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape
 def _carve_strictly(
     dataset: Dataset, settings: Settings, monitor: Monitor, *, slack_px: float, outline: Outline | None
 ) -> tuple[Pictures, shaping.CarvedHull, Coverage]:
-    """Estimate one camera per picture and the silhouettes, and carve the cells outside the silhouette of any view.
+    """Estimate the camera of each picture, extract the silhouettes, and carve the hull.
+
+    A cell is removed if it lies outside the silhouette of any view.
 
     Parameters
     ----------
@@ -134,7 +137,10 @@ def _carve_strictly(
 
 
 def _counted_mm3(leaves: Leaves) -> float:
-    """Return the total volume of all leaves in mm3, without regard to their occupancy."""
+    """Return the total volume of all leaves (cells of the octree) in mm3.
+
+    Each leaf counts with its full volume, even if its occupancy is below 1.
+    """
     return float((leaves.size.astype(np.float64) ** 3).sum() * leaves.grid.size_mm**3)
 
 
@@ -165,7 +171,10 @@ TITLES: dict[Baseline, str] = {
 
 
 def _result(method: Baseline, shape: _Shape, *, settings: Settings, monitor: Monitor) -> Result:
-    """Convert the shape of a baseline method to a result whose volume is marked as not trusted."""
+    """Convert the hull of a baseline method to a result.
+
+    Its volume is marked as not reliable.
+    """
     pictures, carved, coverage, volume_mm3 = shape
     cameras = carved.cameras
     solid = shaping.measure(

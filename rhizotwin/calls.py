@@ -13,7 +13,8 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.terminal import OneBar
 
 Progress = Monitor | type[Any] | Listener | None
-"""Receiver of progress: a monitor, a tqdm class (one bar in total), a callable ``(stage, done, total)``, or None."""
+"""Argument of a function that receives its progress: a monitor, a tqdm class, a function ``(stage, done, total)``, or
+None. A tqdm class shows a single bar for all stages."""
 
 SHARES = {
     "read": 0.1,
@@ -41,12 +42,13 @@ SHARES = {
     "surface": 0.3,
     "pictures": 6.0,
 }
-"""Typical duration of each reconstruction stage, s, for progress bars (radish_day05b, 20 views of 400x300, 2 cores)."""
+"""Typical duration of each stage of a reconstruction, in seconds, from which progress bars are computed. The durations
+were measured with radish_day05b, 20 views of 400x300, and 2 cores."""
 
 
 @contextmanager
 def watch(given: Progress, shares: Mapping[str, float]) -> Iterator[Monitor]:
-    """Provide a monitor for a receiver of progress.
+    """Yield a monitor that reports progress in the form requested by the caller.
 
     Parameters
     ----------

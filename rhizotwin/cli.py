@@ -28,11 +28,14 @@ AFTER_STOP = {
     "camera": "",
     "view": "",
 }
-"""Advice printed after Ctrl-C, by command; commands that are not listed write no output when they are interrupted."""
+"""Advice printed when a command is interrupted with Ctrl-C. The key is the command. Commands without an entry write no
+output when they are interrupted."""
 ONE_STOP_S = 1.0
-"""Interval after Ctrl-C in which further Ctrl-C are ignored, so that they do not interrupt the clean-up, s."""
+"""Time after a Ctrl-C during which any further Ctrl-C is ignored, in seconds. A second Ctrl-C would interrupt the
+clean-up."""
 ASK_AGAIN_S = 0.05
-"""Delay before a Ctrl-C that arrived during an import is handled, s."""
+"""Time after which a postponed Ctrl-C is handled, in seconds. A Ctrl-C is postponed if it arrives while Python is
+importing a module."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -81,7 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Printed:
-    """Standard output in which control characters from untrusted file names and texts are replaced."""
+    """Standard output that replaces control characters.
+
+    Names of files and other texts from untrusted sources may contain such characters.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -98,7 +104,8 @@ class _Printed:
 def _loading(frame: FrameType | None) -> bool:
     """Return whether Python is importing a module.
 
-    Some libraries ignore an interrupt during their import, or raise an error of a different type.
+    An interrupt must not arrive at this time, because some libraries ignore it during their import, or raise an error
+    of a different type.
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):

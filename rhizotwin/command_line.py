@@ -1,4 +1,7 @@
-"""Command-line parser: a cyclopts application of all commands with help texts and messages for invalid arguments."""
+"""Parser of the command line, implemented as a cyclopts application.
+
+It contains all commands and their help texts, and the messages for invalid arguments.
+"""
 
 import inspect
 import re
@@ -77,7 +80,7 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
 def build(words: Sequence[str] = ()) -> App:
     """Build the cyclopts application.
 
-    Only the module of the command in ``words`` is imported; the docstring of the command is its help text.
+    Only the module of the command in ``words`` is imported. The docstring of a command is its help text.
     """
     typed_names = [" ".join(words[:count]) for count in (1, 2)]
     is_help = not {"--help", "-h"}.isdisjoint(words)
@@ -117,7 +120,10 @@ def build(words: Sequence[str] = ()) -> App:
 
 
 def _usage(app: App, name: str) -> str:
-    """Return the usage line of a command; three dots follow an argument that may be given several times."""
+    """Return the usage line of a command.
+
+    An argument that may be given several times is followed by three dots.
+    """
     from cyclopts.help import format_usage  # slow import
 
     chain = name.split()
@@ -136,7 +142,10 @@ def _usage(app: App, name: str) -> str:
 
 
 def _format_default(value: object) -> str | None:
-    """Format the default of an option for its help; None if the default is not shown."""
+    """Format the default of an option for its help text.
+
+    The result is None if the default is not shown.
+    """
     if value is None or value == "" or value == ():
         return None
     values = value if isinstance(value, tuple) else (value,)
@@ -200,7 +209,11 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
 
 
 def _name(argument: Any) -> str:
-    """Return the name of an argument for messages: its option, such as ``--output (-o)``, or its metavar."""
+    """Return the name of an argument for messages.
+
+    The name of an option contains all its forms, such as ``--output (-o)``. Any other argument is represented by its
+    metavar.
+    """
     options = [name for name in argument.names if name.startswith("-")]
     if not options:
         return str(argument.parameter.metavar or argument.names[0].upper())

@@ -1,4 +1,4 @@
-"""Steps shared by several commands: start the compute engine, open a page, reconstruct a dataset with its report."""
+"""Steps shared by several commands, such as starting the compute engine and reconstructing a dataset."""
 
 import gc
 import webbrowser
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def start_engine(device: str, *, quiet: bool = False) -> None:
-    """Start the compute engine on a device and print its name."""
+    """Start the compute engine on a device, and print the name of the device."""
     chosen = engine.start(device)
     gc.freeze()  # exclude the loaded modules from garbage collection, which runs about forty times in a reconstruction
     if not quiet:
@@ -37,7 +37,9 @@ def open_page(address: str, port: int, page: Page) -> None:
 
 
 def refuse_place(output: Path, source: Path) -> None:
-    """Restore the output folder after an interrupted run, and check that no files except a result are overwritten.
+    """Prepare the output folder, and raise UserError if files other than an earlier result would be overwritten.
+
+    A folder that an interrupted run has left behind is restored first.
 
     Parameters
     ----------
@@ -66,9 +68,9 @@ def refuse_place(output: Path, source: Path) -> None:
 
 @contextmanager
 def _exclude_from_collection() -> Iterator[None]:
-    """Exclude existing objects, which include all modules, from garbage collection.
+    """Exclude all objects that already exist, including all modules, from garbage collection.
 
-    A reconstruction runs the garbage collector about fifty times to free memory.
+    This saves time, because a reconstruction runs the garbage collector about fifty times to free memory.
     """
     gc.collect()
     gc.freeze()
@@ -112,7 +114,9 @@ def reconstruct_whole(
     method: Method = "ours",
     progress: Progress = Progress(),
 ) -> list[Path]:
-    """Reconstruct a dataset, and write the result folder with figures and report atomically.
+    """Reconstruct a dataset, and write the result folder with its figures and report.
+
+    The folder appears only when it is complete.
 
     Parameters
     ----------
@@ -161,7 +165,10 @@ def reconstruct_whole(
 
 
 def print_marker_warnings(scene: "Scene") -> None:
-    """Print a warning for each ring in whose pictures too few markers are visible to estimate the camera poses."""
+    """Print a warning for each ring in which the camera poses cannot be estimated reliably.
+
+    This is the case if too few markers are visible in its pictures.
+    """
     from rhizotwin.scenes import plan
 
     for warning in plan.marker_warnings(scene):

@@ -14,13 +14,16 @@ from rhizotwin.scenes.folders import contents, lock_folder
 
 SCENE = "printed_8ml"
 VIEWS = 41
-"""Number of views; odd, because opposite views of a ring with an even number have nearly identical silhouettes."""
+"""Number of views. It is odd, because opposite views of a ring with an even number of views have nearly identical
+silhouettes."""
 IMAGE_WH = (800, 600)
 VOXEL_MM = 0.27
 
 
 def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
-    """Run the demonstration: continue an interrupted run in the folder, or replace a finished run.
+    """Run the demonstration.
+
+    An interrupted run in the same folder is continued, and a finished run is replaced.
 
     Parameters
     ----------
@@ -77,7 +80,9 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
 
 
 def _clear(folder: Path) -> None:
-    """Remove the files of an earlier demonstration; the dataset of an interrupted demonstration is retained.
+    """Remove the files of an earlier demonstration.
+
+    The dataset of an interrupted demonstration is kept.
 
     Raises
     ------

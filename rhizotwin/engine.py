@@ -21,11 +21,13 @@ from rhizotwin.scenes.errors import UserError
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17
 APT_LLVM = (19, 22, 21, 20, 18, 17)
-"""LLVM versions to install with apt, in order of preference; versions 19 and 22 are the best tested."""
+"""Versions of LLVM to install with apt, in order of preference. Versions 19 and 22 have been tested most."""
 LLVM_WHEEL = "karellen-llvm-core==19.1.7"
-"""Python package of LLVM, a dependency on Linux on x86-64. Dr.Jit 1.5 cannot load its versions 21 and 23."""
+"""Python package that contains LLVM. It is installed as a dependency on Linux on x86-64. Its versions 21 and 23 are not
+used, because Dr.Jit 1.5 cannot load them."""
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
-"""Nonexistent path passed to Dr.Jit if no usable LLVM is installed, so that Dr.Jit does not load an old version."""
+"""Path passed to Dr.Jit if no usable LLVM is installed. It does not exist, so that Dr.Jit does not load a version that
+is too old."""
 
 _VARIANTS = {"cpu": "llvm_ad_mono", "cuda": "cuda_ad_mono"}
 _FILE_VERSION = re.compile(r"^libLLVM(?:-C)?(?:-(?P<dashed>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<dotted>\d+)[\d.]*)?$")
@@ -136,7 +138,9 @@ def apt_packages() -> list[str]:
 
 
 def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
-    """Select the LLVM library: the given library, or otherwise the newest library in the folders.
+    """Select the LLVM library.
+
+    It is the given library, or the newest library in the folders if none is given.
 
     Returns
     -------
@@ -170,7 +174,7 @@ def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
 
 
 def _ask_version(library: Path) -> int | None:
-    """Load the library and return the major version that it reports.
+    """Load an LLVM library, and return the major version that the library itself reports.
 
     Returns
     -------
@@ -267,7 +271,10 @@ def most_threads(count: int) -> None:
 
 
 def choose_on_first_use() -> None:
-    """Make Mitsuba start the compute engine on first use instead of failing because no variant is set."""
+    """Change Mitsuba so that it starts the compute engine when it is first used.
+
+    Without this change, the first use would fail, because no variant is set.
+    """
     import mitsuba
 
     fail: Callable[[str], Any] = mitsuba.__dict__["__getattr__"]

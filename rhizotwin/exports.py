@@ -41,12 +41,13 @@ IN_WATER = (
     "undistorted.json has the residuals elsewhere"
 )
 Posed = Sequence[tuple[str, NDArray[np.float64]]]
-"""File name and pose cam_from_canister (4, 4) of each picture, mm."""
+"""File name of each picture, and its pose cam_from_canister (4, 4) in mm."""
 MESHES = (".ply", ".stl", ".glb")
 _SAME_PLACE_MM = 5.0
-"""Bin size of camera distance and height, mm; cameras in one bin share the same pinhole distance."""
+"""Interval by which the distances and heights of cameras are rounded, in mm. The pinhole distance is computed once for
+all cameras that have the same rounded distance and height."""
 MOST_VOXELS = 1_500_000_000
-"""Maximum size of a dense voxel block, bytes."""
+"""Maximum size, in bytes, of the array of voxels that is written to a file."""
 
 
 def export(
@@ -58,7 +59,7 @@ def export(
     undistorted: bool = False,
     monitor: Monitor | None = None,
 ) -> list[Path]:
-    """Write a result in another file format, which the suffix of the output selects.
+    """Write a result in the file format that the suffix of the output selects.
 
     Parameters
     ----------
@@ -111,7 +112,10 @@ def export(
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
-    """Write the closed surface as a mesh, without small isolated components."""
+    """Write the closed surface of the shape as a mesh.
+
+    Small components that are not connected to the shape are omitted.
+    """
     mesh = surface_mesh.close(result_files.read_mesh(result_folder / "shape.ply"))
     return _write_mesh(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False), output)
 
@@ -131,7 +135,10 @@ def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
 
 
 def _rsml(result_folder: Path, output: Path) -> list[Path]:
-    """Write the centre lines as RSML, with the file name as the key of the root system."""
+    """Write the centre lines of the roots as RSML.
+
+    The name of the file becomes the key of the root system.
+    """
     rsml.write_rsml(output, rsml.read_rsml(_roots_of(result_folder)))
     return [output]
 
@@ -150,7 +157,10 @@ def _roots_of(result_folder: Path) -> Path:
 
 
 def _voxels(result_folder: Path, output: Path) -> list[Path]:
-    """Write the occupancy as a dense voxel block of bytes (0 to 255) with its position in the canister frame, mm."""
+    """Write the occupancy of all voxels in the bounding box as bytes (0 to 255).
+
+    The position of the box is written in the canister frame, in mm.
+    """
     leaves = result_files.read_leaves(result_folder)
     low, high = leaves.low.min(axis=0), (leaves.low + leaves.size[:, None]).max(axis=0)
     shape = tuple(int(n) for n in high - low)
@@ -182,7 +192,9 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
 
 
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write cameras in nerfstudio's format transforms.json, with translations in mm.
+    """Write cameras to a file transforms.json in nerfstudio's format.
+
+    Translations are in mm.
 
     Parameters
     ----------
@@ -292,6 +304,9 @@ def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monito
 
 
 def describe(written: list[Path]) -> str:
-    """Return a sentence that lists the written files, with a warning about refraction if they contain cameras."""
+    """Return a sentence that lists the written files.
+
+    If they contain cameras, the sentence warns that these do not model refraction.
+    """
     warning = f" ({REFRACTION})" if written[0].suffix in (".json", ".txt") else ""
     return f"wrote {', '.join(json.dumps(str(path))[1:-1] for path in written)}{warning}"

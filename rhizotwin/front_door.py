@@ -33,7 +33,10 @@ log = logging.getLogger("rhizotwin")
 
 
 class SceneChanges(TypedDict, total=False):
-    """Options of `simulate` that override properties of the scene; None leaves a property unchanged."""
+    """Options of `simulate` that change properties of the scene.
+
+    If an option is None, the property is not changed.
+    """
 
     profile: str | None
     views: int | None
@@ -349,7 +352,10 @@ def score_file(
 
 
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
-    """Register the mesh of a scanned part to a result, and compute the errors of the result."""
+    """Compute the errors of a result with respect to the mesh of a part whose shape is known.
+
+    The mesh is first registered to the result.
+    """
     from rhizotwin.recon.results.parts import Mesh
     from rhizotwin.scoring.score_solid import score_solid
     from rhizotwin.sim import meshes, solids
@@ -363,7 +369,7 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
 
 
 def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Settings | None) -> None:
-    """Validate the types of options and the range of the mass before the long computation."""
+    """Check the types of the options and the range of the mass before the long computation starts."""
     for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
         require(name, value, kind, "None")
     low, high = MASS_LIMITS_G
@@ -372,7 +378,7 @@ def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Setti
 
 
 def _for_notebooks(result: Result) -> Result:
-    """Return a copy of the result that notebooks display as a table with a picture."""
+    """Return a copy of the result that is displayed in notebooks as a table with a picture."""
     from rhizotwin.report import notebook
 
     return replace(result, notebook=notebook.html)

@@ -1,4 +1,7 @@
-"""Conversion of existing pictures to a dataset, with cameras from a file or to be estimated from the markers."""
+"""Conversion of existing pictures to a dataset.
+
+The camera poses are read from a file, or are estimated later from the markers.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,20 +27,22 @@ from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.unlike_rows import LEAST, Turn
 
 MOST_CLIPPED = 0.05
-"""Maximum fraction of saturated pixels in a picture that is not overexposed, as in `rig.scanning.preflight`."""
+"""Maximum fraction of saturated pixels in a picture. A picture with more saturated pixels is reported as overexposed,
+as in `rig.scanning.preflight`."""
 MASK_MARGIN = 0.1
-"""Maximum deviation from black or white of a silhouette's pixels, as a fraction of the grey range."""
+"""Tolerance for black and white pixels in a silhouette, as a fraction of the grey range. A pixel that differs more from
+both black and white is grey."""
 MASK_GREYS = 0.05
-"""Maximum fraction of pixels in a silhouette that are neither black nor white, which the soft outline may have."""
+"""Maximum fraction of grey pixels in a silhouette. The pixels along a soft outline are grey."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """Imported dataset with notes about automatic decisions."""
+    """Dataset that was imported, and notes about decisions that the import has made automatically."""
 
     dataset: Dataset
     notes: tuple[str, ...]
-    """Sentences about automatic choices, conversions and excluded pictures, for the user."""
+    """Sentences for the user about automatic decisions, conversions and excluded pictures."""
 
 
 def import_pictures(
@@ -120,7 +125,7 @@ def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
 
 
 def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
-    """Reject incompatible combinations of options."""
+    """Raise UserError if options were given that cannot be combined."""
     if scene.tank is not None and (cameras is not None or no_strip):
         raise UserError(
             f"scene {scene.name} has a tank, whose pose is estimated from the marker strip; "
@@ -145,7 +150,8 @@ def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
 
 
 Alike: TypeAlias = tuple[int, str]
-"""Ring and band of a picture; pictures with the same ring and band are similar and can be compared."""
+"""Ring and band of a picture. Pictures that have the same ring and band are similar, and are compared with each
+other."""
 Placed: TypeAlias = tuple[int, str, int, float | None]
 """View, band, ring and table angle of a picture."""
 
@@ -174,10 +180,13 @@ class _Copying:
         self._turns = _Turns()
         self._count = 0
         self.clipped: dict[str, float] = {}
-        """Fraction of saturated pixels of each overexposed picture, by file name."""
+        """Fraction of saturated pixels in each overexposed picture, keyed by file name."""
 
     def copied(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
-        """Copy all pictures, and reject damaged ones; ``table`` has the view, band, ring and table angle of each."""
+        """Copy all pictures to the dataset, and raise UserError if a picture is damaged.
+
+        ``table`` contains the view, band, ring and table angle of each picture.
+        """
         found = []
         with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
             for path, placed in zip(paths, table, strict=True):
@@ -228,12 +237,19 @@ class _Copying:
 
 
 def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
-    """Return the pose cam_from_canister of a picture from the camera file, which may omit the suffix of its name."""
+    """Return the pose cam_from_canister of a picture from the camera file.
+
+    The file name of the picture may be written without its suffix in the camera file. The result is None if the camera
+    file does not contain the picture.
+    """
     return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
 
 
 def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
-    """Read a camera file; return the scene with the lens of the file, and the cameras."""
+    """Read a camera file.
+
+    The result is a copy of the scene with the lens of the file, and the cameras.
+    """
     given = read_cameras(cameras, scene.camera)
     changed = replace(scene, camera=given.camera)
     scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
@@ -242,7 +258,9 @@ def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
 
 
 def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: list[str]) -> list[Path]:
-    """Return the pictures that have a camera, and add a note about other pictures.
+    """Return the pictures for which a camera is given.
+
+    If there are other pictures, a note about them is added to ``notes``.
 
     Raises
     ------
@@ -265,7 +283,7 @@ def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: 
 
 
 def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
-    """Reject cameras inside the canister, which indicate a wrong unit or coordinate frame."""
+    """Raise UserError if a camera is inside the canister, which indicates a wrong unit or coordinate frame."""
     for name, cam_from_canister in given.cam_from_canister.items():
         centre_mm = frames.invert(cam_from_canister)[:3, 3]
         inside = np.hypot(centre_mm[0], centre_mm[1]) < scene.canister.outer_radius_mm
@@ -278,9 +296,10 @@ def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
 
 
 def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: list[str]) -> list[tuple[int, float | None]]:
-    """Return ring and table angle of each view from the capture plan, and add a note.
+    """Return the ring and the table angle of each view, and add a note about their source.
 
-    If the numbers of views in plan and folder differ, or cameras are given, all views are in ring 0 without an angle.
+    They are read from the capture plan of the scene. If the plan has a different number of views than the folder, or if
+    the cameras are given, all views are in ring 0, and their angle is None.
     """
     if given is not None:
         return [(0, None)] * count
@@ -325,7 +344,10 @@ def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
 
 
 class _Turns:
-    """Detects damaged pictures without a checksum by comparison with the other pictures of the same ring."""
+    """Detects damage in pictures whose file format has no checksum.
+
+    Each picture is compared with the other pictures of the same ring.
+    """
 
     def __init__(self) -> None:
         self._turns: dict[Alike, Turn] = {}
@@ -333,7 +355,10 @@ class _Turns:
         self._folder = Path()
 
     def add(self, path: Path, ring: Alike, grey: Grey, *, sealed: bool) -> None:
-        """Add a picture to its ring; ``sealed`` states whether its format has a checksum."""
+        """Add a picture to the pictures of its ring.
+
+        If ``sealed`` is true, the file format has a checksum, and damage would already have been detected.
+        """
         self._folder = path.parent
         self._turns.setdefault(ring, Turn()).add(path.name, grey)
         if not sealed:
@@ -376,13 +401,19 @@ def _clipped(grey: Grey) -> float:
 
 
 def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
-    """Return the bytes of a file and its grey picture, which must be complete and have the camera's size."""
+    """Return the content of a picture file, and the decoded grey picture.
+
+    A UserError is raised if the picture is incomplete, or if its size is not that of the camera.
+    """
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)
 
 
 def _white_level(paths: list[Path], scene: Scene) -> int:
-    """Return the largest grey value in a set of silhouettes, which is white; some programs write 0 and 1."""
+    """Return the grey value of white pixels in a set of silhouettes.
+
+    It is the largest value in all of them, because some programs write 1 instead of 255.
+    """
     white = max(int(_read(path, scene)[1].max()) for path in paths)
     if white == 0:
         raise UserError(f"{paths[0].parent}: all silhouettes are completely black; roots must be white")
@@ -390,7 +421,10 @@ def _white_level(paths: list[Path], scene: Scene) -> int:
 
 
 def _check_mask(grey: Grey, white: int, path: Path) -> None:
-    """Reject a silhouette with more grey pixels than a soft outline has."""
+    """Raise UserError if a silhouette has too many grey pixels.
+
+    The maximum is `MASK_GREYS`.
+    """
     level = grey / white
     between = float(np.mean((level > MASK_MARGIN) & (level < 1.0 - MASK_MARGIN)))
     if between > MASK_GREYS:

@@ -1,4 +1,4 @@
-"""Reader of camera poses and lens parameters in nerfstudio's formatat transforms.json.
+"""Reader of camera poses and lens parameters in nerfstudio's format transforms.json.
 
 In nerfstudio (docs.nerf.studio, "Data conventions"), ``transform_matrix`` is camera-to-world with OpenGL axes (x right,
 y up, z backward), and pixel coordinates have their origin at the corner of the first pixel, whose centre is (0.5, 0.5).
@@ -24,7 +24,7 @@ _LENS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "k3", "k4", "p1"
 
 
 LARGEST = 1e9
-"""Upper limit of all numbers in a file, px or mm."""
+"""Upper limit of the numbers in a file, whether they are in pixels or in mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,8 @@ class GivenCameras:
 
     camera: Camera
     cam_from_canister: dict[str, frames.Array]
-    """Pose (4, 4) of each picture with OpenCV axes, mm, by the file name (with or without suffix) in the file."""
+    """Pose (4, 4) of each picture with OpenCV axes, in mm. The key is the file name of the picture as written in the
+    file, with or without its suffix."""
 
 
 def read_cameras(path: Path, camera: Camera) -> GivenCameras:

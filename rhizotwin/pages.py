@@ -31,7 +31,10 @@ def read_page(text: str) -> str | tuple[float, float]:
 
 
 def read_printed_ruler(text: str) -> tuple[float, float]:
-    """Convert text to the measured lengths of the printed 100 mm ruler across and down the page, mm."""
+    """Convert text to the length of the printed 100 mm ruler across the page and down the page, as measured in mm.
+
+    Text with a single number gives both lengths.
+    """
     pair = _pair(text if "x" in text.lower() else f"{text}x{text}")
     if pair is None:
         raise ValueError(f"{text!r} is not a ruler length in mm; write it as 99.6, or as 99.6x99.8 (across and down)")
@@ -50,12 +53,15 @@ def read_squares(text: str) -> tuple[int, int]:
 
 
 def read_square_mm(text: str) -> float:
-    """Convert text to the side length of a square, mm."""
+    """Convert text to the side length of a square in mm."""
     return read_length_mm(text, SQUARE_LIMITS_MM)
 
 
 def _pair(text: str) -> tuple[str, str] | None:
-    """Split text such as 297x210 into the texts of both numbers; None if the text does not have this form."""
+    """Split text such as 297x210 into its two numbers, which are returned as texts.
+
+    The result is None if the text does not consist of two numbers with an x between them.
+    """
     first, cross, second = text.lower().partition("x")
     try:
         float(first), float(second)

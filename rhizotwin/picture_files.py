@@ -1,4 +1,7 @@
-"""Search for the pictures in a folder, sorted by their file names in the order in which they were taken."""
+"""Search for the pictures in a folder.
+
+They are sorted by file name, which is assumed to be the order in which they were taken.
+"""
 
 import re
 from pathlib import Path

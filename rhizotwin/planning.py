@@ -1,7 +1,8 @@
-"""Comparison of capture plans in simulation by number of views, rings, camera heights and picture size.
+"""Comparison of capture plans in simulation.
 
-Each capture plan is simulated, reconstructed and scored for a number of random seeds. All plans use the same seeds, so
-that random differences between the plans cancel. `rhizotwin.plan_report` formats the table and the figure.
+The plans differ in number of views, number of rings, camera heights and picture size. Each capture plan is simulated,
+reconstructed and scored for a number of random seeds. All plans use the same seeds, so that random differences between
+the plans cancel. `rhizotwin.plan_report` formats the table and the figure.
 """
 
 import itertools
@@ -27,17 +28,17 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
-"""Duration of rotation, settling and exposure of one view on the rig of the documentation, s."""
+"""Time for rotation, settling and exposure of one view on the rig in the documentation, in seconds."""
 RING_TIME_S = 10.0
-"""Duration of moving the camera to another ring, s."""
+"""Time that the camera needs to move to another ring, in seconds."""
 SECOND_RING_MM = 52.0
-"""Height of the default second ring above the first ring, mm.
+"""Height of the second ring above the first ring, in mm, if a plan has two rings by default.
 
-The first ring at -42 mm sees the top of a plant in front of the dark net pot. The second ring, 10 mm above the rim,
-sees the top in front of the backlight.
+In the first ring at -42 mm, the top of a plant appears in front of the dark net pot. The second ring, 10 mm above the
+rim, sees the top in front of the backlight.
 """
 RUN = "unfinished"
-"""Name of the subfolder of the current run, whose pictures are reused after an interruption."""
+"""Name of the subfolder for the run in progress. After an interruption, its pictures are used again."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
 
 
@@ -127,19 +128,26 @@ def _run(
 
 
 def stage_of(variant: Variant, seed: int) -> str:
-    """Return the name of a run (capture plan and random seed) for progress output."""
+    """Return the name of a run for the progress output.
+
+    It consists of the name of the capture plan and the random seed.
+    """
     return f"{variant.name}, seed {seed}"
 
 
 def shares(variants: Sequence[Variant], seeds: int) -> dict[str, float]:
-    """Return the estimated relative duration of each run, which is its number of pictures."""
+    """Return the estimated relative duration of each run.
+
+    It is proportional to the number of pictures of the run.
+    """
     return {stage_of(variant, seed): float(variant.views * len(variant.heights)) for variant in variants for seed in range(seeds)}
 
 
 def best(rows: Sequence[Row], *, within: float) -> Row | None:
-    """Return the cheapest plan whose worst volume error is at most ``within``; None if no plan is accurate enough.
+    """Return the cheapest plan that is accurate enough, or None if there is none.
 
-    The cheapest plan has the fewest pixels in total and, among equals, the shortest scan.
+    A plan is accurate enough if the largest absolute volume error over all seeds is at most ``within``. The cheapest
+    plan has the fewest pixels in total. If several plans have the same number, it is the one with the shortest scan.
     """
     good = [row for row in rows if row.volume_error_worst <= within]
     return min(good, key=lambda row: (row.pictures * row.variant.image_wh[0] * row.variant.image_wh[1], row.capture_min), default=None)

@@ -11,11 +11,13 @@ class Height:
     """Camera position of a ring: height, and optionally tilt and distance."""
 
     mm: float
-    """Height of the camera in the rig frame, mm; 0 is the rim of the canister."""
+    """Height of the camera in the rig frame, in mm. The rim of the canister is at 0."""
     tilt_deg: float | None = None
-    """Tilt of the optical axis below the horizon, deg; None: aim at the target point of the scene's first ring."""
+    """Tilt of the optical axis below the horizon, in degrees. If it is None, the camera is aimed at the target point of
+    the scene's first ring."""
     distance_mm: float | None = None
-    """Distance of the camera from the turntable axis, mm; None: as in the scene's first ring."""
+    """Distance of the camera from the turntable axis, in mm. If it is None, the distance of the scene's first ring is
+    used."""
 
     @property
     def name(self) -> str:
@@ -74,14 +76,17 @@ class Row:
     interval_holds: float
     """Fraction of the runs in which the 90 % interval contains the true volume."""
     length_error: float | None
-    """Median relative error of the total root length, reconstructed / true - 1; None if a run has no roots."""
+    """Median relative error of the total root length, reconstructed / true - 1. It is None if the root lengths could
+    not be scored in every run."""
     length_error_worst: float | None
     length_errors: tuple[float, ...]
     recall: float
-    """Median recall of the roots' centre lines, or of the voxels if a run has no roots."""
+    """Median recall of the centre lines of the roots. It is the recall of the voxels if the roots could not be scored
+    in every run."""
     precision: float
-    """Median precision of the roots' centre lines, or of the voxels if a run has no roots."""
+    """Median precision of the centre lines of the roots. It is the precision of the voxels if the roots could not be
+    scored in every run."""
     capture_min: float
-    """Estimated duration of the scan, min."""
+    """Estimated duration of the scan, in minutes."""
     compute_s: float
-    """Median duration of the reconstruction, s."""
+    """Median duration of the reconstruction, in seconds."""

@@ -1,4 +1,7 @@
-"""Export of a scene's specimen for 3D printing; a scan of the print can then be compared with the specimen."""
+"""Export of the specimen of a scene for 3D printing.
+
+The printed specimen can then be scanned, and the reconstruction compared with the original.
+"""
 
 import math
 from pathlib import Path

@@ -13,7 +13,8 @@ from rhizotwin.scenes.picture_codec import Grey
 
 SUFFIXES = (".dng",)
 BITS = 16
-"""Bit depth of the grey picture; the mean of four raw pixels has two bits more than the sensor's 12 or 14."""
+"""Bit depth of the grey picture. It exceeds the 12 or 14 bits of the sensor, because the mean of four raw pixels has
+two bits more."""
 
 
 def is_raw(path: Path) -> bool:
@@ -94,7 +95,10 @@ def _black(order: str, pattern: NDArray[np.uint8], black: Sequence[float]) -> tu
 
 
 def _gains(names: str, balance: Sequence[float]) -> tuple[float, float]:
-    """Return the white balance factors of red and blue relative to green; (1, 1) if the file has none."""
+    """Return the white balance factors of red and blue relative to green.
+
+    They are (1, 1) if the file contains none.
+    """
     of = {name: balance[place] for place, name in reversed(list(enumerate(names)))}
     if min(of.get(name, 0.0) for name in "RGB") <= 0.0:
         return 1.0, 1.0

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
 SHOTS_FILE = "truth/shots.jsonl"
-"""File with the true state of the emulated rig in each picture, from which the ground truth of a scan is written."""
+"""File with the true state of the emulated rig at the time of each picture. The ground truth of a scan is computed from
+it."""
 
 RigName: TypeAlias = Annotated[str, with_metavar("RIG|twin")]
 Fidelity: TypeAlias = Literal["render", "sketch"]
@@ -70,10 +71,11 @@ class Bench:
 
     rig: "RigFile"
     scene: Scene
-    """Scene with nominal or calibrated values, as known in a laboratory, without the simulated imperfections."""
+    """Scene as it is known in a laboratory. It contains nominal or calibrated values, and no simulated
+    imperfections."""
     clock: Any
     twin: Any = None
-    """Emulated rig; None for a real rig."""
+    """Emulated rig. It is None if the rig is real."""
 
     def open_camera(self) -> "Camera":
         """Open the camera of the rig, and return it."""
@@ -86,7 +88,10 @@ class Bench:
         return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
 
     def open_devices(self, recorder: "Recorder | None", stack: ExitStack) -> "Devices":
-        """Open all devices; ``stack`` closes them, even if the terminal is closed."""
+        """Open all devices, and close them when ``stack`` is left.
+
+        They are also closed if the terminal is closed.
+        """
         from rhizotwin.rig.open import open_devices
 
         stack.enter_context(hang_up_stops())
@@ -157,10 +162,11 @@ def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
 
 
 def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
-    """Return a copy of the scene with a plant's marker strip, nutrient solution and age from the catalogue.
+    """Return a copy of the scene for a plant in the catalogue.
 
-    An age that the scene specifies is not changed. Otherwise the age is the number of days from sowing to the date of
-    the scan, or None if the date precedes sowing.
+    The copy has the marker strip, nutrient solution and age of the plant. If the scene specifies an age, it is not
+    changed. Otherwise the age is the number of days from sowing to the date of the scan, or None if the date precedes
+    sowing.
     """
     strip, subject = scene.strip, scene.subject
     if plant.tag is not None:
@@ -182,7 +188,7 @@ def take_scan(
     resume: bool = False,
     table_angle_deg: float | None = None,
 ) -> "Dataset":
-    """Scan on open devices; for rendered pictures of the emulated rig, also write the ground truth.
+    """Scan with devices that are already open, and write the ground truth if the pictures are rendered.
 
     Parameters
     ----------
@@ -234,13 +240,13 @@ def take_scan(
 
 
 def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:
-    """Return the settings of the emulated rig that are recorded in the dataset, with a digest of the scene."""
+    """Return the settings of the emulated rig that are stored in the dataset, and the SHA-256 of the scene."""
     digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
     return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}
 
 
 def _with_plan(scene: Scene, plan: str | None) -> Scene:
-    """Return a copy of the scene with the rings of a scan plan file or of another scene."""
+    """Return a copy of the scene with the rings of a scan plan, which is a file or another scene."""
     if plan is None:
         return scene
     path = Path(plan)
@@ -256,7 +262,10 @@ def _with_plan(scene: Scene, plan: str | None) -> Scene:
 
 
 def recorder(path: Path | None, stack: ExitStack) -> Any:
-    """Open a file that records the serial communication; None if ``path`` is None."""
+    """Open a file to which the serial communication is recorded.
+
+    If ``path`` is None, nothing is recorded, and the result is None.
+    """
     if path is None:
         return None
     from rhizotwin.rig.serial_line.recording import Recorder
@@ -272,7 +281,10 @@ def recorder(path: Path | None, stack: ExitStack) -> Any:
 
 
 def asker() -> Callable[[str], str] | None:
-    """Return a function that prompts the user on the terminal and returns the answer; None without a terminal."""
+    """Return a function that asks the user a question on the terminal, and returns the answer.
+
+    The result is None if there is no terminal.
+    """
     if not sys.stdin.isatty():
         return None
 
@@ -289,7 +301,10 @@ def asker() -> Callable[[str], str] | None:
 
 @contextmanager
 def hang_up_stops() -> Iterator[None]:
-    """Handle the closing of the terminal like Ctrl-C, so that the lamps are switched off and the arm is parked."""
+    """Treat the closing of the terminal like Ctrl-C.
+
+    The lamps are then switched off, and the arm is parked.
+    """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
         yield
         return

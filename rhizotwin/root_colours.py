@@ -17,34 +17,40 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 Colouring = Callable[[int, Line], Bytes]
-"""Function that returns the colours (N, 3) of the points of a root, from its number and centre line."""
+"""Function that returns the colours (N, 3) of the points of a root. Its arguments are the number of the root and its
+centre line."""
 
 ORDERS: tuple[Rgb, ...] = ((222, 160, 92), (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189), (230, 90, 200))
-"""Colour of each root order, from main roots upwards; the last colour is used for all higher orders."""
+"""Colour of each root order, beginning with main roots. The last colour is used for all higher orders."""
 SURFACE: Rgb = ORDERS[0]
 """Colour of a surface without centre lines."""
 VISIBLE, HIDDEN = (44, 120, 160), (230, 120, 30)
-"""Colours of roots with a visible tip, and of roots whose tip is hidden by other roots."""
+"""Colour of roots whose tip is visible, and colour of roots whose tip is hidden by other roots."""
 UNKNOWN: Rgb = (150, 150, 150)
 CHOICES = ("order", "diameter", "depth", "uncertainty", "tip visibility")
 PER_ROOT = ("uncertainty", "tip visibility")
-"""Colourings of a root that do not change when other roots are edited."""
+"""Quantities by which roots can be coloured, and whose colours depend on one root only. They do not change when other
+roots are edited."""
 WIDEST_UNCERTAINTY = 0.25
-"""Upper end of the uncertainty scale: 90 % half-width of the diameter, relative to the diameter
-(`recon.uncertainty.root_uncertainty`)."""
+"""Uncertainty of the diameter that has the last colour of the scale. The uncertainty is half the width of the 90 %
+interval, relative to the diameter (`recon.uncertainty.root_uncertainty`)."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """Colour key: swatches with labels, or the labels at both ends of a continuous scale."""
+    """Colour key of a picture.
+
+    It consists of colour swatches with labels, or of a continuous scale with a label at each end.
+    """
 
     swatches: tuple[tuple[Rgb, str], ...] = ()
     ends: tuple[str, str] | None = None
-    """Labels at the first and the last colour of the continuous scale (viridis); None for swatches."""
+    """Labels at the first and the last colour of the continuous scale (viridis), or None if the key consists of
+    swatches."""
 
 
 def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
-    """Return a function that computes the colours (N, 3) of a root's points, and the colour key.
+    """Return a function that computes the colours (N, 3) of the points of a root, and a colour key.
 
     Parameters
     ----------
@@ -75,14 +81,19 @@ def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
 
 
 def colour_depths(heights_mm: Array) -> tuple[Callable[[Array], Bytes], Key]:
-    """Return a function that computes colours (N, 3) from heights (N,) in the given range, and the colour key."""
+    """Return a function that converts heights (N,) to colours (N, 3), and a colour key.
+
+    The colour scale covers the range of the given heights.
+    """
     top, bottom = (float(heights_mm.max()), float(heights_mm.min())) if len(heights_mm) else (0.0, -1.0)
     span = max(top - bottom, 1e-6)
     return lambda z: scale_colours((top - z) / span), Key(ends=(f"{-top:.0f} mm below the rim", f"{-bottom:.0f} mm"))
 
 
 def colour_surface(points_mm: Array, lines: Lines, colour: Colouring) -> Bytes:
-    """Return the colours (N, 3) of points on the surface, which are those of the nearest roots.
+    """Return the colours (N, 3) of points on the surface.
+
+    Each point has the colour of the nearest root.
 
     Parameters
     ----------
@@ -108,12 +119,18 @@ def order_name(order: int) -> str:
 
 
 def half_widths(line: Line) -> Array | None:
-    """Return the half-widths (N,) of the 90 % intervals of a root's diameters, mm; None if they are unknown."""
+    """Return half the width (N,) of the 90 % interval of each diameter of a root, in mm.
+
+    The result is None if the intervals are unknown.
+    """
     return None if line.sigma_mm is None else NINETY * line.sigma_mm
 
 
 def root_orders(lines: Lines) -> dict[int, int]:
-    """Return the order of each root by its number; the order is 0 for a root without parent."""
+    """Return the order of each root, keyed by root number.
+
+    A root without parent has the order 0, and its laterals have the order 1.
+    """
     found: dict[int, int] = {}
     for number in lines:
         path, here = list[int](), number

@@ -1,4 +1,7 @@
-"""Mesh of roots for display, with one coloured tube per root; overlapping tubes are not united."""
+"""Mesh of roots for display, with one coloured tube for each root.
+
+Tubes that overlap are not united to one surface.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 AROUND = 12
-"""Number of corners of a tube's polygonal cross-section, which has the area of the circle."""
+"""Number of corners of the polygonal cross-section of a tube. The polygon has the same area as the circular
+cross-section of the root."""
 THICKEST_PERCENT = 98.0
-"""Percentile of the diameters at which the colour scale ends, so that a thick taproot does not compress the scale."""
+"""Percentile of the diameters at which the colour scale ends. A thick taproot would otherwise leave only a small part
+of the scale for all other roots."""
 
 
 def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
-    """Return a mesh of closed tubes along roots, canister frame, mm, with a colour for each vertex.
+    """Return a mesh of closed tubes along roots, in mm in the canister frame.
+
+    Each vertex has a colour.
 
     Parameters
     ----------

@@ -12,12 +12,15 @@ Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 2_000_000
-"""Maximum number of triangle-pixel pairs in one vectorised step, which limits the memory."""
+"""Maximum number of pairs of a triangle and a pixel that are processed in one vectorised step. It limits the memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """Viewing direction, defined by the directions in the canister frame that point right and up in the picture."""
+    """Viewing direction.
+
+    It is defined by the two directions in the canister frame that point right and up in the picture.
+    """
 
     name: str
     right: tuple[float, float, float]
@@ -43,7 +46,8 @@ class Raster:
     hit: NDArray[np.bool_]
     """Mask (H, W) of the pixels that the surface covers."""
     depth_mm: Pixels
-    """Coordinate of the surface towards the viewer (H, W), mm; 0 outside the surface."""
+    """Depth map (H, W), as the coordinate of the surface towards the viewer, in mm. It is 0 in pixels without a
+    surface."""
     normal: Pixels
     """Unit normals of the surface (H, W, 3) with the components right, up and towards the viewer."""
 
@@ -110,7 +114,10 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
 
 
 def _of_faces(least: np.ufunc, values: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return the minimum or maximum (F, K) of vertex values (V, K) over the corners of each face (F, 3)."""
+    """Return the minimum or maximum (F, K), over the three corners of each face (F, 3), of K values per vertex (V, K).
+
+    ``least`` is the function of two arrays that computes the minimum or the maximum.
+    """
     a, b, c = (values[corner] for corner in faces.T)
     return np.asarray(least(least(a, b), c))
 
@@ -133,9 +140,10 @@ def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def vertex_normals(mesh: Mesh) -> Floats:
-    """Return the outward normals (V, 3) of the vertices, as sums of the area vectors of adjacent faces.
+    """Return the outward normals (V, 3) of the vertices.
 
-    The normals are not normalised. Their orientation makes the signed volume of the mesh positive.
+    The normal of a vertex is the sum of the area vectors of its triangles, and does not have unit length. Their
+    orientation makes the signed volume of the mesh positive.
     """
     a, b, c = mesh.corners_mm
     area = np.cross(b - a, c - a)
@@ -146,13 +154,19 @@ def vertex_normals(mesh: Mesh) -> Floats:
 
 
 def unit_normals(mesh: Mesh) -> Floats:
-    """Return the outward unit normals (V, 3) of the vertices; zero for vertices without triangles."""
+    """Return the outward unit normals (V, 3) of the vertices.
+
+    The normal of a vertex without triangles is zero.
+    """
     normals = vertex_normals(mesh)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
 def _blurred(image: Pixels, sigma_px: float) -> Pixels:
-    """Blur an image with a Gaussian; a wide Gaussian is applied at a lower resolution."""
+    """Blur an image with a Gaussian filter.
+
+    If the filter is wide, the image is reduced first, which saves time.
+    """
     fewer = max(1, int(sigma_px / 4.0))
     height, width = image.shape
     small = cv2.resize(image, (max(1, width // fewer), max(1, height // fewer)), interpolation=cv2.INTER_AREA)
@@ -163,7 +177,9 @@ def _blurred(image: Pixels, sigma_px: float) -> Pixels:
 def shade(
     raster: Raster, colour: tuple[float, float, float] | NDArray[np.floating], *, px_mm: float, shrink: int = 1, flat: bool = False
 ) -> Pixels:
-    """Shade a rendered mesh with light from the upper left, darkened hollows, and distant parts faded to white.
+    """Shade a rendered mesh.
+
+    The light comes from the upper left, hollows are darker, and distant parts fade to white.
 
     Parameters
     ----------

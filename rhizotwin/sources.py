@@ -20,13 +20,15 @@ PACKAGES = (
     "rhizotwin.stored",
     "benchmarks",
 )
-"""Packages whose modules are included in a digest; other libraries are identified by their versions."""
+"""Packages whose modules are included in a digest. Other libraries are represented in it by their version numbers."""
 
 DATA_OF_SCENES = ("rhizotwin/scenes/library", "rhizotwin/scenes/profiles")
-"""Data folders excluded from digests, because their contents are recorded in the settings of each picture."""
+"""Data folders that are not included in digests. Their contents are recorded in the settings of each picture
+instead."""
 
 _Import = tuple[int, str, tuple[str, ...]]
-"""Import statement: level of a relative import (0 for an absolute import), module, and imported names."""
+"""Import statement: level of a relative import, name of the module, and imported names. The level is 0 for an absolute
+import."""
 
 
 def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> list[str]:
@@ -74,7 +76,10 @@ def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str]
 
 
 def _file(module: str, root: Path) -> Path | None:
-    """Return the source file of a module; None if the name is not a module of the project."""
+    """Return the source file of a module.
+
+    The result is None if the name is not that of a module of this project.
+    """
     if not _package(module):
         return None
     place = root.joinpath(*module.split("."))
@@ -82,7 +87,10 @@ def _file(module: str, root: Path) -> Path | None:
 
 
 def _package(module: str) -> str:
-    """Return the name of the project package that contains a module, or an empty text for other modules."""
+    """Return the package of this project that contains a module.
+
+    The result is empty for other modules.
+    """
     return next((package for package in PACKAGES if module == package or module.startswith(f"{package}.")), "")
 
 
@@ -100,7 +108,10 @@ def _imported(importer: str, imports: Iterable[_Import]) -> Iterator[str]:
 
 @cache
 def _read(source: bytes) -> tuple[str, tuple[_Import, ...]]:
-    """Return the code of a module without comments, layout and docstrings, and its import statements."""
+    """Return the code of a module and its import statements.
+
+    Comments, layout and docstrings are removed from the code.
+    """
     tree = ast.parse(source)
     imports: list[_Import] = []
     for node in ast.walk(tree):

@@ -12,16 +12,17 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SPECK_MM, SPECK_EXTENT, SPECK_VOLUME = 3.0, 0.05, 0.01
-"""Limits of a speck, which is a small isolated component: extent in mm, extent relative to the shape, and volume
-relative to the shape. A speck is below the larger of both extents and below the volume."""
+"""Limits below which an isolated component is a speck: extent in mm, extent relative to the shape, and volume relative
+to the shape. The extent of a speck is below the larger of the first two limits, and its volume is below the third."""
 _APART_MM = 0.004
-"""Half the displacement of vertices at the same position, mm. The displacement exceeds the 2 micrometre steps in which
-web pages store positions."""
+"""Tolerance for the comparison of vertex positions, in mm. Vertices at the same position are moved by twice this
+distance. The displacement exceeds the 2 micrometre steps in which web pages store positions."""
 _FIRST_TOLERANCE_MM, _GROWTH = 0.01, 1.4
-"""Tolerance of the first simplification, mm, and its growth factor per iteration. Small steps shrink thin roots less: a
-bean reduced from 900,000 to 120,000 triangles loses 5 % of its volume, but 14 % in a single step."""
+"""Tolerance of the first simplification in mm, and factor by which the tolerance grows in each iteration. Small steps
+shrink thin roots less: a bean reduced from 900,000 to 120,000 triangles loses 5 % of its volume, but 14 % in a single
+step."""
 _LARGEST_TOLERANCE_MM = 1.0
-"""Maximum tolerance of the simplification, mm."""
+"""Upper limit of the tolerance of a simplification, in mm."""
 
 
 def close(mesh: Mesh) -> Mesh:
@@ -93,7 +94,9 @@ def simplify(mesh: Mesh, most: int) -> Mesh:
 
 
 def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
-    """Return the index of the centre-line point whose tube surface is nearest to each point.
+    """Return, for each point, the index of the nearest point of a centre line.
+
+    The distance is measured to the surface of a tube around the centre line.
 
     Parameters
     ----------
@@ -122,7 +125,10 @@ def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
 
 
 def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Merge vertices at the same position, and remove degenerate triangles and pairs with opposite orientations."""
+    """Merge vertices that have the same position.
+
+    Triangles without area, and pairs of identical triangles with opposite orientation, are removed.
+    """
     _, first, inverse = np.unique(_row_keys((vertices + 0.0).view(np.uint64)), return_index=True, return_inverse=True)
     faces = inverse[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
@@ -149,7 +155,10 @@ def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return a 64-bit hash (N,) of each row (N, 3); sorting hashes is ten times faster than sorting rows."""
+    """Return a 64-bit hash (N,) of each row (N, 3).
+
+    Hashes can be sorted ten times faster than rows.
+    """
     key = np.zeros(len(rows), np.uint64)
     for column in rows.T:
         key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing: 2^64 over the golden ratio
@@ -158,14 +167,14 @@ def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _half_edges(faces: Index) -> tuple[Index, Index]:
-    """Return the start and end vertices (3 F,) of all half-edges of the triangles (F, 3)."""
+    """Return the start vertices (3 F,) and the end vertices (3 F,) of all half-edges of the triangles (F, 3)."""
     return faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
 
 
 def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
-    """Return the number of connected components of a graph with ``count`` nodes, and the component of each node.
+    """Find the connected components of a graph, and return their number and the component of each node.
 
-    The edges (E,) connect the nodes ``start`` and ``end``.
+    The graph has ``count`` nodes. Its edges (E,) connect the nodes ``start`` and ``end``.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components  # SciPy is loaded on first use
@@ -175,7 +184,7 @@ def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
 
 
 def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Close each connected boundary of the surface by a triangle fan about the centre of the boundary."""
+    """Close each hole of the surface by a triangle fan about the centre of its boundary."""
     start, end = _half_edges(faces)
     count = len(vertices)
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -198,7 +207,10 @@ def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
-    """Duplicate edges and vertices at which parts of the surface touch, so that each edge has two triangles."""
+    """Separate parts of the surface that touch at edges or vertices.
+
+    These edges and vertices are duplicated, so that each edge belongs to exactly two triangles.
+    """
     start, end = _half_edges(faces)
     count, corners = len(vertices), len(start)
     key = np.minimum(start, end) * count + np.maximum(start, end)
@@ -217,10 +229,10 @@ def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 
 def _angles(vertices: Array, faces: Index, start: Index, end: Index, key: Index, forward: NDArray[np.bool_]) -> Array:
-    """Return the sorting key of each half-edge among the triangles at its edge, by their angle about the edge.
+    """Return a number for each half-edge, by which the triangles at the same edge can be sorted.
 
-    Triangles that are adjacent in this order enclose a part of the solid. The key is zero at edges with two triangles,
-    which need no sorting.
+    The triangles are sorted by their angle about the edge. Triangles that are adjacent in this order enclose a part
+    of the solid. The key is zero at edges with two triangles, which need no sorting.
     """
     _, group, times = np.unique(key, return_inverse=True, return_counts=True)
     many = np.flatnonzero(times[group] > 2)
@@ -252,7 +264,10 @@ def _runs(values: Index) -> tuple[Index, Index]:
 
 
 def _is_kept(vertices: Array, faces: Index) -> NDArray[np.bool_]:
-    """Return a mask (F,) of the triangles that are not part of a speck; the largest component is always retained."""
+    """Return a mask (F,) of the triangles that do not belong to a speck.
+
+    The largest component is never a speck.
+    """
     count = len(vertices)
     start, end = _half_edges(faces)
     number, label = _components(start, end, count)
@@ -272,7 +287,10 @@ def _is_kept(vertices: Array, faces: Index) -> NDArray[np.bool_]:
 
 
 def _move_apart(vertices: Array, faces: Index) -> Array:
-    """Separate vertices at the same position by moving each towards the centre of its own triangles."""
+    """Separate vertices that have the same position.
+
+    Each vertex is moved towards the mean centre of the triangles to which it belongs.
+    """
     cells = np.round(vertices / _APART_MM).astype(np.int64).astype(np.uint64)
     _, group, times = np.unique(_row_keys(cells), return_inverse=True, return_counts=True)
     twice = times[group] > 1

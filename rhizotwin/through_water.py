@@ -22,11 +22,14 @@ Colour = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 
 _SHIFT = 4
-"""Number of fractional bits of OpenCV's fixed-point coordinates, which are sixteenths of a pixel."""
+"""Number of fractional bits in the fixed-point coordinates that are passed to OpenCV. With 4 bits, the unit is one
+sixteenth of a pixel."""
 LEAST_WIDE_PX = 1600
-"""Minimum width of a drawn picture; smaller pictures are enlarged, so that an outline does not cover a thin root."""
+"""Minimum width of a picture on which an outline is drawn, in pixels. Narrower pictures are enlarged, so that the
+outline does not cover thin roots."""
 THIN_MM = 0.9
-"""Maximum diameter of roots drawn as tubes, because the surface of roots only a few voxels thick has gaps."""
+"""Maximum diameter of roots that are drawn as tubes, in mm. The reconstructed surface has gaps where a root is only a
+few voxels thick."""
 OUTLINE: Rgb = (255, 120, 0)
 """Colour of the outline of the reconstruction."""
 SELECTED: Rgb = (0, 150, 255)
@@ -41,12 +44,15 @@ class Pictures(Cameras):
 
     @classmethod
     def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Pictures:
-        """Create an instance from a dataset and the summary of its result, which has the calibrated optics."""
+        """Create an instance from a dataset and a summary of its result.
+
+        The summary contains the calibrated optics.
+        """
         found = Cameras.of(dataset, summary)
         return cls(found.files, found.views, found.table_deg, found.optics, dataset)
 
     def picture(self, place: int) -> Colour:
-        """Return a picture (H, W, 3) in sRGB, scaled to full brightness."""
+        """Return a picture (H, W, 3) in sRGB, in which the brightness is scaled to the full range."""
         frame = next(frame for frame in self.dataset.frames if frame.file == self.files[place])
         grey = read_image(self.dataset, frame).astype(np.float64)
         grey = np.clip(grey / max(float(np.percentile(grey, 99.8)), 1.0), 0.0, 1.0)
@@ -55,7 +61,10 @@ class Pictures(Cameras):
         return np.repeat(np.round(255.0 * grey).astype(np.uint8)[..., None], 3, axis=2)
 
     def pixels(self, place: int, points_mm: Array) -> Array:
-        """Project points (N, 3) into a picture; return pixels (N, 2), NaN for points without an image."""
+        """Project points (N, 3) into a picture, and return their pixels (N, 2).
+
+        The pixel is NaN if the point is outside the water or is not visible through the canister.
+        """
         within = np.hypot(points_mm[:, 0], points_mm[:, 1]) < self.optics.inner_radius_mm
         found = np.full((len(points_mm), 2), np.nan)
         if within.any():
@@ -63,7 +72,7 @@ class Pictures(Cameras):
         return found
 
     def nearest(self, azimuth_deg: float) -> int:
-        """Return the index of the picture whose camera is nearest to an azimuth about the canister's axis."""
+        """Return the index of the picture whose camera has the azimuth nearest to the given one."""
         centre = np.array([view.centre_mm for view in self.views])
         off = np.rad2deg(np.arctan2(centre[:, 1], centre[:, 0])) - azimuth_deg
         return int(np.abs((off + 180.0) % 360.0 - 180.0).argmin())
@@ -124,9 +133,10 @@ class Pictures(Cameras):
         return image
 
     def _fill_tubes(self, mask: NDArray[np.uint8], place: int, lines: Mapping[int, Line], scale: int, *, thickest_mm: float) -> None:
-        """Fill the projections of tubes in a mask (H, W), as a quadrilateral per segment and discs at both ends.
+        """Fill the projections of tubes in a mask (H, W).
 
-        Parts with a diameter above ``thickest_mm`` are omitted.
+        Each segment of a tube is drawn as a quadrilateral, and its ends as discs. Parts with a diameter above
+        ``thickest_mm`` are omitted.
         """
         if not lines:
             return
@@ -142,7 +152,7 @@ class Pictures(Cameras):
             cv2.circle(mask, (int(middle[0]), int(middle[1])), int(r), 255, -1, cv2.LINE_8, _SHIFT)
 
     def _project_flanks(self, place: int, lines: Mapping[int, Line]) -> tuple[Array, Array]:
-        """Project both edges of roots into a picture; return the pixels (N, 2) of each edge.
+        """Project the left and right edge of each root into a picture, and return the pixels (N, 2) of both.
 
         An edge is the centre line, displaced by the radius perpendicular to the root and to the line of sight.
         """
@@ -167,9 +177,9 @@ def _fixed_point(values: Array) -> NDArray[np.int32]:
 
 
 def _enlarge(image: Colour) -> tuple[Colour, int]:
-    """Enlarge a picture by a whole number to at least `LEAST_WIDE_PX` width; return the picture and the magnification.
+    """Enlarge a picture by an integer factor to a width of at least `LEAST_WIDE_PX`.
 
-    The centre of the original pixel k is at magnification * (k + 0.5) - 0.5.
+    The factor is returned with the picture. The centre of the original pixel k is at factor * (k + 0.5) - 0.5.
     """
     scale = -(-LEAST_WIDE_PX // image.shape[1])
     if scale <= 1:

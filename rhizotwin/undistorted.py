@@ -27,12 +27,14 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8 | np.uint16]
 
 _STEP_PX = 4
-"""Spacing of the pixels at which the mapping is computed; interpolation in between has an error of 0.01 px."""
+"""Spacing of the pixels for which the mapping between real and undistorted picture is computed. The mapping is
+interpolated between them, with an error of 0.01 px."""
 _NEAR_AXIS = 0.6
-"""Maximum radius of the points for which the pinhole distance is optimised, relative to the radius of the water; some
-points farther out appear twice in a picture."""
+"""Radius of the region around the axis in which the pinhole camera is fitted to the real camera, relative to the radius
+of the water. Points outside this region may appear twice in a picture."""
 _NODES = 41
-"""Number of nodes along each side of the plane for the inverse mapping from pixels to the plane."""
+"""Number of grid points along each side of the plane through the axis. The linear mapping from pixels to this plane is
+fitted to these points."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +44,19 @@ class VirtualCamera:
     view: View
     optics: Optics
     distance_mm: float
-    """Horizontal distance from the canister's axis to the pinhole."""
+    """Horizontal distance from the canister's axis to the pinhole, in mm."""
     heights_mm: tuple[float, float]
-    """Lowest and highest point of the water, canister frame."""
+    """Height of the lowest and of the highest point of the water, in the canister frame."""
     focal_px: float | None = None
-    """Focal length; None: computed so that the scale on the plane through the axis equals that of the picture."""
+    """Focal length in pixels. If it is None, it is computed so that the plane through the axis has the same scale as in
+    the real picture."""
 
     @property
     def cam_from_canister(self) -> Array:
-        """Pose (4, 4) of the pinhole camera, which looks horizontally at the axis from the real azimuth and height."""
+        """Pose (4, 4) of the pinhole camera.
+
+        The camera has the azimuth and height of the real camera, and looks horizontally at the axis.
+        """
         level = frames.level_camera(distance_mm=self.distance_mm, height_mm=float(self.view.centre_mm[2]), tilt_deg=0.0)
         return level @ frames.rotation_z(-self._azimuth_rad)
 
@@ -65,13 +71,16 @@ class VirtualCamera:
         return Camera(image_wh=(width, height), focal_px=(focal, focal), principal_px=((width - 1) / 2.0, (height - 1) / 2.0))
 
     def pixels(self, points_mm: Array) -> Array:
-        """Project points (N, 3) with the pinhole camera, without refraction; return pixels (N, 2)."""
+        """Project points (N, 3) with the pinhole camera, without refraction, and return the pixels (N, 2)."""
         x, y, z = frames.apply(self.cam_from_canister, points_mm).T
         (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
         return np.stack([focal * x / z + cx, focal * y / z + cy], axis=1)
 
     def undistort(self, picture: Picture) -> Picture:
-        """Map a picture (H, W) to the pinhole camera; pixels that show no water become 0."""
+        """Compute the picture (H, W) that the pinhole camera would take.
+
+        Pixels that show no water are 0.
+        """
         width, height = self.lens.image_wh
         (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
         u, v = np.arange(0.0, width + _STEP_PX, _STEP_PX), np.arange(0.0, height + _STEP_PX, _STEP_PX)
@@ -90,18 +99,19 @@ class VirtualCamera:
         return np.asarray(cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
 
     def shown(self, points_mm: Array) -> Array:
-        """Return the pixels (N, 2) at which the undistorted picture shows points (N, 3) in the water, or NaN.
+        """Return the pixels (N, 2) at which the undistorted picture shows points (N, 3) in the water.
 
-        For points on the plane through the axis, the pixels equal those of the pinhole projection `pixels`.
+        The pixel is NaN if the point is not visible. For points on the plane through the axis, the pixels equal those
+        of the pinhole projection `pixels`.
         """
         px = project_inner(self.view, self.optics, points_mm)
         plane = self.pixels(self._to_plane(px))
         return np.where(np.isfinite(px), plane, np.nan)
 
     def _to_plane(self, px: Array) -> Array:
-        """Return the points (N, 3) on the plane through the axis that project to pixels (N, 2) of the real picture.
+        """Return the points (N, 3) on the plane through the axis that appear at pixels (N, 2) of the real picture.
 
-        The solution starts from a linear fit and is refined by Newton steps.
+        The first estimate is a linear function of the pixels, which is refined by Newton's method.
         """
         radius, (low, high) = 0.98 * self.optics.inner_radius_mm, self.heights_mm
         nodes = np.meshgrid(np.linspace(-radius, radius, _NODES), np.linspace(low, high, _NODES))
@@ -121,7 +131,10 @@ class VirtualCamera:
         return self._plane(at[:, 0], at[:, 1])
 
     def _plane(self, aside_mm: Array, height_mm: Array) -> Array:
-        """Return points (..., 3) on the plane through the axis that faces the camera, from their plane coordinates."""
+        """Return the points (..., 3) for two coordinates on the plane that contains the axis and faces the camera.
+
+        The coordinates are the horizontal distance from the axis and the height.
+        """
         return aside_mm[..., None] * self._right + height_mm[..., None] * np.array([0.0, 0.0, 1.0])
 
     @cached_property

@@ -1,4 +1,7 @@
-"""Detection of damaged pictures without a checksum: rows of pixels that differ from all other pictures of the ring."""
+"""Detection of damage in pictures whose file format has no checksum.
+
+A picture is damaged if rows of its pixels differ from those in all other pictures of the ring.
+"""
 
 from dataclasses import dataclass
 
@@ -10,25 +13,29 @@ from rhizotwin.scenes.picture_codec import Grey
 COLUMNS = 256
 """Approximate number of columns per picture that are compared."""
 LEAST = 5
-"""Minimum number of pictures in a ring for the comparison, so that a deviating picture can be identified."""
+"""Minimum number of pictures in a ring that are compared. With fewer pictures, the one that deviates from the others
+could not be identified."""
 OTHER = 0.15
-"""Minimum difference of a deviating pixel from the median over the ring, relative to the brightness of the panel."""
+"""Difference above which a pixel deviates from the other pictures. It is the absolute difference from the median over
+the ring, relative to the brightness of the panel."""
 NEAR = 2
-"""Number of rows above and below a row that are included in the comparison, for small vertical shifts of a picture."""
+"""A row is also compared with this number of rows above it and below it in other pictures. They allow for small
+vertical shifts between pictures."""
 MORE = 0.2
-"""Minimum fraction of deviating pixels in a damaged row, above the largest fraction in any other picture of the ring.
+"""Minimum difference between the fraction of deviating pixels in a damaged row, and the largest such fraction in any
+other picture.
 
-In 1,600 intact pictures of the accuracy ladder and of a real rig the value was at most 0.11, and at most 0.14 with 5
-views in a ring.
+In 1,600 intact pictures of the accuracy ladder and of a real rig the difference was at most 0.11, and at most 0.14 with
+5 views in a ring.
 """
 WHOLE = 0.95
-"""Maximum fraction of damaged rows in a picture. Above it the illumination has changed, which the checks of the
-reconstruction detect."""
+"""Maximum fraction of damaged rows in a damaged picture. A larger fraction indicates that the illumination has changed,
+which the checks of the reconstruction detect."""
 
 
 @dataclass(frozen=True)
 class Unlike:
-    """Picture with rows that differ from all other pictures of the ring."""
+    """Picture in which some rows differ from those of all other pictures of the ring."""
 
     name: str
     """File name of the picture."""
@@ -39,14 +46,20 @@ class Unlike:
 
 
 class Turn:
-    """Compares the pictures of one ring, of which it stores a subset of the columns."""
+    """Compares the pictures of one ring.
+
+    Only a subset of the columns of each picture is stored.
+    """
 
     def __init__(self) -> None:
         self._names: list[str] = []
         self._rows: list[Grey] = []
 
     def add(self, name: str, grey: Grey) -> None:
-        """Add a picture (H, W); all pictures must have the same size and bit depth."""
+        """Add a picture (H, W).
+
+        All pictures must have the same size and bit depth.
+        """
         self._names.append(name)
         self._rows.append(np.ascontiguousarray(grey[:, :: max(1, grey.shape[1] // COLUMNS)]))
 
@@ -72,7 +85,7 @@ class Turn:
         return np.asarray(other - most)
 
     def unlike(self) -> list[Unlike]:
-        """Return the pictures with rows that differ from all other pictures."""
+        """Return the pictures in which some rows differ from those of all other pictures."""
         if not self.enough:
             return []
         found = []

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 SLURM = "slurm"
 WAIT_S = 30.0
-"""Timeout for connecting to a scheduler, s."""
+"""Maximum time to wait for a connection to a scheduler, in seconds."""
 
 
 @contextmanager
 def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
-    """Provide a client of a Dask scheduler.
+    """Connect to a Dask scheduler, and yield its client.
 
     Parameters
     ----------
@@ -70,7 +70,10 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
 
 
 def slurm(jobs: Sequence[Job]) -> Any:
-    """Return a Dask cluster whose workers are Slurm jobs with enough memory for the largest job."""
+    """Return a Dask cluster whose workers run as Slurm jobs.
+
+    Each worker has enough memory for the largest of the given jobs.
+    """
     from dask_jobqueue.slurm import SLURMCluster
 
     memory_mib = max((job.memory_mib for job in jobs), default=1000.0)
@@ -105,7 +108,10 @@ def _submit(client: Client, job: Job, attempt: int) -> Any:
 
 
 def _outcome(future: Any, job: Job) -> Outcome:
-    """Return the outcome of a finished job; exceptions come from Dask, because `work` raises none."""
+    """Return the outcome of a finished job.
+
+    `work` raises no exceptions. An exception therefore comes from Dask, and means that the job was lost.
+    """
     try:
         return Outcome(**future.result())
     except Exception as error:  # noqa: BLE001 - Dask raises KilledWorker, CancelledError, CommClosedError and others

@@ -15,7 +15,8 @@ from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 
 _PIXELS = 20e6
-"""Assumed number of pixels of a dataset whose file dataset.json is unreadable, so that its job fails later."""
+"""Number of pixels that is assumed if the file dataset.json of a dataset cannot be read. The error is reported later,
+when the job of this dataset is run."""
 
 
 def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | None, settings: Path | None, device: str) -> list[Job]:
@@ -57,7 +58,9 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
 
 
 def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed: int, device: str) -> list[Job]:
-    """Create a rendering job for each scene, whose dataset has the name of the scene.
+    """Create a rendering job for each scene.
+
+    The dataset has the name of the scene.
 
     Parameters
     ----------
@@ -93,7 +96,10 @@ def _resolved(dataset: str) -> str:
 
 
 def _head(dataset: str) -> bytes:
-    """Return the content of dataset.json, or b"" if the file is a link or unreadable, so that only this job fails."""
+    """Return the content of dataset.json, or b"" if the file is a link or cannot be read.
+
+    No error is raised here, so that only the job of this dataset fails later, and not the entire batch.
+    """
     head = places.join(dataset, places.HEAD)
     try:
         return b"" if Path(head).is_symlink() else places.read(head) or b""

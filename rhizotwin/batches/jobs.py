@@ -17,19 +17,21 @@ Kind = Literal["reconstruct", "simulate"]
 State = Literal["done", "failed", "again"]
 
 RECORDS = ".rhizotwin-jobs"
-"""Name of the hidden folder of job records, in the folder of the outputs."""
+"""Name of the hidden folder, inside the folder of the outputs, in which the records of jobs are stored."""
 HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json"}
-"""Name of the file that marks an output as complete, by kind of job."""
+"""Name of the file whose existence shows that an output is complete. The key is the kind of job."""
 
 BASE_MIB, MIB_PER_MPX = 700.0, 120.0
-"""Peak memory of a reconstruction: memory of the process with its libraries, MiB, and memory per million pixels, MiB.
+"""Coefficients of the estimated peak memory of a reconstruction: constant part in MiB, and MiB per million pixels.
 
-The sum is an upper bound over the accuracy ladder. Reconstructions of 18 plants with 38.4 million pixels (two rings of
-40 views, 800x600) used up to 4953 MiB, and those of printed phantoms with 19.2 million pixels 1336 MiB. Voxels smaller
-than the default of 0.27 mm need more memory; voxels of 0.07 mm used twice as much.
+The constant part is the memory of the process with its libraries. The sum is an upper bound over the accuracy ladder.
+Reconstructions of 18 plants with 38.4 million pixels (two rings of 40 views, 800x600) used up to 4953 MiB, and those of
+printed phantoms with 19.2 million pixels 1336 MiB. Voxels smaller than the default of 0.27 mm need more memory; voxels
+of 0.07 mm used twice as much.
 """
 RENDER_MIB = 1000.0
-"""Peak memory of a rendering, MiB: 414 MiB at 800x600, plus the mesh of the largest plant in the library."""
+"""Upper bound of the peak memory of a rendering, in MiB. A rendering at 800x600 needs 414 MiB, to which the mesh of the
+largest plant in the library is added."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +48,7 @@ class Job:
     key: str
     """SHA-256 of all inputs that affect the outcome: dataset or scene, settings, and code."""
     pixels: float
-    """Total number of pixels of all pictures, which determines memory and duration."""
+    """Total number of pixels in all pictures. The memory and duration of the job are predicted from it."""
     options: dict[str, Any]
     """Arguments of the reconstruction or rendering, as JSON values."""
 
@@ -62,7 +64,7 @@ class Job:
         return places.join(beside or ".", RECORDS, f"{self.name}.json")
 
     def plain(self) -> dict[str, Any]:
-        """Convert the job to JSON values, for transfer to another process."""
+        """Convert the job to JSON values, which can be sent to another process."""
         return asdict(self)
 
 
@@ -73,7 +75,8 @@ class Outcome:
     name: str
     """Name of the job."""
     state: State
-    """``done``; ``failed``; or ``again`` after an external failure (lost worker, full disk), after which to retry."""
+    """``done``, ``failed`` or ``again``. The state ``again`` means that the job should be repeated, because it failed
+    for an external reason (lost worker, full disk)."""
     sentence: str = ""
     """Reason for a failure, for the user."""
     seconds: float = 0.0
@@ -83,13 +86,16 @@ class Outcome:
 
 
 def key_of(settings: Mapping[str, Any], *, code: str) -> str:
-    """Return the SHA-256 of a job's settings (JSON values) and of the digest of the code."""
+    """Return the SHA-256 of a job's settings and of the code.
+
+    ``settings`` are JSON values, and ``code`` is the digest of the code.
+    """
     text = json.dumps({"settings": settings, "code": code}, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def is_done(job: Job) -> bool:
-    """Return whether an earlier run finished a job with the same key, and the output still exists."""
+    """Return whether an earlier run has finished a job with the same key, and its output still exists."""
     data = places.read(job.record)
     try:
         record = {} if data is None else json.loads(data)

@@ -1,6 +1,6 @@
-"""Execution of jobs in worker processes on this computer, with as many processes as the memory allows.
+"""Execution of jobs in several worker processes on this computer.
 
-The job of a process that dies is repeated.
+The number of processes is limited by the memory. If a process dies, its job is repeated.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from rhizotwin.scenes.monitor import threads
 MOST_TRIES = 3
 """Maximum number of attempts to run a job that fails for an external reason, such as a full disk."""
 LEFT_FREE = 0.1
-"""Fraction of the available memory that is reserved for other programs."""
+"""Fraction of the available memory that batches leave free for other programs."""
 LOOK_S = 1.0
-"""Interval at which a worker checks that the main process still exists, s."""
+"""Interval, in seconds, at which a worker process checks that the main process still exists."""
 
 
 @dataclass
@@ -38,7 +38,7 @@ class _Worker:
 
 
 def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None) -> Iterator[tuple[Job, Outcome]]:
-    """Run jobs in the order of decreasing size, and yield each job with its final outcome.
+    """Run jobs, the largest first, and yield each job with its final outcome.
 
     Parameters
     ----------
@@ -75,7 +75,11 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
 
 
 def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: float) -> None:
-    """Assign waiting jobs to idle or new workers within the limits of processes and memory; at least one job runs."""
+    """Assign waiting jobs to idle or new workers.
+
+    At most ``most`` workers are busy, and the predicted memory of their jobs is at most ``allowed_mib``. A job that
+    needs more memory runs only if no other job is running.
+    """
     for job in list(waiting):
         busy = [worker.job for worker in crew if worker.job]
         if len(busy) >= most:
@@ -102,7 +106,10 @@ def _hire(threads_each: int) -> _Worker:
 
 
 def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
-    """Receive and return the outcome of a worker's job; a worker that has died is removed from ``crew``."""
+    """Receive and return the outcome of a worker's job.
+
+    If the worker has died, it is removed from ``crew``.
+    """
     job = worker.job
     worker.job = None
     name = "" if job is None else job.name
@@ -132,7 +139,7 @@ def _serve(line: Connection, master: int, threads_each: int) -> None:
 
 
 def _leave_with(master: int) -> None:
-    """Poll for the main process, and exit this process when the main process has ended."""
+    """Wait until the main process has ended, and then exit this process."""
     while os.getppid() == master:
         time.sleep(LOOK_S)
     os._exit(1)

@@ -23,7 +23,7 @@ from rhizotwin.stored import result_files, stored_traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 112
-"""Height of a scan's picture, which is twice the height on the page."""
+"""Height of the pictures in the overview, in pixels. The page shows them at half this height."""
 _COLUMNS = ("total_length_mm", "depth_mm", "mean_diameter_mm", "tips")
 
 
@@ -77,7 +77,7 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
 
 def summarise(summaries: Sequence[Json]) -> str:
-    """Describe the number of usable volumes and the frequency of each reason for unusable volumes."""
+    """Return a text with the number of usable volumes, and with the number of scans for each reason against use."""
     codes = Counter(code for summary in summaries for code in reasons.reasons_for_volume(summary))
     usable = sum(bool(summary["volume_trusted"]) for summary in summaries)
     counted = ", ".join(f"{count} x {code.replace('_', ' ')}" for code, count in codes.most_common())
@@ -85,7 +85,10 @@ def summarise(summaries: Sequence[Json]) -> str:
 
 
 def _thumbnail(result: Path) -> bytes | None:
-    """Return the front view of the reconstructed shape as a small JPEG; None if the result has no picture."""
+    """Return the front view of the reconstructed shape as a small JPEG picture.
+
+    The result is None if the reconstruction has stored no picture of the shape.
+    """
     image = result_files.read_shape_picture(result)
     if image is None:
         return None
@@ -124,12 +127,18 @@ def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition
 
 
 def _number(row: _Row, field: str) -> str:
-    """Format a trait for the table; the verdict is appended unless it is "reliable"."""
+    """Format the value of a trait for the table.
+
+    The verdict about the trait is appended in parentheses, unless it is "reliable".
+    """
     value, verdict = getattr(row.traits, field), row.assessed[field].verdict
     return trait_table.format_number(value) if value is None or verdict == "reliable" else f"{trait_table.format_number(value)} ({verdict})"
 
 
 def _subject(row: _Row) -> dict[str, str]:
-    """Return the subject of a scan by key; values of several plants are joined by commas."""
+    """Return the description of the plants in a scan, keyed by field, such as species or treatment.
+
+    If the scan has several plants, their values are joined by commas.
+    """
     each = [subject.as_text(own.subject) for own in result_traits.traits_by_plant(row.name, row.summary, row.traits)]
     return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

@@ -1,4 +1,4 @@
-"""Access to files in local folders, and to addresses such as ``s3://...`` with fsspec."""
+"""Access to files in local folders, and at addresses such as ``s3://...``, which are opened with fsspec."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ def join(place: str, *names: str) -> str:
 
 
 def name_of(place: str) -> str:
-    """Return the last component of a path or address; for ``.`` the name of the current folder."""
+    """Return the last component of a path or address.
+
+    For ``.`` it is the name of the current folder.
+    """
     return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(os.path.realpath(place)).name
 
 
@@ -59,7 +62,10 @@ def find_datasets(source: str) -> list[str]:
 
 
 def _matches(pattern: Path) -> list[Path]:
-    """Return the path in a list if it exists, or otherwise the existing paths that match it as a pattern."""
+    """Return the existing paths that match a pattern.
+
+    If the pattern itself is an existing path, only this path is returned.
+    """
     if pattern.exists():
         return [pattern]
     try:

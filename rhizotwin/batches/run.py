@@ -83,7 +83,10 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
 
 
 def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
-    """Reject symbolic links in the folder, through which files outside it would be overwritten."""
+    """Raise UserError if the results folder contains symbolic links.
+
+    Files outside the folder could otherwise be overwritten through such a link.
+    """
     linked = next((folder / name for name in (listed.RECORDS, *(job.name for job in jobs)) if (folder / name).is_symlink()), None)
     if linked is not None:
         raise UserError(
@@ -92,7 +95,10 @@ def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
 
 
 class _Bar:
-    """Progress bar of a batch with the estimated remaining time; without a terminal, one line of text per job."""
+    """Progress bar of a batch with the estimated remaining time.
+
+    If the output is not a terminal, one line of text is printed for each job instead.
+    """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
         self._total, self._count = len(jobs), 0
@@ -110,7 +116,10 @@ class _Bar:
             self._bar.close()
 
     def step(self, job: Job, said: str) -> None:
-        """Show that a job has ended, with the sentence ``said`` about its outcome."""
+        """Show that a job has ended.
+
+        ``said`` is a sentence about its outcome.
+        """
         self._count += 1
         if self._bar is None:
             sys.stderr.write(f"{self._count} of {self._total}: {printable(f'{job.name}: {said}')}\n")

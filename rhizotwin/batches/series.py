@@ -11,7 +11,7 @@ from rhizotwin.scenes.solution import Factors
 def vary(
     scene: Scene, *, plants: int = 1, days: Sequence[float] | None = None, treatments: Sequence[tuple[str, float, Factors]] | None = None
 ) -> dict[str, Scene]:
-    """Return a scene for each combination of plant, age and treatment.
+    """Return one scene for each combination of plant, age and treatment, keyed by the name of the scene.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Execution of one job in the current process, with errors converted to messages in the outcome."""
+"""Execution of one job in the current process.
+
+Errors are converted to messages in the outcome of the job.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from rhizotwin.scenes import formatting, memory
 from rhizotwin.scenes.errors import UserError
 
 OF_DISK = (*formatting.FULL, errno.EIO, errno.ESTALE)
-"""Values of errno that indicate a disk or network failure, after which a job is repeated."""
+"""Values of errno that indicate a failure of the disk or network. A job that fails with one of them is repeated."""
 
 
 def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:

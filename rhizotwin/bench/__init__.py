@@ -1,1 +1,1 @@
-"""Benchmarks of simulated scans with exact ground truth, on which any reconstruction method can be run and scored."""
+"""Benchmarks for reconstruction methods: simulated scans whose ground truth is known exactly."""

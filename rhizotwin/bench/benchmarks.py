@@ -15,20 +15,23 @@ from rhizotwin.scenes.name_suggestion import most_similar
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 HELD_BACK = 1000
-"""Smallest random seed reserved for benchmarks; methods must not be tuned on seeds from this value on."""
+"""Smallest random seed reserved for benchmarks. Methods must not be tuned on scans with this or a larger seed."""
 PLANT_SEEDS_APART = 1_000_003
-"""Multiplier of a case's seed, which is then added to the plant's seed in the scene. Seed 0 is the plant of the
-library, and because the multiplier is a large prime, no other seed reproduces a plant of the library."""
+"""Factor by which the seed of a case is multiplied before it is added to the plant's seed in the scene. A case with
+seed 0 shows the plant of the library. The factor is a large prime, so that no other case shows a plant of the
+library."""
 HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
 """Second ring in scans of plants.
 
-The first ring at -42 mm sees the topmost 2.4 mm of a plant (8 % of the volume of radish_day05a) in front of the dark
-net pot. The second ring at 10 mm sees them in front of the backlight, which removes half of the hull's artefacts.
+In the first ring at -42 mm, the topmost 2.4 mm of a plant (8 % of the volume of radish_day05a) appear in front of the
+dark net pot. The second ring at 10 mm sees them in front of the backlight, which removes half of the hull's artefacts.
 """
 
 
 def rendered_scene(scene: Scene, profile: str, *, rings: int, views: int, image_wh: tuple[int, int], seed: int) -> Scene:
-    """Return a copy of a scene with the plant, views and simulated imperfections of a benchmark case.
+    """Return the scene of a benchmark case.
+
+    It is a copy of a library scene with a different plant, number of views and simulated imperfections.
 
     Parameters
     ----------
@@ -90,7 +93,9 @@ class Benchmark:
     cases: tuple[Case, ...]
 
     def chosen(self, names: tuple[str, ...]) -> Benchmark:
-        """Return a copy of the benchmark with the named cases only, or with all cases if ``names`` is empty.
+        """Return a copy of the benchmark that contains only the cases in ``names``.
+
+        If ``names`` is empty, the copy contains all cases.
 
         Raises
         ------

@@ -26,29 +26,35 @@ from rhizotwin.scenes.truth import load_truth
 PIXELS = 16
 """Number of sampled pixels per picture."""
 LIMIT = 1e-3
-"""Maximum difference of a sampled pixel from the reference, relative to full scale."""
+"""Maximum difference between a sampled pixel and its reference, relative to full scale."""
 _SAME_VOLUME = 1e-6
-"""Maximum relative difference of the true volume from the reference, for rounding differences of mesh libraries."""
+"""Maximum relative difference between the true volume and its reference. It allows for rounding differences between
+mesh libraries."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Difference between a rendered case and its reference fingerprint."""
+    """Result of comparing a rendered case with its reference fingerprint."""
 
     case: str
     largest: float
-    """Largest difference of a sampled pixel, relative to full scale; infinite if there is no comparable reference."""
+    """Largest difference of a sampled pixel, relative to full scale. It is infinite if there is no comparable
+    reference."""
     volume: float
-    """Relative difference of the true volume; infinite if there is no comparable reference."""
+    """Relative difference between the true volume and its reference. It is infinite if there is no comparable
+    reference."""
 
     @property
     def same(self) -> bool:
-        """Whether pixels and volume equal the reference within the tolerances."""
+        """Whether sampled pixels and true volume agree with the reference within the tolerances."""
         return self.largest <= LIMIT and self.volume <= _SAME_VOLUME
 
 
 def take(folder: Path) -> dict[str, Any]:
-    """Return the fingerprint of a rendered case: sampled 16-bit grey levels and true volume, as JSON values."""
+    """Return the fingerprint of a rendered case as JSON values.
+
+    It consists of the grey levels (16 bits) of sampled pixels, and of the true volume.
+    """
     dataset = load_dataset(folder)
     return {"volume_mm3": load_truth(folder).volume_mm3, "pixels": [_sampled(dataset, k).tolist() for k in range(len(dataset.frames))]}
 
@@ -70,7 +76,10 @@ def write(benchmark: Benchmark, folder: Path, goal: Path) -> None:
 
 
 def reference(benchmark: Benchmark) -> dict[str, Any]:
-    """Return the reference fingerprints of a benchmark by case; empty if the program includes none."""
+    """Return the reference fingerprints of a benchmark, keyed by the name of the case.
+
+    The result is empty if the program contains no reference for this benchmark.
+    """
     file = resources.files("rhizotwin.bench").joinpath("data", f"{benchmark.name}.json")
     return dict(json.loads(file.read_text(encoding="utf-8"))["cases"]) if benchmark.name in BENCHMARKS and file.is_file() else {}
 

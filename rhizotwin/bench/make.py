@@ -42,7 +42,7 @@ def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[
 
 
 def sentence(one: Comparison) -> str:
-    """Return a sentence that describes a comparison."""
+    """Return a sentence for the user about the result of a comparison."""
     if one.largest == float("inf"):
         return f"{one.case}: rendered; this version of the program has no reference for this case"
     amount = f"maximum difference of sampled pixels {one.largest:.1e} of full scale (limit {fingerprints.LIMIT:g})"
@@ -50,7 +50,7 @@ def sentence(one: Comparison) -> str:
 
 
 def check_made(benchmark: Benchmark, folder: Path) -> None:
-    """Check that all cases of a benchmark have been rendered to a folder.
+    """Raise UserError if a case of a benchmark has not been rendered to a folder.
 
     Raises
     ------

@@ -34,11 +34,13 @@ from rhizotwin.scenes.truth import load_truth
 Picture = NDArray[np.uint8 | np.uint16]
 CameraSource = Literal["estimated", "true"]
 _HALF = 0.5
-"""Minimum coverage of a root pixel in a mask."""
+"""Minimum coverage of a pixel by roots. Pixels of at least this coverage are root pixels in the mask."""
 
 
 def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
-    """Write the input folder for other methods, as described in the module.
+    """Write the input folder for other methods.
+
+    The docstring of this module lists the files in the folder.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
 
 
 def _undistort(dataset: Dataset, lens: Camera, posed: Posed, masks: dict[str, Picture], goal: Path) -> None:
-    """Remove the lens distortion from pictures and masks, and write them with their cameras."""
+    """Remove the lens distortion from pictures and masks, and write them together with their cameras."""
     (fx, fy), (cx, cy) = lens.focal_px, lens.principal_px
     matrix, distortion = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(lens.distortion)
     known, frames = {frame.file: frame for frame in dataset.frames}, []

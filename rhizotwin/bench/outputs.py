@@ -29,7 +29,7 @@ KINDS: dict[str, tuple[tuple[str, ...], Score]] = {
 
 
 def score_outputs(output: Path, dataset: Path) -> tuple[dict[str, Any], list[str]]:
-    """Score each file with a known name in the output folder of a method.
+    """Score all files in the output folder of a method whose names are known.
 
     Parameters
     ----------

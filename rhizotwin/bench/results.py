@@ -19,24 +19,27 @@ STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable
 
 
 _LARGEST = sys.float_info.max
-"""Largest accepted number, because JSON integers may exceed the range of a float."""
+"""Largest number that is accepted in a file. An integer in JSON may exceed the range of a float."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity in the results of a case, with its tolerance in comparisons with a baseline."""
+    """Quantity in the results of a case.
+
+    Its tolerances are used in the comparison with a baseline.
+    """
 
     name: str
     heading: str
     places: tuple[tuple[str, ...], ...]
-    """Alternative paths of the value in the nested dictionary of a row; the first existing path is used."""
+    """Paths at which the value may be stored in the nested dictionary of a row. The first path that exists is used."""
     scale: float
     """Factor that converts the value to the unit in the heading."""
     digits: int
     """Number of decimal places in tables."""
     larger_is_better: bool = False
     relative: float = 0.0
-    """Tolerance relative to the baseline, added to the absolute tolerance."""
+    """Relative tolerance, as a fraction of the value in the baseline. It is added to the absolute tolerance."""
     absolute: float = 0.0
     """Absolute tolerance, in the unit of the stored value."""
 
@@ -78,7 +81,7 @@ class Results:
     method: str
     cameras: str | None
     rows: dict[str, dict[str, Any]]
-    """Results of each case by its name, as JSON values."""
+    """Results of each case as JSON values, keyed by the name of the case."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +126,7 @@ def read(path: Path) -> Results:
 
 
 def value(row: dict[str, Any], quantity: Quantity) -> float | None:
-    """Return the value of a quantity in a row; None if it is missing."""
+    """Return the value of a quantity in a row, or None if it is missing."""
     for place in quantity.places:
         found: Any = row if len(place) == 1 else row["scores"]
         for name in place:
@@ -134,7 +137,7 @@ def value(row: dict[str, Any], quantity: Quantity) -> float | None:
 
 
 def interval_holds(row: dict[str, Any]) -> bool | None:
-    """Return whether the 90 % interval of the volume contains the true volume; None if the row has no interval."""
+    """Return whether the 90 % interval of the volume contains the true volume, or None if the row has no interval."""
     try:
         holds = row["scores"]["traits"]["traits"]["volume"]["holds"]
     except (KeyError, TypeError):
@@ -143,7 +146,10 @@ def interval_holds(row: dict[str, Any]) -> bool | None:
 
 
 def text(row: dict[str, Any], quantity: Quantity) -> str:
-    """Format the value of a quantity in a row for a table; empty if it is missing."""
+    """Format the value of a quantity in a row for a table.
+
+    The text is empty if the value is missing.
+    """
     found = value(row, quantity)
     if found is None:
         return ""
@@ -163,26 +169,35 @@ def markdown(several: Sequence[Results]) -> str:
 
 
 def ordered(several: Sequence[Results]) -> list[tuple[Results, dict[str, Any]]]:
-    """Return all rows with their results, sorted by benchmark and case."""
+    """Return each row together with the results to which it belongs, sorted by benchmark and case."""
     pairs = [(one, row) for one in several for row in one.rows.values()]
     place = {(one.benchmark, case): number for one in reversed(several) for number, case in enumerate(one.rows)}
     return sorted(pairs, key=lambda pair: (pair[0].benchmark, place[pair[0].benchmark, pair[1]["case"]]))
 
 
 def held(row: dict[str, Any]) -> str:
-    """Return "holds" if the 90 % interval of the volume contains the true volume, "misses" if not, "" if unknown."""
+    """Return whether the 90 % interval of the volume contains the true volume, as a word for tables.
+
+    The word is "holds" if it does, "misses" if it does not, and empty if the interval is unknown.
+    """
     return {True: "holds", False: "misses", None: ""}[interval_holds(row)]
 
 
 def remark(row: dict[str, Any]) -> str:
-    """Return the reason why a row has no scores, or a remark that its volume is not reliable; otherwise ""."""
+    """Return a remark on a row for tables.
+
+    The remark is the reason why the row has no scores, or the note that its volume is not reliable. Otherwise it is
+    empty.
+    """
     if row["state"] != "done":
         return f"{row['state']}: {row.get('sentence', '')}"
     return "volume marked as not reliable" if row["scores"].get("trusted") is False else ""
 
 
 def compare(found: Results, baseline: Results) -> list[Finding]:
-    """Compare results with a baseline; a case that is missing or has failed is a deterioration.
+    """Compare results with a baseline.
+
+    A case that is missing or has failed counts as a deterioration.
 
     Raises
     ------

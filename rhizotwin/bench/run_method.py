@@ -46,10 +46,10 @@ except ImportError:
 with open(sys.argv[1], "w", encoding="utf-8") as file:
     json.dump(measured, file)
 """
-"""Code of a small helper process that starts the method and measures it, because Linux includes the memory of the
-parent process in the peak memory of a child process."""
+"""Code of a helper process that starts the method and measures its memory. Linux includes the memory of the parent in
+the peak memory of a child process, so the parent must be small."""
 _LAST_WORDS = 400
-"""Maximum number of characters quoted from the last output line of a failed method."""
+"""Maximum number of characters that are quoted from the last line of output if a method fails."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,14 +65,17 @@ class Row:
     exit_code: int | None = None
     wall_s: float | None = None
     cpu_s: float | None = None
-    """Total CPU time of all finished processes; None if the operating system does not report CPU time."""
+    """Total CPU time of all finished processes, in seconds. It is None if the operating system does not report CPU
+    time."""
     memory_mib: float | None = None
-    """Peak memory of the largest process; None if the operating system does not report it."""
+    """Peak memory of the largest process, in MiB. It is None if the operating system does not report it."""
     scores: dict[str, Any] = field(default_factory=dict)
 
 
 def command_of(method: str) -> str:
-    """Return the command line for a method, which is the name of a built-in method or already a command line.
+    """Return the command line of a method.
+
+    ``method`` is the name of a built-in method, or already a command line.
 
     Raises
     ------
@@ -145,7 +148,9 @@ def run(
 
 
 def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[Row], None] = lambda _: None) -> list[Row]:
-    """Score output folders that another program has written; times and memory are unknown.
+    """Score output folders that another program has written.
+
+    The rows contain no running times and no memory, because these are unknown.
 
     Parameters
     ----------
@@ -173,7 +178,9 @@ def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[R
 
 
 def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, cameras: CameraSource | None) -> dict[str, Any]:
-    """Convert rows to the JSON values of a results file, with versions, computer and options of the run.
+    """Convert rows to the JSON values of a results file.
+
+    The file also contains the versions of software, a description of the computer, and the options of the run.
 
     Parameters
     ----------
@@ -199,7 +206,7 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
 
 
 def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
-    """Return the rows of the finished cases of an interrupted run with the same command.
+    """Return the rows of cases that an interrupted run with the same command has already finished.
 
     Parameters
     ----------
@@ -229,7 +236,10 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
 
 
 def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
-    """Run a method on one case, score its output, and then move the output to ``keep``."""
+    """Run a method on one case, and score its output.
+
+    If ``keep`` is given, the output is moved to this folder afterwards.
+    """
     with tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True) as temporary:
         working = Path(temporary)
         offered, output = working / "dataset", working / "output"
@@ -246,7 +256,10 @@ def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, tim
 
 
 def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> Row:
-    """Run a command in a separate process group, and measure its time and memory."""
+    """Run a command, and measure its time and memory.
+
+    The command gets its own process group, so that its child processes can be ended with it.
+    """
     used, began = working / "used.json", time.perf_counter()
     with (working / "errors.txt").open("w+b") as errors:
         child = subprocess.Popen(
@@ -293,7 +306,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def _scored(row: Row, output: Path, dataset: Path) -> Row:
-    """Score the output of a case, and return a copy of the row with the scores."""
+    """Score the output of a case, and return a copy of the row that contains the scores."""
     if row.state != "done":
         return row
     scores, sentences = score_outputs(output, dataset)

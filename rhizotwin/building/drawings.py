@@ -32,7 +32,10 @@ LETTER_MM = 1.7
 
 @dataclass(frozen=True, kw_only=True)
 class _View:
-    """View of a part on the page, with page position = corner + scale * (right, -up)."""
+    """View of a part on a page.
+
+    The position on the page is corner + scale * (right, -up), where right and up are coordinates in the view.
+    """
 
     side: Side
     drawn: Drawn
@@ -44,12 +47,18 @@ class _View:
         return self.on_page((self.side.axes @ point_mm)[:2])
 
     def on_page(self, points_mm: Array) -> Array:
-        """Return the page positions (..., 2) of points (..., 2) in the right and up coordinates of the view."""
+        """Return the page positions (..., 2) of points (..., 2) in a view.
+
+        The coordinates of the points in the view are right and up.
+        """
         return np.asarray(self.corner_mm + self.scale * (points_mm - self.drawn.low_mm) * np.array([1.0, -1.0]))
 
 
 def part_page(part: Part, *, title: str) -> Page:
-    """Draw a part on a page, with views from the front, the right, above and a corner, dimensions and parameters."""
+    """Draw a part on a page with dimensions and a table of parameters.
+
+    The part is shown from the front, from the right, from above, and in an axonometric view.
+    """
     drawn = {side.name: draw(part.solid, side) for side in (FRONT, RIGHT, TOP, CORNER)}
     cell = (np.array(PAGE_MM) - [TABLE_WIDE_MM + MARGIN_MM, 2.0 * MARGIN_MM]) / 2.0
     largest = np.max([one.size_mm for one in drawn.values()], axis=0)
@@ -98,9 +107,9 @@ def _length(dimension: Dimension) -> float:
 
 
 def _way(dimension: Dimension, side: Side) -> str | None:
-    """Return the orientation ("across" or "up") of a dimension in a view, or None if the view does not show it.
+    """Return the direction of a dimension line in a view: "across", "up", or None if it is not drawn in this view.
 
-    Each dimension is drawn once, in the first view (front, right, above) that shows the true length.
+    Each dimension is drawn once, in the first view (front, right, above) in which its line has the true length.
     """
     for one in (FRONT, RIGHT, TOP):
         along = one.axes @ np.subtract(dimension.to_mm, dimension.from_mm)
@@ -146,7 +155,7 @@ def _arrows(a: tuple[float, float], b: tuple[float, float]) -> list[Ink]:
 
 
 def _table(part: Part, *, title: str, scale: float) -> list[Ink]:
-    """Draw the title and purpose of a part, and the table of its parameters with their sources."""
+    """Draw the title and the purpose of a part, and a table with the values and sources of its parameters."""
     left = PAGE_MM[0] - TABLE_WIDE_MM
     wide, deep, high = part.size_mm
     lines = [
@@ -212,7 +221,10 @@ def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> 
 
 
 def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str, list[Manifold]]]:
-    """Return the name of each object on the rig, and its solids displaced for the exploded view."""
+    """Return the name of each object on the rig, and its solids in the exploded view.
+
+    In this view, each solid is displaced by ``apart_mm``.
+    """
     things = [(part.name, [solid.translate(part.apart_mm) for solid in part.placed()]) for part in parts if part.rig_from_part]
     for one in bought:
         things.append((one.name, [one.solid.translate(one.apart_mm)]))
@@ -220,7 +232,7 @@ def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str,
 
 
 def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> Page:
-    """Draw the exploded view of the rig from a corner, with the name of each part."""
+    """Draw the axonometric exploded view of the rig, with the name of each part."""
     things = exploded(parts, bought)
     drawn = draw(Manifold.compose([solid for _, solids in things for solid in solids]), CORNER)
     room = np.array(PAGE_MM) - 2.0 * MARGIN_MM - [70.0, 8.0]
@@ -245,7 +257,10 @@ def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str
 
 
 def _middle(solid: Manifold) -> Array:
-    """Return a central vertex (3,) on the side that faces the viewer, as the end point of a leader line."""
+    """Return a vertex (3,) near the centre of the side that faces the viewer.
+
+    The leader line of the part's name ends at this vertex.
+    """
     vertices, _ = surface(solid)
     view = vertices @ CORNER.axes.T
     front = view[:, 2] > np.median(view[:, 2])

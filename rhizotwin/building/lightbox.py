@@ -18,18 +18,21 @@ from rhizotwin.scenes.model import Scene
 
 CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
 CLIP_SCREWS_MM = 10.0
-"""Half the distance between the two screws that fasten a panel holder to a clip."""
+"""Half the distance between the two screws with which a panel holder is fastened to a clip."""
 HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
 HOLDER_TAB_MM = 40.0
 """Length of the tab that is screwed to the clip."""
 HOLDER_EVERY_MM = 250.0
-"""Maximum spacing of the holders along the upper and lower edge of the panel."""
+"""Maximum distance between two adjacent holders on the upper and lower edge of the panel."""
 WALL_LONG_MM = 200.0
 """Maximum length of a wall piece of the lightbox."""
 
 
 def _clip_outline(measures: Measures) -> CrossSection:
-    """Return the C-shaped outline of a clip around a profile at the origin, open towards -y with its back at +y."""
+    """Return the C-shaped outline of a clip around a profile at the origin.
+
+    The clip is open towards -y, and its back is at +y.
+    """
     half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
     gap = half + fit
     nose = measures.slot_mm / 2.0 - fit
@@ -42,7 +45,7 @@ def _clip_outline(measures: Measures) -> CrossSection:
 
 
 def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return the positions (y, z in the rig frame) of clips and holders along the edges of the panel."""
+    """Return the positions (y, z) of the clips and holders along the edges of the panel, in the rig frame."""
     wide, high = scene.lights.backlight_wh_mm
     count = max(2, int(np.ceil(wide / HOLDER_EVERY_MM)))
     across = (np.arange(count) + 0.5) / count * wide - wide / 2.0
@@ -51,7 +54,10 @@ def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
 
 
 def lightbox_clip(scene: Scene, measures: Measures) -> Part:
-    """Create the clip that snaps onto a profile along its z axis, and to which a panel holder is screwed."""
+    """Create the clip that snaps onto an aluminium profile.
+
+    The profile is parallel to the z axis of the clip. A panel holder is screwed to the back of the clip.
+    """
     back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
     thick = CLIP_WALL_MM + 2.0
     drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
@@ -82,7 +88,10 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
 
 def _holder_back_mm(measures: Measures) -> float:
-    """Return the distance from the back of the holder to the front of a diffuser that is centred in its slot."""
+    """Return the distance from the back of a panel holder to the front face of the diffuser.
+
+    The diffuser is assumed to be in the middle of its slot.
+    """
     return _slots(measures)[1][1] - measures.fit_mm / 2.0
 
 
@@ -92,12 +101,18 @@ def _bar_x_mm(scene: Scene, measures: Measures) -> float:
 
 
 def _bar_beyond_mm() -> float:
-    """Return the distance from the edge of the panel to the centre of the profile, at which the holder is screwed."""
+    """Return the distance from the edge of the panel to the centre line of the profile beyond it.
+
+    The panel holder is screwed to the clip at this distance.
+    """
     return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
 
 
 def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the start and end of the slots for LED board and diffuser, measured from the back of the channel, mm."""
+    """Return two intervals (start, end): the slot for the LED board, and the slot for the diffuser.
+
+    They are measured from the back of the channel, in mm.
+    """
     wall, fit = HOLDER_WALL_MM, measures.fit_mm
     board = (wall, wall + measures.panel_board_mm + fit)
     bright = board[1] + measures.diffuser_gap_mm
@@ -105,7 +120,7 @@ def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]
 
 
 def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
-    """Return the outline of the channel at an edge of the panel.
+    """Return the cross-section of the channel that encloses the edge of the panel.
 
     The floor of the channel is below y = 0. Above it, fins on both sides of each slot guide LED board and diffuser.
     """
@@ -153,9 +168,10 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
 
 
 def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -> Array:
-    """Return the pose (4, 4) in the rig frame of a piece with its middle at a point on an edge of the panel.
+    """Return the pose (4, 4) in the rig frame of a piece at an edge of the panel.
 
-    ``up`` is the direction in which the channel opens: -1 at the upper edge, 1 at the lower edge.
+    The middle of the piece is at ``middle_mm``. ``up`` is the direction in which the channel opens: -1 at the upper
+    edge, 1 at the lower edge.
     """
     x, y, z = middle_mm
     axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -163,7 +179,10 @@ def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -
 
 
 def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
-    """Create the wall pieces that close the lightbox between the holders and at both sides."""
+    """Create the wall pieces of the lightbox.
+
+    They close the gaps between the holders and the two sides.
+    """
     wide = scene.lights.backlight_wh_mm[0]
     centres = sorted({y for y, _ in clip_places_mm(scene)})
     half = HOLDER_LONG_MM / 2.0
@@ -197,7 +216,10 @@ def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, m
 
 
 def _side_piece(scene: Scene, measures: Measures) -> Part:
-    """Create a wall piece for the sides of the lightbox, whose fins do not touch the upper and lower walls."""
+    """Create a wall piece for the left and right side of the lightbox.
+
+    Its fins are shortened so that they do not touch the upper and lower walls.
+    """
     wide, high = scene.lights.backlight_wh_mm
     count = int(np.ceil(high / WALL_LONG_MM))
     long = high / count - measures.fit_mm
@@ -224,5 +246,5 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
 
 
 def _panel_x_mm(scene: Scene, measures: Measures) -> float:
-    """Return the x coordinate of the back of the channels in the rig frame."""
+    """Return the x coordinate, in the rig frame, of the back of the channels that hold the panel."""
     return -scene.lights.backlight_distance_mm - _holder_back_mm(measures)

@@ -1,4 +1,7 @@
-"""Line drawings of solids with silhouettes and sharp edges, and with hidden lines removed."""
+"""Line drawings of solids.
+
+Silhouettes and sharp edges are drawn, and hidden lines are removed.
+"""
 
 from dataclasses import dataclass
 
@@ -13,12 +16,13 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.shading import Side, rasterise
 
 SHARP_DEG = 25.0
-"""Minimum angle between the normals of adjacent faces at a drawn edge. The angle is 1.5 degrees on a round wall with
-240 sides, whose edges are not drawn."""
+"""Minimum angle between the normals of adjacent faces for which their common edge is drawn. On a round wall with 240
+sides the angle is 1.5 degrees, so that the edges between its faces are not drawn."""
 PIXELS = 700
-"""Number of pixels along the longer side of the depth image for the hidden-line test."""
+"""Size of the depth image for the hidden-line test: number of pixels along its longer side."""
 NEAR_PX = 2.5
-"""Depth tolerance of the hidden-line test for edges on the visible surface, in pixels of the depth image."""
+"""Depth tolerance of the hidden-line test, in pixels of the depth image. Visible edges lie on the surface, and would
+otherwise be hidden by rounding errors of the depth."""
 
 TOP = Side(name="from above", right=(1.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), right_label="x (mm)")
 FRONT = Side(name="from the front", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), right_label="x (mm)")
@@ -30,7 +34,7 @@ CORNER = Side(
     up=(float(-np.sin(_SLOPE) * np.cos(_TURN)), float(-np.sin(_SLOPE) * np.sin(_TURN)), float(np.cos(_SLOPE))),
     right_label="",
 )
-"""Axonometric view from above, between the directions of the camera (+x) and -y."""
+"""Axonometric view from above. The horizontal viewing direction is between +x, where the camera is, and -y."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +78,19 @@ def draw(solid: Manifold, side: Side) -> Drawn:
 
 
 def _nearest(mesh: Mesh, side: Side, box: tuple[float, float, float, float], px_mm: float) -> Array:
-    """Compute the depth image (H, W) of a mesh, with coordinates towards the viewer and -inf for empty pixels."""
+    """Compute the depth image (H, W) of a mesh.
+
+    The depth is the coordinate towards the viewer. It is -inf in pixels that show no surface.
+    """
     raster = rasterise(mesh, side, box_mm=box, px_mm=px_mm)
     return np.where(raster.hit, raster.depth_mm, -np.inf)
 
 
 def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sharp edges and silhouette edges of a closed surface as vertex indices (E, 2)."""
+    """Return the edges (E, 2) to draw, as pairs of vertex indices.
+
+    They are the sharp edges and the silhouette edges of a closed surface.
+    """
     a, b, c = (view[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -97,7 +107,10 @@ def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], px_mm: float) -> NDArray[np.bool_]:
-    """Return a mask (N,) of visible points, which are not behind the farthest surface in the adjacent pixels."""
+    """Return a mask (N,) of the points that are visible.
+
+    A point is hidden if it lies behind the surfaces in its pixel and in all eight adjacent pixels.
+    """
     column = (points[:, 0] - box[0]) / px_mm - 0.5
     row = (box[3] - points[:, 1]) / px_mm - 0.5
     x = np.clip(np.rint(column).astype(int), 0, depth.shape[1] - 1)
@@ -106,9 +119,9 @@ def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], p
 
 
 def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> list[Array]:
-    """Return the end points (2, 2) of each visible part of straight edges.
+    """Return the two end points (2, 2) of each visible part of the edges.
 
-    ``edge`` (N,) is the index of the edge on which each point lies.
+    Each point is a sample of a straight edge, whose index is given by ``edge`` (N,).
     """
     same = np.concatenate([[False], (edge[1:] == edge[:-1]) & seen[1:] & seen[:-1], [False]])
     change = np.flatnonzero(np.diff(same.astype(np.int8)))
@@ -116,7 +129,10 @@ def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> li
 
 
 def _chained(strokes: list[Array]) -> list[Array]:
-    """Join consecutive strokes to polylines, which reduces the size of the file without changing the drawing."""
+    """Join consecutive strokes to polylines.
+
+    This reduces the size of the file, and does not change the drawing.
+    """
     kept: dict[tuple[int, ...], Array] = {}
     for stroke in strokes:  # two edges may coincide in the view
         key = tuple(np.rint(stroke * 100.0).astype(int).ravel())

@@ -23,14 +23,15 @@ DRIVER_MM = 10.0
 """Diameter of the passage for the head of an M5 screw and a screwdriver."""
 MOUNT_WALL_MM, MOUNT_TOP_MM, MOUNT_FOOT_MM = 5.0, 6.0, 6.0
 STAND_LEAN_DEG = 15.0
-"""Backward inclination of the calibration board in its stand."""
+"""Angle by which the calibration board in its stand is inclined backwards from the vertical."""
 STAND_DEEP_MM, STAND_WIDE_MM = 12.0, 24.0
 
 
 def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
-    """Create the plate on the arm's roll servo, with four posts for the camera board.
+    """Create the bracket of the camera.
 
-    The horn (mounting disc) of the servo is at z = 0, and the lens points along +z.
+    It is a plate on the arm's roll servo, with four posts for the camera board. The horn (mounting disc) of the servo
+    is at z = 0, and the lens points along +z.
 
     Raises
     ------
@@ -80,7 +81,7 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
 
 
 def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
-    """Create the block that supports the arm's base above two profiles of the frame, with its top at z = 0.
+    """Create the block whose top, at z = 0, supports the base of the arm above two profiles of the frame.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
 
 
 def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm: float) -> Part:
-    """Create one of the two legs of the calibration board's stand.
+    """Create one of the two legs of the stand for the calibration board.
 
     The stand holds the centre of the board at the height of the camera in the first ring.
 

@@ -17,7 +17,7 @@ UPRIGHT: Array = np.eye(4)
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """Dimension line of a drawing between two points of the part."""
+    """Dimension of a part, which is drawn as a line between two of its points."""
 
     name: str
     from_mm: tuple[float, float, float]
@@ -34,27 +34,33 @@ class Part:
     solid: Manifold
     """Solid in the coordinate frame of the part."""
     bed_from_part: Array = field(default_factory=lambda: UPRIGHT)
-    """Rotation (4, 4) from the frame of the part to the printing orientation; a translation has no effect."""
+    """Rotation (4, 4) from the frame of the part to its orientation on the print bed. A translation in the matrix has
+    no effect."""
     rig_from_part: tuple[Array, ...] = ()
     """Poses (4, 4) in the rig frame, one per piece."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Displacement in the exploded view, rig frame."""
+    """Displacement of the part in the exploded view, in the rig frame."""
     dimensions: tuple[Dimension, ...] = ()
     support: str = ""
-    """Places that need a support structure, or reason why an overhang does not; empty without overhangs."""
+    """Places that need a support structure, or reason why overhangs need none. It is empty if the part has no
+    overhangs."""
     numbers: tuple[tuple[str, float, str], ...] = ()
-    """Name, value and source of each parameter; the name states whether the unit is mm, degrees or pieces."""
+    """Name, value and source of each parameter. The ending of the name states whether the value is in mm, in degrees or
+    a number of pieces."""
 
     @property
     def printed(self) -> Manifold:
-        """Solid in printing orientation, centred at x = y = 0, with the lowest point at z = 0."""
+        """Solid in the orientation on the print bed.
+
+        The solid is centred at x = y = 0, and its lowest point is at z = 0.
+        """
         lying = self.solid.transform(self.bed_from_part[:3])
         low_x, low_y, low_z, high_x, high_y, _ = lying.bounding_box()
         return lying.translate((-(low_x + high_x) / 2.0, -(low_y + high_y) / 2.0, -low_z))
 
     @property
     def size_mm(self) -> tuple[float, float, float]:
-        """Width, depth and height of the part in printing orientation."""
+        """Width, depth and height of the part in its orientation on the print bed."""
         low_x, low_y, low_z, high_x, high_y, high_z = self.printed.bounding_box()
         return high_x - low_x, high_y - low_y, high_z - low_z
 
@@ -70,13 +76,15 @@ class Part:
 
 
 def surface(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
-    """Return the vertices (V, 3), mm, and triangles (F, 3) of a solid's surface."""
+    """Return the vertices (V, 3) of a solid's surface in mm, and its triangles (F, 3)."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), np.asarray(mesh.tri_verts, dtype=np.int64)
 
 
 def check_bed(part: Part, bed_mm: tuple[float, float, float]) -> None:
-    """Check that a part fits the printer, as oriented or rotated by 90 degrees about the vertical axis.
+    """Check that the bed of the printer is large enough for a part.
+
+    The part may be rotated by 90 degrees about the vertical axis.
 
     Raises
     ------

@@ -10,29 +10,35 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 LEAST_WALL_MM = 1.2
-"""Minimum wall thickness, which is three lines of a 0.4 mm nozzle; thinner walls leak and bend."""
+"""Minimum wall thickness, which is the width of three printed lines from a 0.4 mm nozzle. Thinner walls leak and
+bend."""
 SEAT_MM = 3.0
-"""Width of the conical seat of the grid in the net pot."""
+"""Width of the conical seat in the net pot, on which the grid rests."""
 GRID_MM = 2.4
 """Thickness of the grid."""
 RIM_MM = 3.0
-"""Width of the solid rim of the grid, which rests on the seat."""
+"""Width of the solid rim of the grid. The rim rests on the conical seat of the net pot."""
 NOTCH_MM = 1.5
-"""Depth of the notch in the upper edge of the net pot, at which the ends of the marker strip meet."""
+"""Depth of the notch in the upper edge of the net pot. The ends of the marker strip meet at this notch."""
 RING_WIDE_MM = 8.0
-"""Radial width of the canister ring, which leaves space for the head of an M3 screw beside the canister."""
+"""Radial width of the ring that centres the canister. It leaves space for the head of an M3 screw beside the
+canister."""
 RING_SCREWS = 3
-"""Number of screws of the canister ring."""
+"""Number of screws with which the canister ring is fastened."""
 WIRE_HOLE_MM = 1.2
-"""Diameter of the holes for wires of 0.8 mm, the smallest hole that a printer produces reliably."""
+"""Diameter of the holes for wires of 0.8 mm. It is the smallest hole that a printer produces reliably."""
 WIRES_AT_MM = ((14.0, 4.0), (-5.0, 13.0), (-13.0, -6.0), (4.0, -15.0))
-"""Positions (x, y) of the wires, as in the scene wire_phantom; a wire occludes another wire in only a few views."""
+"""Positions (x, y) of the wires, which equal those in the scene wire_phantom. They are chosen so that wires occlude
+each other in only a few views."""
 M3_MM = 3.4
 """Diameter of the clearance hole for an M3 screw (ISO 273, medium)."""
 
 
 def strip_seat_radius_mm(scene: Scene, measures: Measures) -> float:
-    """Return the radius of the net pot under the marker strip; the scene has the radius of the paper's outer face."""
+    """Return the outer radius of the net pot without the marker strip.
+
+    The radius in the scene includes the thickness of the paper.
+    """
     return scene.net_pot.outer_radius_mm - measures.paper_mm
 
 

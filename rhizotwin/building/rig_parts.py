@@ -15,18 +15,18 @@ from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.model import Scene
 
 BAR_END_MM = 20.0
-"""Distance from the panel to the ends of the two profiles below the turntable."""
+"""Distance between the panel and the nearer ends of the two profiles below the turntable."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bought:
-    """Purchased part, for drawings and collision checks."""
+    """Purchased part, which is drawn and included in collision checks."""
 
     name: str
     solid: Manifold
     """Solid in the rig frame."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Displacement in the exploded view, rig frame."""
+    """Displacement of the part in the exploded view, in the rig frame."""
 
 
 def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBoard) -> list[Part]:
@@ -74,7 +74,10 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
 
 
 def thesis_rig(scene: Scene | None = None) -> RigFile:
-    """Return the default rig with an arm; if the scene has a tank, the floor is lowered accordingly."""
+    """Return the default rig with an arm.
+
+    If the scene has a tank, the floor of the rig is lowered by the height that the tank requires.
+    """
     rig = RigFile(arm=ArmPart())
     if scene is None or scene.tank is None:
         return rig
@@ -82,7 +85,10 @@ def thesis_rig(scene: Scene | None = None) -> RigFile:
 
 
 def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
-    """Create the canister, motor, tank, frame profiles, LED board and diffuser at their positions on the rig."""
+    """Create the solids of all purchased parts at their positions on the rig.
+
+    The parts are the canister, motor, tank, frame profiles, LED board and diffuser.
+    """
     can, floor_mm = scene.canister, rig.clearance.floor_z_mm
     under = tank.below(scene)
     drive = table.drive_of(scene, measures)
@@ -123,7 +129,10 @@ def _shaft(measures: Measures) -> CrossSection:
 
 
 def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) -> Manifold:
-    """Create a profile along x, whose slots are simplified to a constant width and end where real slots widen."""
+    """Create an aluminium profile along x.
+
+    Its slots are narrow grooves of constant width. The wide inner part of real slots is omitted.
+    """
     side, slot, deep = measures.profile_mm, measures.slot_mm, 3.0 * measures.slot_lip_mm
     slots = union(
         CrossSection.square((slot, 2.0 * deep), center=True).translate((0.0, side / 2.0)).rotate(turn) for turn in (0.0, 90.0, 180.0, 270.0)
@@ -134,7 +143,7 @@ def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) 
 
 
 def collisions(parts: Sequence[Part], bought: Sequence[Bought], *, least_mm3: float = 1e-2) -> list[tuple[str, str, float]]:
-    """Return the names of each pair of overlapping parts on the rig, and the volume of the overlap, mm3.
+    """Find the pairs of parts that overlap on the rig, and return their names and the volume of the overlap in mm3.
 
     Overlaps of at most ``least_mm3`` are ignored, so that parts may touch.
     """

@@ -10,17 +10,19 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.frames import Array
 
 SIDES = 240
-"""Number of sides of the polygon that approximates a circle; at a radius of 80 mm the deviation is 7 um."""
+"""Number of sides of the polygon that approximates a circle. At a radius of 80 mm, the polygon deviates from the circle
+by at most 7 um."""
 PRESSURE_RAD = np.deg2rad(20.0)
 """Pressure angle of the gears (ISO 53)."""
 FLANK_POINTS = 6
-"""Number of points along the flank of a tooth; for the pinion, the chords are within 5 um of the involute."""
+"""Number of points along the flank of a tooth. With this number, the polygon deviates from the involute of the pinion
+by at most 5 um."""
 
 Outline: TypeAlias = Sequence[tuple[float, float]]
 
 
 def polygon(points: Outline | Array) -> CrossSection:
-    """Return the polygon with vertices (N, 2), which may be clockwise or counter-clockwise."""
+    """Return the polygon with the vertices (N, 2), in clockwise or counter-clockwise order."""
     corners = np.asarray(points, dtype=np.float64)
     x, y = corners.T
     turn = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
@@ -33,18 +35,28 @@ def circle(radius: float, at: tuple[float, float] = (0.0, 0.0), *, sides: int = 
 
 
 def hole(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a regular polygon circumscribed about a circle, so that a screw of this diameter fits."""
+    """Return the outline of a screw hole.
+
+    The outline is a regular polygon around the circle of the given diameter, so that the hole is nowhere smaller than
+    the screw.
+    """
     sides = 32
     return CrossSection.circle(diameter / 2.0 / np.cos(np.pi / sides), sides).translate(at)
 
 
 def slot(diameter: float, start: tuple[float, float], end: tuple[float, float]) -> CrossSection:
-    """Return a slotted hole between the centres of its round ends."""
+    """Return the outline of a slotted hole with round ends.
+
+    ``start`` and ``end`` are the centres of these ends.
+    """
     return CrossSection.batch_hull([hole(diameter, start), hole(diameter, end)])
 
 
 def teardrop(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a teardrop-shaped hole, whose 45 degree roof towards +y can be printed without support."""
+    """Return the outline of a teardrop-shaped hole.
+
+    Its roof, which is inclined by 45 degrees and points towards +y, can be printed without support.
+    """
     radius = diameter / 2.0
     return CrossSection.batch_hull([circle(radius, sides=32), polygon([(-0.1, 0.0), (0.1, 0.0), (0.0, np.sqrt(2.0) * radius)])]).translate(
         at
@@ -57,7 +69,7 @@ def rectangle(low: tuple[float, float], high: tuple[float, float]) -> CrossSecti
 
 
 def rounded(width: float, height: float, radius: float) -> CrossSection:
-    """Return a rectangle with rounded corners, centred at the origin."""
+    """Return a rectangle with rounded corners whose centre is at the origin."""
     inner = CrossSection.square((width - 2.0 * radius, height - 2.0 * radius), center=True)
     return inner.offset(radius, JoinType.Round, circular_segments=48)
 

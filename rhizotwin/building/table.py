@@ -18,24 +18,30 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 MODULE_MM = 1.0
-"""Module of the gears, the smallest that a 0.4 mm nozzle prints with clean flanks."""
+"""Module of the gears, which is the pitch diameter divided by the number of teeth. It is the smallest module for which
+a 0.4 mm nozzle prints clean flanks."""
 PINION_TEETH = 18
-"""Number of teeth of the pinion; at a pressure angle of 20 degrees, at least 17 are required to avoid undercut."""
+"""Number of teeth of the pinion. At a pressure angle of 20 degrees, a gear needs at least 17 teeth to avoid
+undercut."""
 BACKLASH_MM = 0.15
-"""Reduction of the tooth thickness. Backlash does not affect a scan, which approaches all angles from the same side."""
+"""Amount by which the teeth are thinner than without backlash. Backlash does not affect a scan, which approaches all
+angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
 PLATE_GAP_MM = 2.0
-"""Gap between plate and base, which do not touch even if the ball grooves are 0.5 mm too deep."""
+"""Gap between the turntable plate and the base. It is large enough that they do not touch even if the ball grooves are
+0.5 mm too deep."""
 TAP_M3_MM, TAP_M4_MM = 2.6, 3.4
 """Diameters of holes in plastic for self-tapping M3 and M4 screws."""
 M4_MM = 4.5
 """Diameter of the clearance hole for an M4 screw (ISO 273, medium)."""
 COUNTERSINK_M4_MM = 9.4
-"""Diameter of the countersink for the head of an M4 screw (ISO 10642: at most 8.96), above which the plate rotates."""
+"""Diameter of the countersink in the base. It encloses the head of an M4 screw (ISO 10642: at most 8.96), because the
+plate rotates directly above."""
 HEX_M8_MM, HEX_M8_HIGH_MM = 13.3, 5.6
-"""Width across flats and depth of the pocket for the head of an M8 bolt (ISO 4017: width 13, height 5.3)."""
+"""Pocket for the head of an M8 bolt: width across flats, and depth. ISO 4017 specifies a width of 13 and a height of
+5.3."""
 SLIDE_MM = 1.5
-"""Adjustment range of the motor in each direction, with which the backlash is set."""
+"""Distance by which the motor can be moved in each direction to adjust the backlash."""
 FOOT_MM = 24.0
 """Length of a foot along the profile."""
 HUB_MM = 6.0
@@ -54,7 +60,7 @@ class Drive:
 
     @property
     def ratio(self) -> float:
-        """Gear ratio, as turns of the motor per turn of the turntable."""
+        """Gear ratio, which is the number of turns of the motor per turn of the turntable."""
         return self.teeth / PINION_TEETH
 
     @property
@@ -69,32 +75,39 @@ class Drive:
 
 
 def drive_of(scene: Scene, measures: Measures) -> Drive:
-    """Return the drive with the smallest integer gear ratio for which the canister ring fits on the plate."""
+    """Return the drive for which the canister ring fits on the turntable plate.
+
+    Its gear ratio is the smallest integer for which this is the case.
+    """
     needed = 2.0 * (ring_outer_radius_mm(scene, measures) + 1.0 + 1.25 * MODULE_MM) / MODULE_MM
     teeth = PINION_TEETH * int(np.ceil(needed / PINION_TEETH))
     return Drive(teeth=teeth, race_radius_mm=round(0.7 * scene.canister.outer_radius_mm))
 
 
 def top_mm(scene: Scene) -> float:
-    """Return the height of the turntable plate's upper face in the rig frame."""
+    """Return the height of the upper face of the turntable plate, in the rig frame."""
     return -scene.canister.height_mm
 
 
 def base_top_mm(scene: Scene) -> float:
-    """Return the height of the base's upper face in the rig frame."""
+    """Return the height of the upper face of the base, in the rig frame."""
     return top_mm(scene) - PLATE_MM - PLATE_GAP_MM
 
 
 def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
-    """Return the positions (x, y) of the feet, which form a row along x on each of the two frame profiles."""
+    """Return the positions (x, y) of the feet.
+
+    On each of the two frame profiles, the feet form a row along x.
+    """
     reach = round(drive.race_radius_mm * 0.83)
     return [(x, y) for x in (-reach, reach) for y in (-reach, reach)]
 
 
 def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tuple[float, float]]:
-    """Return the outline (radius, z) of the V-shaped ball groove in a face at height ``z``.
+    """Return the outline of the V-shaped ball groove in a horizontal face, as points (radius, z).
 
-    ``into`` is the vertical direction into the material: -1 for a face that points up, 1 for a face that points down.
+    The face is at height ``z``. ``into`` is the vertical direction into the material: -1 for a face that points up, 1
+    for a face that points down.
     """
     deep = measures.ball_mm / np.sqrt(2.0) - PLATE_GAP_MM / 2.0
     r, past = drive.race_radius_mm, 0.5
@@ -102,7 +115,9 @@ def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tup
 
 
 def table_plate(scene: Scene, measures: Measures) -> Part:
-    """Create the turntable plate with its ring gear, with the upper face at z = 0.
+    """Create the turntable plate with its ring gear.
+
+    The upper face of the plate is at z = 0.
 
     Raises
     ------
@@ -143,7 +158,10 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion(scene: Scene, measures: Measures) -> Part:
-    """Create the pinion of the motor, whose teeth start at z = 0 with the hub above them."""
+    """Create the pinion of the motor.
+
+    Its teeth start at z = 0, and its hub is above them.
+    """
     shaft = circle(measures.shaft_mm / 2.0 + 0.1, sides=48) ^ rectangle(
         (-measures.shaft_mm, -measures.shaft_mm), (measures.shaft_flat_mm - measures.shaft_mm / 2.0 + 0.1, measures.shaft_mm)
     )
@@ -174,14 +192,19 @@ def pinion(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion_turn_deg(drive: Drive) -> float:
-    """Return the rotation angle at which the pinion, located at -y, meshes with the ring gear."""
+    """Return the rotation angle of the pinion at which its teeth mesh with those of the ring gear.
+
+    The axis of the pinion is displaced towards -y from that of the turntable.
+    """
     pitch_ring, pitch = 360.0 / drive.teeth, 360.0 / PINION_TEETH
     ring_phase = (-90.0 / pitch_ring) % 1.0  # angle of the ring's teeth at -y, from a tooth
     return 90.0 + pitch * (0.5 + ring_phase)
 
 
 def table_base(scene: Scene, measures: Measures) -> Part:
-    """Create the base below the turntable plate, with its upper face at z = 0.
+    """Create the base below the turntable plate.
+
+    The upper face of the base is at z = 0.
 
     Raises
     ------
@@ -230,7 +253,9 @@ def table_base(scene: Scene, measures: Measures) -> Part:
 
 
 def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
-    """Create a foot of the base, whose upper face is at z = 0 and whose tongue fits the slot of the profile below.
+    """Create a foot of the base.
+
+    The upper face of the foot is at z = 0, and its tongue fits the slot of the profile below.
 
     Raises
     ------

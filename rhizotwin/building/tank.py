@@ -27,26 +27,31 @@ PAD_WIDE_MM = 16.0
 GLIDE_WIDE_MM = 3.0
 MAGNETS = 6
 PIN_MM, PIN_HIGH_MM, FOOT_MM, FOOT_HIGH_MM = 8.0, 6.0, 30.0, 0.8
-"""Diameter and height of the pin, and diameter and height of the foot, of the pivot on the floor of the tank."""
+"""Dimensions of the pivot on the floor of the tank: diameter and height of its pin, and diameter and height of its
+foot."""
 POST_MM, LIP_MM, LIP_HIGH_MM = 40.0, 4.0, 10.0
 """Side length of a post, and thickness and height of the lip that surrounds the corner of the tank."""
 LEAST_DRY_MM = 3.9
-"""Minimum height of the marker strip above the water in the tank, which is the height of the meniscus on a wetted wall:
+"""Minimum height of the marker strip above the water in the tank. It is the height of the meniscus on a wetted wall:
 sqrt(2) times the capillary length of water (2.7 mm at 20 degrees C)."""
 
 
 def drop_mm(tank: Tank) -> float:
-    """Return the distance by which the tank lowers the turntable."""
+    """Return the distance by which the turntable must be lowered to make room for the tank."""
     return CARRIER_MM + GLIDE_MM + tank.wall_mm + PLAY_MM + PAD_MM
 
 
 def floor_mm(scene: Scene, tank: Tank) -> float:
-    """Return the height of the tank's lower face in the rig frame."""
+    """Return the height of the lower face of the tank, in the rig frame."""
     return -scene.canister.height_mm - CARRIER_MM - GLIDE_MM - tank.wall_mm
 
 
 def below(scene: Scene) -> Scene:
-    """Return a copy of the scene for the parts of the turntable, with the canister lowered by `drop_mm` for a tank."""
+    """Return the scene from which the parts of the turntable are computed.
+
+    If the scene has a tank, the canister in the copy is higher by `drop_mm`, which lowers the turntable by this
+    distance.
+    """
     if scene.tank is None:
         return scene
     lower = replace(scene.canister, height_mm=scene.canister.height_mm + drop_mm(scene.tank))
@@ -54,24 +59,33 @@ def below(scene: Scene) -> Scene:
 
 
 def magnet_radius_mm(scene: Scene) -> float:
-    """Return the radius of the circle on which the magnets are placed."""
+    """Return the radius of the circle on which the centres of the magnets lie."""
     return 0.5 * scene.canister.outer_radius_mm
 
 
 def magnet_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return the positions (x, y) of the magnets in turntable plate and carrier."""
+    """Return the positions (x, y) of the magnets.
+
+    They are the same in the turntable plate and in the carrier.
+    """
     radius, turn = magnet_radius_mm(scene), 2.0 * np.pi * np.arange(MAGNETS) / MAGNETS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
 
 
 def pockets(scene: Scene, measures: Measures, top_mm: float) -> Manifold:
-    """Return the pockets for the magnets, whose upper faces are at the height ``top_mm``."""
+    """Return the solid of all magnet pockets, which is subtracted from a part.
+
+    The upper faces of the magnets are at the height ``top_mm``.
+    """
     wide, high = measures.magnet_mm
     return joined(raised(hole(wide + 0.2, at), top_mm - high - 0.2, top_mm + 1.0) for at in magnet_places_mm(scene))
 
 
 def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
-    """Return the turntable plate with a ring that contains the magnets, or the unchanged plate without a tank."""
+    """Return the turntable plate with a ring on top that contains the magnets.
+
+    Without a tank, the plate is returned unchanged.
+    """
     if scene.tank is None:
         return plate
     radius, half = magnet_radius_mm(scene), PAD_WIDE_MM / 2.0
@@ -123,7 +137,10 @@ def solid(scene: Scene, tank: Tank) -> Manifold:
 
 
 def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
-    """Create the carrier, a disc below the canister with its upper face at z = 0."""
+    """Create the carrier, a disc on which the canister stands in the tank.
+
+    The upper face of the disc is at z = 0.
+    """
     outer, glide = ring_outer_radius_mm(scene, measures), 0.7 * scene.canister.outer_radius_mm
     screws = union(hole(table.TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     disc = raised(circle(outer) - screws, -CARRIER_MM, 0.0)
@@ -148,7 +165,10 @@ def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
 
 
 def _pivot(scene: Scene, tank: Tank) -> Part:
-    """Create the pivot of the carrier, a pin on the floor of the tank with its lower face at z = 0."""
+    """Create the pivot of the carrier, a pin on the floor of the tank.
+
+    The lower face of the pivot is at z = 0.
+    """
     pin = raised(circle(PIN_MM / 2.0, sides=96), 0.0, FOOT_HIGH_MM + PIN_HIGH_MM)
     return Part(
         name="tank_pivot",
@@ -161,7 +181,9 @@ def _pivot(scene: Scene, tank: Tank) -> Part:
 
 
 def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
-    """Create a post below a corner of the tank, with the lower corner of the tank at the origin.
+    """Create a post that supports one corner of the tank.
+
+    The lower corner of the tank is at the origin.
 
     Raises
     ------

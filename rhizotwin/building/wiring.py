@@ -19,7 +19,7 @@ PIN_MM = 5.4
 LETTER_MM = 1.8
 BOX_WIDE_MM = 62.0
 COLUMNS_MM = (14.0, 168.0)
-"""Positions of the left edges of both columns of boxes."""
+"""Positions of the left edges of the two columns of boxes, in mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Wire:
     """Electrical connection between two pins, or between a power supply and a pin."""
 
     start: tuple[str, str]
-    """Box and pin at the first end; for a power supply, "" and the label of the supply."""
+    """Box and pin at the first end. For a power supply, the box is empty and the pin is the label of the supply."""
     end: tuple[str, str]
     """Box and pin at the second end."""
     note: str = ""

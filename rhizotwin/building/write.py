@@ -28,7 +28,8 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.shading import rasterise, shade
 
 PICTURE_PX = 1100
-"""Longer side of the pictures before they are downsampled by two, which smooths the edges."""
+"""Length of the longer side of the rendered pictures, in pixels. They are then reduced by a factor of two to smooth the
+edges."""
 COLOURS = {
     "canister": (0.75, 0.85, 0.95),
     "tank": (0.80, 0.88, 0.92),
@@ -50,7 +51,7 @@ def write_parts(
     bed_mm: tuple[float, float, float],
     names: Sequence[str] = (),
 ) -> list[Part]:
-    """Write a folder with all files that are needed to print and assemble the parts.
+    """Write all files that are needed to print and assemble the parts to a folder.
 
     If ``names`` are given, only these parts are written, without drawings, pictures and wiring of the complete rig. All
     parts are checked for collisions in any case.
@@ -120,7 +121,7 @@ def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], 
 
 
 def stl_bytes(solid: Manifold) -> bytes:
-    """Return the content of a binary STL file of a solid, mm."""
+    """Return the content of a binary STL file with the surface of a solid in mm."""
     vertices, faces = surface(solid)
     return bytes(trimesh.Trimesh(vertices=vertices, faces=faces, process=False).export(file_type="stl"))
 

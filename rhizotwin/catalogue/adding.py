@@ -30,10 +30,11 @@ class Added:
 
 
 def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
-    """Add datasets, results, mass tables (.csv), and all of these in folders and their subfolders.
+    """Add datasets, results and mass tables (.csv) to a catalogue.
 
-    Existing entries are updated. A damaged file does not prevent other files from being added. Datasets are added
-    before results, because the brightness of the panel in a scan is stored with the result.
+    Folders are searched with all their subfolders. Entries that already exist are updated. A damaged file does not
+    prevent other files from being added. Datasets are added before results, because the brightness of the panel in a
+    scan is stored with the result.
 
     Raises
     ------
@@ -65,7 +66,9 @@ def add_scan(catalogue: Catalogue, folder: Path) -> None:
 
 
 def add_result(catalogue: Catalogue, folder: Path) -> None:
-    """Add a result with its traits, rig parameters and log of corrections, or update the existing entry.
+    """Add a result to a catalogue, or update its entry.
+
+    Its traits, rig parameters and log of corrections are added too.
 
     Raises
     ------
@@ -136,7 +139,7 @@ def add_masses(catalogue: Catalogue, table: Path) -> None:
 
 
 def set_tags(catalogue: Catalogue) -> list[str]:
-    """Set the missing tags of plants from the marker strips in their scans.
+    """Set the tags of plants that have none, from the marker strips in their scans.
 
     A strip that was used for several plants is ignored.
 
@@ -171,7 +174,7 @@ def is_sketch(dataset: Dataset) -> bool:
 
 
 def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
-    """Return the datasets, results and mass tables at a path and in its subfolders."""
+    """Find the datasets, results and mass tables at a path and in all its subfolders."""
     if source.suffix.lower() == ".csv":
         return [], [], [source]
     if not source.is_dir():
@@ -224,7 +227,10 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
 
 
 def _add_subject(catalogue: Catalogue, one: Subject) -> None:
-    """Add the plant of a dataset, result or mass, or add missing data to its entry."""
+    """Add the plant of a dataset, result or mass to the catalogue.
+
+    If the plant already exists, only missing data are added to its entry.
+    """
     if one.plant:
         catalogue.add_plant(Plant(name=one.plant, species=one.species, treatment=one.treatment, replicate=one.replicate))
 
@@ -243,7 +249,10 @@ def _insert_traits(catalogue: Catalogue, result: int | None, one: measured.Measu
 
 
 def _panel_level(scan: Path) -> dict[str, float]:
-    """Return the brightness of the panel in the pictures of a scan, or {} if the pictures cannot be read."""
+    """Return the brightness of the panel in the pictures of a scan.
+
+    The result is empty if the pictures cannot be read.
+    """
     try:
         level = drift.panel_level(load_dataset(scan))
     except UserError:

@@ -31,18 +31,21 @@ VIEWS = {
     "visits": "SELECT p.name AS plant, v.due_utc, v.state, v.began_utc, v.ended_utc, coalesce(s.path, '') AS scan, v.note"
     " FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan ORDER BY v.due_utc, v.id",
 }
-"""SQL statement of each exported table, in which names replace row numbers. The first column is a plant or a result."""
+"""SQL statement of each exported table. The statement replaces the row numbers of plants and results by their names or
+paths. The first column of a table is the plant or the result."""
 ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE})
-"""SQLite actions permitted in a user's query, which exclude changes, access to other files, and settings."""
+"""SQLite actions that a user's query may perform. They exclude changes to the catalogue, access to other files, and
+changes to settings."""
 MOST_ROWS = 100_000
 """Maximum number of rows that a query may return."""
 MOST_BYTES = 100_000_000
-"""Maximum amount of text that a query may return, bytes, which limits the memory."""
+"""Maximum amount of text that a query may return, in bytes. It limits the memory of the query."""
 LIMITS = {sqlite3.SQLITE_LIMIT_LENGTH: 1_000_000, sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 1000}
-"""Maximum length of a value and of a LIKE pattern in a query, bytes. A LIKE comparison cannot be interrupted, and its
-duration is proportional to the product of both lengths."""
+"""Maximum length of a value and of a LIKE pattern in a query, in bytes. A LIKE comparison cannot be interrupted, and
+its duration is proportional to the product of both lengths."""
 MOST_S = 60.0
-"""Timeout of a query, s, for example with an infinite recursion."""
+"""Maximum duration of a query, in seconds. It ends queries that would not end by themselves, such as an infinite
+recursion."""
 _STEPS = 10_000
 
 
@@ -116,7 +119,10 @@ def export(catalogue: Catalogue, folder: Path) -> list[Path]:
 
 
 def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> Table:
-    """Run a statement with restricted permissions and limits of time and size."""
+    """Run a statement with restricted permissions.
+
+    The duration of the statement and the size of its result are limited.
+    """
     begin = time.monotonic()
     before = {limit: connection.setlimit(limit, most) for limit, most in LIMITS.items()}
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)

@@ -13,8 +13,8 @@ from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_MARKERS = 4
-"""Minimum number of markers of a strip that must be detected to identify it. Misread markers have random numbers, and
-four of them are unlikely to be from the same strip."""
+"""Minimum number of detected markers that must belong to a strip before it is identified. Misread markers have random
+numbers, so that four of them are unlikely to belong to the same strip."""
 
 
 class WrongPlantError(UserError):
@@ -23,13 +23,14 @@ class WrongPlantError(UserError):
     def __init__(self, text: str, *, found: str = "") -> None:
         super().__init__(text)
         self.found = found
-        """Name of the plant on the turntable; empty if unknown."""
+        """Name of the plant on the turntable. It is empty if the plant is unknown."""
 
 
 def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
-    """Return the marker strip of a numbered canister.
+    """Return the marker strip of the canister with a given number.
 
-    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers.
+    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers. The strip of
+    each further canister has the next marker numbers.
 
     Raises
     ------
@@ -75,7 +76,7 @@ def tag_in(ids: Iterable[int], tags: Sequence[Tag]) -> Tag | None:
 
 
 def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
-    """Return the plant whose marker strip is visible in a picture.
+    """Identify the plant in a picture from the markers on the marker strip of its net pot.
 
     Parameters
     ----------
@@ -112,10 +113,10 @@ def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
 
 
 def check_plant(expected: Plant, plants: Sequence[Plant], strip: MarkerStrip) -> Callable[[Grey], None]:
-    """Return a function that checks the identity of the plant in the first picture of a scan.
+    """Return a function that checks in the first picture of a scan whether the turntable has the expected plant.
 
-    The function is used as `rig.scanning.observers.Observers.identify`. It raises WrongPlantError if the picture does
-    not show the expected plant.
+    The function is passed to a scan as `rig.scanning.observers.Observers.identify`. It raises WrongPlantError if the
+    picture does not show the expected plant.
 
     Parameters
     ----------

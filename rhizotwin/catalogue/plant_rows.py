@@ -12,17 +12,22 @@ from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.solution import Solution, check_solution
 
 KEPT = ("notes", "solution")
-"""Fields that may differ between an existing and a new entry of a plant. New notes replace existing ones, and the first
-nutrient solution is retained, because each scan stores its own solution."""
+"""Fields in which a new entry of a plant may differ from the existing one. New notes replace the existing notes. The
+existing nutrient solution is kept, because each scan stores its own solution."""
 
 
 def solution_text(solution: Solution) -> str:
-    """Return a nutrient solution as JSON text for storage; empty for an unknown solution."""
+    """Return a nutrient solution as JSON text for the catalogue.
+
+    The text is empty if the solution is unknown.
+    """
     return json.dumps(to_plain(solution), sort_keys=True) if solution.known else ""
 
 
 def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
-    """Convert a database row to a plant; ``where`` names the catalogue in messages.
+    """Convert a database row to a plant.
+
+    ``where`` is the name of the catalogue in error messages.
 
     Raises
     ------
@@ -55,7 +60,9 @@ def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
 
 
 def merge(before: Plant, now: Plant, *, where: str) -> Plant:
-    """Merge the existing and the new entry of a plant; ``where`` names the catalogue in messages.
+    """Merge the existing and the new entry of a plant.
+
+    ``where`` is the name of the catalogue in error messages.
 
     Raises
     ------
@@ -78,7 +85,7 @@ def merge(before: Plant, now: Plant, *, where: str) -> Plant:
 
 
 def refuse_tag(plant: Plant, others: Sequence[Plant], *, where: str) -> None:
-    """Check that the marker strip of a plant has no marker in common with the strip of another plant.
+    """Raise UserError if the marker strips of two plants have a marker in common.
 
     Parameters
     ----------
@@ -103,5 +110,8 @@ def refuse_tag(plant: Plant, others: Sequence[Plant], *, where: str) -> None:
 
 
 def _is_known(value: Any) -> bool:
-    """Return whether a field has a value; the replicate 0 is a value."""
+    """Return whether a field of a plant has been filled in.
+
+    A replicate of 0 counts as filled in.
+    """
     return value.known if isinstance(value, Solution) else not (value is None or value is False or value == "")

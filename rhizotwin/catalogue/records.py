@@ -9,7 +9,7 @@ from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.solution import Solution
 
 State = Literal["due", "scanning", "scanned", "missed"]
-"""State of a planned scan: due (not started), scanning (started, possibly interrupted), scanned, or missed."""
+"""State of a planned scan. It is due (not started), scanning (started, and perhaps interrupted), scanned, or missed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,11 +20,11 @@ class Tag:
     """OpenCV's name of the marker dictionary."""
     first_id: int
     markers: int
-    """Number of markers on the strip, whose numbers are ``first_id`` to ``first_id + markers - 1``."""
+    """Number of markers on the strip. They have the numbers ``first_id`` to ``first_id + markers - 1``."""
 
     @classmethod
     def of_strip(cls, strip: MarkerStrip) -> "Tag | None":
-        """Return the tag of a marker strip; None if the strip has no markers."""
+        """Return the tag of a marker strip, or None if the strip has no markers."""
         count = strip.rows * strip.columns
         return cls(dictionary=strip.dictionary, first_id=strip.first_id, markers=count) if count else None
 
@@ -39,7 +39,7 @@ class Tag:
         return same and self.first_id <= other.last_id and other.first_id <= self.last_id
 
     def __str__(self) -> str:
-        """Return a text with the dictionary and the range of marker numbers."""
+        """Return the dictionary and the range of marker numbers as text."""
         return f"{self.dictionary} markers {self.first_id} to {self.last_id}"
 
 
@@ -52,11 +52,11 @@ class Plant:
     treatment: str = ""
     replicate: int | None = None
     sown: str = ""
-    """Date of sowing, such as 2022-10-06; empty if unknown."""
+    """Date of sowing, such as 2022-10-06. It is empty if the date is unknown."""
     notes: str = ""
     solution: Solution = field(default_factory=Solution)
     tag: Tag | None = None
-    """Tag of the plant's marker strip; None if unknown."""
+    """Tag of the plant's marker strip. It is None if the strip is unknown."""
     phantom: bool = False
     """Whether the entry is a phantom of known shape, which is excluded from growth curves and biomass."""
 
@@ -70,7 +70,7 @@ class Scan:
     sha256: str
     """SHA-256 of dataset.json, which contains the SHA-256 of each picture."""
     plants: tuple[str, ...]
-    """Names of the plants in the canister; empty if the dataset does not specify them."""
+    """Names of the plants in the canister, or an empty tuple if the dataset does not contain them."""
     scene: str
     """Name of the scene."""
     day: float | None
@@ -80,7 +80,7 @@ class Scan:
     pictures: int
     """Number of pictures."""
     complete: bool
-    """Whether the scan is complete; False for an interrupted scan."""
+    """Whether the scan is complete. It is False if the scan was interrupted."""
     sketch: bool
     """Whether the pictures are sketches of the emulated rig, which show the marker strip but no roots."""
 
@@ -94,7 +94,8 @@ class StoredResult:
     sha256: str
     """SHA-256 of result.json."""
     scan: Path | None
-    """Folder of the dataset from which the result was reconstructed; None if it is not in the catalogue."""
+    """Folder of the dataset from which the result was reconstructed. It is None if this dataset is not in the
+    catalogue."""
     plants: tuple[str, ...]
     day: float | None
     trusted: bool
@@ -103,9 +104,10 @@ class StoredResult:
     corrected: bool
     """Whether the result was corrected manually."""
     edits: Path | None
-    """File of the log of corrections; None for an uncorrected result."""
+    """File with the log of manual corrections. It is None if the result was not corrected."""
     rig_numbers: Mapping[str, float]
-    """Measured rig parameters by name, see `experiment.drift.RIG_NUMBERS`."""
+    """Rig parameters that were measured in the reconstruction. The keys are listed in
+    `experiment.drift.RIG_NUMBERS`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +117,7 @@ class Mass:
     plant: str
     day: float | None
     kind: str
-    """Type of mass (organ, fresh or dry), see `experiment.masses.KINDS`."""
+    """Kind of mass (organ, and fresh or dry), as defined in `experiment.masses.KINDS`."""
     grams: float
     source: Path
     """Table from which the mass was read."""
@@ -133,7 +135,7 @@ class Visit:
     ended_utc: str = ""
     scan: Path | None = None
     note: str = ""
-    """Reason why the scan was missed, or message of the last failed attempt."""
+    """Reason why the scan was missed, or error message of the last attempt."""
 
 
 @dataclass(frozen=True, kw_only=True)

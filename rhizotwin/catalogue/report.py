@@ -31,15 +31,15 @@ class DriftPoint:
     result: str
     """Path of the result, as stored in the catalogue."""
     day: float
-    """Time since the first scan in days, or age of the plant if a scan has no date."""
+    """Time in days since the first scan. It is the age of the plant if a scan has no date."""
     value: float
 
 
 def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
-    """Return the time series of each rig parameter by name.
+    """Return the time series of all rig parameters, keyed by parameter name.
 
-    The time is the date of the scan, or the age of the plant if a scan has no date. Each scan contributes only the most
-    recently added uncorrected result, because repeated values would narrow the control limits.
+    The time is the date of the scan. It is the age of the plant if a scan has no date. Each scan contributes only the
+    most recently added uncorrected result, because repeated values would narrow the control limits.
 
     Raises
     ------
@@ -65,7 +65,9 @@ def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
 
 
 def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) -> dict[str, list[DriftPoint]]:
-    """Return the time series of the measured cross-section of each wire of a phantom, relative to the true value.
+    """Return one time series for each wire of a phantom.
+
+    Its values are the ratio of the measured to the true cross-section of the wire.
 
     Parameters
     ----------
@@ -92,12 +94,15 @@ def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) 
 
 
 def charts(history: Mapping[str, Sequence[DriftPoint]]) -> dict[str, Chart]:
-    """Return the control chart of each time series, by its name."""
+    """Return the control charts of all time series, with the keys of ``history``."""
     return {name: chart_of([one.day for one in points], [one.value for one in points]) for name, points in history.items()}
 
 
 def sentences(drawn: Mapping[str, Chart]) -> list[str]:
-    """Return a message for each control chart with points outside the control limits, and for each trend."""
+    """Return the messages about control charts.
+
+    There is one message for each chart with points outside the control limits, and one for each trend.
+    """
     found = []
     for heading, chart in _ordered(drawn):
         if chart.limits is not None and chart.outside:
@@ -201,7 +206,7 @@ def draw(drawn: Mapping[str, Chart]) -> bytes:
 
 
 def _ordered(drawn: Mapping[str, Chart]) -> list[tuple[str, Chart]]:
-    """Return the heading and control chart of each time series, with rig parameters before wires."""
+    """Return the control charts with their headings, rig parameters first and wires last."""
     headings = {number.name: number.heading for number in RIG_NUMBERS}
     names = [*(name for name in headings if name in drawn), *(name for name in drawn if name not in headings)]
     return [(headings.get(name, name), drawn[name]) for name in names]

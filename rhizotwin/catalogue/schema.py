@@ -17,9 +17,10 @@ APPLICATION_ID = 0x52485A54
 VERSION = 1
 SUFFIX = ".rhizotwin"
 BUSY_S = 30.0
-"""Timeout for access to a file that another process is writing, s."""
+"""Maximum time, in seconds, to wait for access to a file that another process is writing."""
 OLDEST_SQLITE = (3, 37, 0)
-"""Minimum version of SQLite, in which STRICT tables were introduced (https://www.sqlite.org/stricttables.html)."""
+"""Minimum version of SQLite. STRICT tables were introduced in this version
+(https://www.sqlite.org/stricttables.html)."""
 
 TABLES = """
 CREATE TABLE treatments (
@@ -178,7 +179,10 @@ def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
 
 
 def is_empty(path: Path) -> bool:
-    """Return whether a file is a database without tables, which remains if a run is killed during its creation."""
+    """Return whether a file is a database without tables.
+
+    Such a file remains if the program is killed while it creates a catalogue.
+    """
     try:
         with closing(_connect(path)) as connection:
             return not _has_tables(connection)
@@ -217,7 +221,7 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
 
 
 def explained(error: sqlite3.Error, path: Path) -> UserError:
-    """Convert an SQLite error to a UserError with advice."""
+    """Convert an SQLite error to a UserError that advises the user what to do."""
     if "malformed" in str(error) or "not a database" in str(error):
         return damaged(path, error)
     if "locked" in str(error):
@@ -229,7 +233,10 @@ def explained(error: sqlite3.Error, path: Path) -> UserError:
 
 @contextmanager
 def _connecting(path: Path) -> Iterator[sqlite3.Connection]:
-    """Connect to a file, and close the connection only if the block raises an exception."""
+    """Connect to a file for a block of statements.
+
+    The connection is closed only if the block raises an exception.
+    """
     try:
         connection = _connect(path)
         try:
@@ -247,7 +254,10 @@ def damaged(path: Path, reason: object) -> UserError:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Connect to a file without changing it; commits are flushed to the disk, so that they survive a power failure."""
+    """Connect to a file without changing it.
+
+    The connection writes each commit to the disk before it continues, so that the data survive a power failure.
+    """
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         oldest = ".".join(str(part) for part in OLDEST_SQLITE)
         raise UserError(
@@ -261,7 +271,10 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
-    """Set the journal mode of the file to WAL; the mode is left unchanged if another process is using the file."""
+    """Set the journal mode of the file to WAL (write-ahead log).
+
+    The mode remains unchanged if another process is using the file.
+    """
     with suppress(sqlite3.OperationalError):
         connection.execute("PRAGMA journal_mode = WAL")
 

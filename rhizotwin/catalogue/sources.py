@@ -1,4 +1,4 @@
-"""Expansion of catalogues in the arguments of commands to the datasets, results and mass tables that they list."""
+"""Replacement of catalogues among the arguments of a command by the datasets, results or mass tables that they list."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,10 @@ def is_catalogue(path: Path | str) -> bool:
 
 
 def expand_scans(sources: Sequence[str]) -> list[str]:
-    """Return the sources of a batch, with each catalogue replaced by its complete scans except sketches.
+    """Replace each catalogue among the sources of a batch by the scans that it lists.
+
+    Interrupted scans are omitted, and so are sketches of the emulated rig, which show no roots. Other sources are not
+    changed.
 
     Raises
     ------
@@ -35,7 +38,7 @@ def expand_scans(sources: Sequence[str]) -> list[str]:
 
 
 def expand_results(sources: Sequence[Path], *, masses: bool = False, phantoms: bool = True) -> list[Path]:
-    """Return the sources with each catalogue replaced by its results.
+    """Replace each catalogue among the sources by the results that it lists.
 
     Parameters
     ----------

@@ -29,9 +29,10 @@ class Catalogue:
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path.resolve() if path.is_symlink() else path
-        """Path of the catalogue file, with links resolved; stored paths are relative to the folder of this file."""
+        """Path of the catalogue file, in which symbolic links are resolved. Stored paths are relative to the folder of
+        this file."""
         self.connection = connection
-        """Connection to the file, which only the methods of this class should use for writing."""
+        """Connection to the file. Only the methods of this class should write through it."""
         self.lock = threading.RLock()
         """Lock that a thread must acquire while it uses the connection."""
 
@@ -78,7 +79,9 @@ class Catalogue:
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """Provide the connection in a transaction, which is rolled back if the block raises an exception.
+        """Begin a transaction, and yield the connection.
+
+        The transaction is rolled back if the block raises an exception.
 
         Raises
         ------
@@ -101,7 +104,9 @@ class Catalogue:
                 raise
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
-        """Return the rows of a SELECT statement with bound values.
+        """Return the rows of a SELECT statement.
+
+        ``values`` are bound to the placeholders of the statement.
 
         Raises
         ------
@@ -111,7 +116,10 @@ class Catalogue:
         return self.select(sql, values)[1]
 
     def select(self, sql: str, values: Sequence[Any] = ()) -> tuple[tuple[str, ...], list[sqlite3.Row]]:
-        """Return the column names and the rows of a SELECT statement with bound values."""
+        """Return the column names and the rows of a SELECT statement.
+
+        ``values`` are bound to the placeholders of the statement.
+        """
         with self.lock:
             try:
                 cursor = self.connection.execute(sql, values)
@@ -120,15 +128,16 @@ class Catalogue:
                 raise schema.explained(error, self.path) from error
 
     def stored_path(self, path: Path | str) -> str:
-        """Convert a path for storage.
+        """Convert a path to the form in which it is stored.
 
-        Paths below the catalogue's folder are stored relative to it with forward slashes, and other paths as absolute.
+        A path below the catalogue's folder is stored relative to this folder, with forward slashes. Any other path is
+        stored as an absolute path.
         """
         whole, base = Path(path).resolve(), self.path.parent.resolve()
         return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()
 
     def full_path(self, stored: str) -> Path:
-        """Convert a stored path to a path relative to the working folder of this process.
+        """Convert a stored path to a path that can be opened from the working folder of this process.
 
         Raises
         ------
@@ -201,7 +210,7 @@ class Catalogue:
         raise UserError(f"{self.path}: no plant is named {name!r}; known plants: {names}{', ...' if len(known) > MOST_LISTED else ''}")
 
     def plant_with_tag(self, tag: Tag) -> Plant | None:
-        """Return the plant with the given tag; None if the catalogue has no such plant."""
+        """Return the plant with the given tag, or None if the catalogue contains no such plant."""
         return next((one for one in self.plants() if one.tag == tag), None)
 
     # scans, results, masses
@@ -255,7 +264,10 @@ class Catalogue:
         ]
 
     def chosen_results(self) -> list[StoredResult]:
-        """Return one result per scan: the most recently added corrected result, or otherwise the most recent result."""
+        """Return one result for each scan.
+
+        It is the corrected result that was added last, or the result that was added last if none is corrected.
+        """
         order = {self.full_path(row["path"]): row["id"] for row in self.rows("SELECT id, path FROM results")}
         found = self.results()
         by_rank = sorted(found, key=lambda one: (one.corrected, order[one.path]))
@@ -272,13 +284,16 @@ class Catalogue:
         return [Mass(plant=name, day=day, kind=kind, grams=grams, source=self.full_path(path)) for name, day, kind, grams, path in found]
 
     def mass_tables(self) -> list[Path]:
-        """Return the paths of the tables from which the masses were read."""
+        """Return the paths of the CSV tables from which the masses were read."""
         return [self.full_path(row["path"]) for row in self.rows("SELECT path FROM tables ORDER BY path")]
 
     # visits
 
     def plan_visits(self, visits: Sequence[tuple[str, str]]) -> None:
-        """Add planned scans, given as plant and planned time (UTC, ISO 8601); existing entries are not changed."""
+        """Add planned scans, given as pairs of plant name and planned time (UTC, ISO 8601).
+
+        Scans that are already in the catalogue are not changed.
+        """
         with self.writing():
             for plant, due_utc in visits:
                 self.connection.execute(
@@ -287,7 +302,11 @@ class Catalogue:
                 )
 
     def visits(self, *, plant: str | None = None, state: State | None = None) -> list[Visit]:
-        """Return the planned scans that match all given criteria, sorted by planned time and then by order of entry."""
+        """Return the planned scans that match all given criteria.
+
+        They are sorted by planned time. Scans that are planned for the same time are sorted by the order in which they
+        were added.
+        """
         found = self.rows(
             "SELECT v.*, p.name, s.path FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan"
             " WHERE (?1 IS NULL OR p.name = ?1) AND (?2 IS NULL OR v.state = ?2) ORDER BY v.due_utc, v.id",
@@ -359,16 +378,20 @@ class Catalogue:
     # helpers for `catalogue.adding`
 
     def solution_id(self, solution: Solution) -> int | None:
-        """Return the row number of a nutrient solution, and add a row if necessary; None for an unknown solution."""
+        """Return the row number of a nutrient solution.
+
+        If the solution is new, a row is added. The result is None if the solution is unknown.
+        """
         return self._id_of("solutions", "content", plant_rows.solution_text(solution))
 
     def _place(self, plant: Plant) -> Place:
         return Place(f"{self.path}, plant {plant.name!r}")
 
     def _id_of(self, table: str, column: str, value: str) -> int | None:
-        """Return the row number of a unique text, and add a row if necessary; None for an empty text.
+        """Return the row number of a text in a table in which each text occurs once.
 
-        ``table`` and ``column`` must be constants, because they are formatted into the SQL statement.
+        If the text is new, a row is added. The result is None if the text is empty. ``table`` and ``column`` must be
+        constants, because they are formatted into the SQL statement.
         """
         if not value:
             return None
@@ -383,14 +406,15 @@ class Catalogue:
 
 
 def now_utc() -> str:
-    """Return the current time in the format of the catalogue (UTC, ISO 8601, seconds)."""
+    """Return the current time as text in the format of the catalogue: UTC, ISO 8601, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _selection(plant: str | None, treatment: str | None, day: float | None, *, plants: str) -> tuple[str, list[Any]]:
-    """Return a WHERE clause that combines the given criteria, and its bound values.
+    """Return an SQL WHERE clause for the given criteria, and the values to bind to its placeholders.
 
-    ``plants`` is a SELECT statement for the plants of a row ``x``.
+    ``x`` is the name of the selected row in the statement, and ``plants`` is a SELECT statement that returns the plants
+    of this row.
     """
     conditions, values = [], list[Any]()
     if plant is not None:

@@ -1,4 +1,4 @@
-"""Verification of a catalogue against the files that it lists."""
+"""Comparison of a catalogue with the files that it lists."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,7 +63,7 @@ def _scans(catalogue: Catalogue, *, pictures: bool) -> Iterator[Problem]:
 
 
 def _files(catalogue: Catalogue) -> Iterator[Problem]:
-    """Yield missing or changed results, logs of corrections and mass tables."""
+    """Yield each result, log of corrections and mass table that is missing or has been changed."""
     listed = [
         *((catalogue.full_path(path) / "result.json", digest) for path, digest in catalogue.rows("SELECT path, sha256 FROM results")),
         *((catalogue.full_path(path), digest) for path, digest in catalogue.rows("SELECT path, sha256 FROM edits")),
@@ -77,7 +77,7 @@ def _files(catalogue: Catalogue) -> Iterator[Problem]:
 
 
 def _unlisted(catalogue: Catalogue) -> Iterator[Problem]:
-    """Yield datasets and results that are not listed, in the parent folders of listed ones."""
+    """Yield each dataset or result that is not listed, although it lies in the same folder as a listed one."""
     listed = [*(one.path for one in catalogue.scans()), *(one.path for one in catalogue.results())]
     known, parents = {catalogue.stored_path(path) for path in listed}, {path.parent for path in listed}
     for parent in sorted(parents):

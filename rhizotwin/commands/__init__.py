@@ -67,7 +67,7 @@ COMMANDS = {
 command ``a`` is the function ``a`` in the module ``a``."""
 
 GROUPS = frozenset(name.partition(" ")[0] for name in COMMANDS if " " in name)
-"""Commands with subcommands, whose help text is the docstring of the module."""
+"""Commands that have subcommands. Their help text is the docstring of the module."""
 
 ALONE = frozenset({"batch"})
 """Commands with subcommands that can also be used without a subcommand. Their help text is that of the function."""

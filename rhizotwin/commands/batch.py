@@ -32,7 +32,10 @@ Cluster = Annotated[str, with_metavar("ADDRESS|slurm")]
 
 
 def read_treatment(text: str) -> tuple[str, float, Factors]:
-    """Convert a treatment such as ``low N:0.85:N=0.5`` to its name, growth factor and factors of the elements."""
+    """Convert a treatment such as ``low N:0.85:N=0.5`` to three values.
+
+    They are the name of the treatment, its growth factor, and the factor for the concentration of each element.
+    """
     name, *words = (word.strip() for word in text.split(":"))
     if not words or not name or not all("=" in word for word in words[1:]):
         raise ValueError(f"{text!r} is not a treatment; write name and growth factor, such as 'low N:0.85' or 'low K:0.9:K=0.5'")
@@ -167,7 +170,7 @@ def simulate(
 
 
 def _print_outcome(made: "Batch", what: str) -> None:
-    """Print the numbers of finished scans and the reasons of failures.
+    """Print how many scans are finished, and why other scans failed.
 
     Raises
     ------

@@ -166,7 +166,10 @@ def camera(
 
 
 def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
-    """Return the path of board.toml in the folder of the pictures; None if it is missing or the options are used."""
+    """Return the path of the file board.toml in the folder of the pictures.
+
+    The result is None if the file is missing, or if the board is described by options instead.
+    """
     beside = pictures / "board.toml"
     if drawn.given() or not beside.is_file():
         return None
@@ -175,7 +178,10 @@ def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
 
 
 def _print_calibration(made: "Calibration", *, of: int) -> None:
-    """Print the estimated lens parameters and the excluded pictures; ``of`` is the number of pictures."""
+    """Print the estimated lens parameters, and the pictures that were excluded.
+
+    ``of`` is the total number of pictures.
+    """
     for name, reason in made.rejected.items():
         print(f"excluded picture: {name}: {reason}")
     for warning in made.warnings:
@@ -283,7 +289,10 @@ def simulate(
 
 
 def _with_camera(scene: Scene, found: Camera) -> Scene:
-    """Return a copy of the scene with the calibrated camera and the original bit depth."""
+    """Return a copy of the scene with the calibrated camera.
+
+    The bit depth of the scene's camera is retained.
+    """
     if scene.camera.image_wh != found.image_wh:
         (wide, high), (width, height) = scene.camera.image_wh, found.image_wh
         raise UserError(

@@ -33,7 +33,8 @@ TILT_LIMITS_DEG = (-89.0, 89.0)
 DISTANCE_LIMITS_MM = (20.0, 10000.0)
 PERCENT_LIMITS = (0.01, 1000.0)
 Rings = tuple[tuple[float, float | None, float | None], ...]
-"""Camera height in mm, optional tilt in degrees and optional distance in mm of each ring."""
+"""Camera position of each ring: height in mm, tilt in degrees and distance in mm. Tilt and distance are None if they
+were not given."""
 
 
 def read_height(text: str) -> tuple[float, float | None, float | None]:
@@ -127,7 +128,10 @@ def plan(
 
 
 def _print_recommended(chosen: "plans.Row | None", within: float) -> None:
-    """Print the recommended plan, or a message if no plan meets the error limit in per cent."""
+    """Print the recommended plan.
+
+    If no plan has a volume error of at most ``within`` per cent, a message is printed instead.
+    """
     if chosen is None:
         print(f"no plan has a volume error of at most {within:g} %; try more views, larger pictures or more rings")
     else:

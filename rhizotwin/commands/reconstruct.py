@@ -111,7 +111,7 @@ def reconstruct(
 
 
 def _print_summary(summary: dict[str, Any], progress: Progress) -> None:
-    """Print the volume, the main traits and the warnings of a result."""
+    """Print the volume and the main traits of a result, and its warnings."""
     from rhizotwin.report import words
     from rhizotwin.stored import calibration_table
 

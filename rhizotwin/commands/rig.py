@@ -184,7 +184,7 @@ def align(
 
 
 def _jog(bench: rigs.Bench, lines: Iterable[str], *, record: Path | None, stop_at_mistake: bool) -> None:
-    """Open the devices of a rig, and execute a command of `rig.jog` for each line."""
+    """Open the devices of a rig, and execute one command per line with `rig.jog`."""
     from rhizotwin.rig.jog import Jog
 
     with ExitStack() as stack:

@@ -108,7 +108,10 @@ def scan(
 def _scan(
     bench: rigs.Bench, output: Path, subject: SubjectOptions, *, options: ScanOptions, twin: rigs.TwinPictures | None, progress: Progress
 ) -> "Dataset":
-    """Open the devices, identify the plant if a catalogue is given, and scan the plant."""
+    """Open the devices and scan the plant.
+
+    If a catalogue is given, the plant is identified first.
+    """
     with ExitStack() as stack:
         devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         if options.catalogue is None:
@@ -157,7 +160,7 @@ def _take(
 def _identified(
     known: "Catalogue", bench: rigs.Bench, devices: "Devices", subject: SubjectOptions
 ) -> "tuple[Scene, Callable[[Grey], object]]":
-    """Identify the plant on the turntable; return its scene, and a function that checks the first picture of the scan.
+    """Identify the plant on the turntable, and return its scene and a function that checks the first picture.
 
     The date and age of a resumed scan must be the same as at its start, and therefore must be given again.
     """

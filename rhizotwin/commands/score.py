@@ -12,7 +12,8 @@ from rhizotwin.arguments import DatasetFolder, Flag, Progress, ResultFolder, Vol
 from rhizotwin.scenes.errors import UserError
 
 _OF_PICTURES = ("read", "markers", "poses", "canister", "background", "wall", "silhouettes")
-"""Stages in which the pictures are processed before the comparison, for the progress bar."""
+"""Stages of the reconstruction that are repeated before a result is compared with pictures. The progress bar takes
+their durations into account."""
 
 
 @Parameter(name="*", group="Output of another program")
@@ -36,7 +37,7 @@ their origin on the canister's axis at the rim."""
 
     @property
     def given(self) -> dict[front_door.FileKind, Path]:
-        """Files that were given on the command line, by type."""
+        """Files that were given on the command line, keyed by file type."""
         every: dict[front_door.FileKind, Path | None] = {
             "mesh": self.mesh,
             "voxels": self.voxels,
@@ -47,7 +48,7 @@ their origin on the canister's axis at the rim."""
         return {kind: file for kind, file in every.items() if file is not None}
 
     def one(self, *others: object) -> tuple[front_door.FileKind, Path]:
-        """Return the type and path of the given file.
+        """Return the type and the path of the only file that was given.
 
         Raises
         ------

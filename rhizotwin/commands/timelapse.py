@@ -111,7 +111,10 @@ def _silent(_: str) -> None:
 
 
 def _print(experiment: "Experiment", outcome: "Outcome") -> None:
-    """Print the numbers of scans, each missed scan with its reason, and the paths of growth report and catalogue."""
+    """Print how many scans are finished, missed and still planned.
+
+    Each missed scan is printed with its reason, followed by the paths of the growth report and the catalogue.
+    """
     print(f"{outcome.scanned} scans are finished, {len(outcome.missed)} were missed, and {len(outcome.open)} are still planned")
     for visit in outcome.missed:
         print(f"missed: {visit.plant}, planned for {visit.due_utc}: {visit.note}")

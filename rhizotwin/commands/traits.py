@@ -99,7 +99,10 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
 
 
 def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[str, Any]:
-    """Return the distances and overlaps between the plants of a result as JSON values; empty for a single plant."""
+    """Return the distances and overlaps between the plants of a result as JSON values.
+
+    The result is empty if there is only one plant.
+    """
     from rhizotwin.recon.results import assessments
     from rhizotwin.stored import result_files
 
@@ -109,5 +112,8 @@ def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[st
 
 
 def _name(folder: Path) -> str:
-    """Return the name of a result folder, which is resolved first so that ``.`` has a name."""
+    """Return the name of a result folder.
+
+    The path is made absolute first, because ``.`` contains no name.
+    """
     return folder.resolve().name

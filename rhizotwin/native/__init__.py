@@ -1,4 +1,7 @@
-"""Substitute for the system library libatomic, which Dr.Jit requires and a minimal Linux system lacks."""
+"""Substitute for the system library libatomic.
+
+Dr.Jit requires this library, which is missing on a minimal Linux system.
+"""
 
 import ctypes
 import platform
@@ -6,7 +9,8 @@ import sys
 from pathlib import Path
 
 ATOMIC = Path(__file__).with_name("atomic_x86_64.so")
-"""Shared library with the required function, compiled by the command in the first lines of the C file next to it."""
+"""Shared library that contains the required function. The first lines of the C file next to it contain the command with
+which it was compiled."""
 
 
 def ensure_libatomic() -> bool:

@@ -15,7 +15,7 @@ _METHOD = "rhizotwin: refraction-aware reconstruction from pictures taken around
 
 
 def tables(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> dict[str, str]:
-    """Return the MIAPPE tables as CSV text by file name.
+    """Return the MIAPPE tables as CSV text, keyed by file name.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ CHECKSUMS = "checksums-sha256.txt"
 """Name of the file with checksums."""
 Image = NDArray[np.uint8 | np.uint16]
 _ACROSS, _EDGE_PX = 4, 320
-"""Number of pictures per row of the contact sheet, and maximum length of a picture's longer edge, pixels."""
+"""Number of pictures in each row of the contact sheet, and maximum length of the longer edge of a picture in pixels."""
 
 
 def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[Path]:
@@ -82,7 +82,10 @@ def _checksums(folder: Path) -> str:
 
 
 def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:
-    """Draw the middle picture of each scan and the shape of each result, and return the contact sheet as PNG."""
+    """Draw the contact sheet of a publication, and return it as PNG.
+
+    It shows the middle picture of each scan, and the shape of each result.
+    """
     shown = [(scan.name, _small(read_image(scan.dataset, scan.dataset.frames[len(scan.dataset.frames) // 2]))) for scan in scans]
     for found in results:
         shape = result_files.read_shape_picture(found.folder)

@@ -31,7 +31,7 @@ class Scan:
 
     @property
     def place(self) -> str:
-        """Path of the dataset in the publication, relative to the publication's folder."""
+        """Path of the dataset, relative to the folder of the publication."""
         return f"{SCANS}/{self.name}"
 
     @property
@@ -57,7 +57,7 @@ class Found:
 
     @property
     def place(self) -> str:
-        """Path of the result in the publication, relative to the publication's folder."""
+        """Path of the result, relative to the folder of the publication."""
         return f"{RESULTS}/{self.name}"
 
     @property
@@ -127,7 +127,7 @@ def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monit
 
 
 def _copy_folder(source: Path, goal: Path) -> None:
-    """Copy a folder without hidden files and intermediate results (``stages``)."""
+    """Copy a folder, but omit hidden files and intermediate results (``stages``)."""
     folders.refuse_links(source)
     goal.parent.mkdir(parents=True, exist_ok=True)
     shutil.copytree(source, goal, ignore=shutil.ignore_patterns(".*", "stages"))

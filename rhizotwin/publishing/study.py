@@ -68,7 +68,7 @@ class Study:
     keywords: tuple[str, ...] = ("plant roots", "phenotyping", "hydroponics")
     """Search keywords."""
     published: str = ""
-    """Date of publication, such as 2026-11-25. Empty: the current date."""
+    """Date of publication, such as 2026-11-25. If it is empty, the current date is used."""
     publication_doi: str = ""
     """DOI of the paper about the data, such as 10.1234/abc."""
     start: str = ""
@@ -138,7 +138,7 @@ def _is_orcid(text: str) -> bool:
 
 
 def missing_study(folder: Path) -> UserError:
-    """Return the error for a missing study file, with an example of its contents."""
+    """Return a UserError about a missing study file, with an example of its contents."""
     lines = " | ".join(line for line in EXAMPLE.splitlines() if line)
     return UserError(
         f"{folder} cannot be published without a description of the data; specify --study "

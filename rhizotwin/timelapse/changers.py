@@ -53,7 +53,9 @@ class PersonChanger:
 
 
 class CarouselChanger:
-    """Changer that uses a carousel, in which the number of a canister is that of its position.
+    """Changer that uses a carousel.
+
+    Canisters and positions of the carousel have the same numbers.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ class CarouselChanger:
 
 
 class EmulatedHand:
-    """Emulated person who always places the right canister on the emulated turntable.
+    """Emulated person who always places the right canister on the turntable of the emulated rig.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Clocks of an experiment: time of the computer, or virtual time for the emulated rig."""
+"""Clocks for an experiment: the clock of the computer, and a clock of virtual time for the emulated rig."""
 
 import time
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
 STEP_S = 1.0
-"""Polling interval at which a waiting clock checks whether the run is to end, s."""
+"""Interval, in seconds, at which a waiting clock checks whether the run is to be stopped."""
 
 
 class Calendar(Protocol):
@@ -19,7 +19,10 @@ class Calendar(Protocol):
         """Wait until a given time, or until ``stop`` returns True."""
 
     def advance(self, seconds: float) -> None:
-        """Advance virtual time by the duration of an emulated scan; the time of the computer is not affected."""
+        """Advance the virtual time by the duration of an emulated scan.
+
+        A clock with the time of the computer ignores the call.
+        """
 
 
 class SystemCalendar:
@@ -55,7 +58,10 @@ class VirtualCalendar:
         return self._now
 
     def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:  # noqa: ARG002 - the wait is over at once
-        """Set the virtual time to ``then`` without waiting, unless it is already later."""
+        """Set the virtual time to ``then`` without waiting.
+
+        The time is not changed if it is already later.
+        """
         self._now = max(self._now, then)
 
     def advance(self, seconds: float) -> None:

@@ -20,8 +20,8 @@ from rhizotwin.scenes.subject import Subject, check_subject
 
 Changing = Literal["person", "carousel"]
 EVERY_H = (0.25, 10000.0)
-"""Minimum and maximum interval between two scans of a plant, h. The names of datasets contain the day with two
-decimals, so that intervals below 0.24 h could not be distinguished."""
+"""Minimum and maximum interval between two scans of a plant, in hours. The names of datasets contain the day with two
+decimals. Below 0.24 h, two scans could have the same name."""
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -38,7 +38,8 @@ class Member:
     name: str
     """Name of the plant."""
     canister: int = bounded(1, 1, 500)
-    """Number of the canister and its marker strip; `rhizotwin markers SCENE --labels N` prints the strips 1 to N."""
+    """Number of the canister, and of its marker strip. The strips 1 to N are printed by `rhizotwin markers SCENE
+    --labels N`."""
     species: str = ""
     """Latin name, such as Raphanus sativus."""
     treatment: str = ""
@@ -46,15 +47,18 @@ class Member:
     replicate: int | None = field(default=None, metadata={"limits": _limits("replicate")})
     """Number of the replicate within the treatment."""
     sown: str = ""
-    """Date of sowing, such as 2026-11-26; empty: date of `start` in [schedule]."""
+    """Date of sowing, such as 2026-11-26. If it is empty, it is the date of `start` in [schedule]."""
     notes: str = ""
     """Free text."""
     scene: str = ""
-    """Scene whose specimen is in this canister of the emulated rig; empty: scene of the experiment."""
+    """Scene that contains the specimen in this canister, for the emulated rig. If it is empty, the scene of the
+    experiment is used."""
     growth: float = bounded(1.0, 0.1, 10.0)
-    """Factor by which the roots of a simulated plant grow faster and longer than in the scene (emulated rig only)."""
+    """Growth of a simulated plant relative to the scene, for the emulated rig. With a larger factor, roots grow faster
+    and become longer."""
     every_h: float | None = field(default=None, metadata={"limits": EVERY_H})
-    """Interval between the scans of this plant, h, such as 168 for a phantom; empty: as in [schedule]."""
+    """Interval between the scans of this plant in hours, such as 168 for a phantom. If it is empty, the interval in
+    [schedule] is used."""
     phantom: bool = False
     """Whether the canister contains a phantom of known shape, which is excluded from the growth curves."""
     solution: Solution = field(default_factory=Solution)
@@ -63,23 +67,23 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Times at which the plants are scanned, and handling of delays and failures."""
+    """Times at which the plants are scanned, and what is done after delays and failures."""
 
     start: str
-    """Date and time of the first round of scans, such as 2026-12-01T09:00; local time unless an offset such as +01:00
-    is appended."""
+    """Date and time of the first round of scans, such as 2026-12-01T09:00. The time is local, unless an offset such as
+    +01:00 is appended."""
     every_h: float = bounded(24.0, *EVERY_H)
-    """Interval between two rounds, h."""
+    """Interval between two rounds, in hours."""
     rounds: int = bounded(10, 1, 10000)
     """Number of rounds, in each of which all plants are scanned."""
     late_h: float = bounded(12.0, 0.1, 10000.0)
-    """Maximum delay of a scan, h; a scan that has not started by then is recorded as missed."""
+    """Maximum delay of a scan, in hours. A scan that has not started by then is recorded as missed."""
     change: Changing = "person"
-    """Method of placing canisters on the turntable: by a person, who is prompted, or by a carousel."""
+    """Way in which canisters are placed on the turntable: by a person, who is prompted, or by a carousel."""
     tries: int = bounded(3, 1, 100)
     """Maximum number of attempts before a scan is recorded as missed."""
     pause_min: float = bounded(5.0, 0.0, 1000.0)
-    """Pause between two attempts, min."""
+    """Pause between two attempts, in minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +95,8 @@ class TwinPart:
     seed: int = bounded(0, 0, 2**31)
     """Random seed for all simulated errors and noise."""
     fidelity: Literal["render", "sketch"] = "sketch"
-    """Rendering of the pictures: render (realistic, as by `rhizotwin simulate`) or sketch (marker strip and panel only,
-    which cannot be reconstructed)."""
+    """Rendering of the pictures. It is render (realistic, as by `rhizotwin simulate`), or sketch (only the marker strip
+    and the panel, so that the pictures cannot be reconstructed)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +106,7 @@ class Reconstruction:
     run: bool = True
     """Whether finished scans are reconstructed and the growth curves updated."""
     voxel_mm: float | None = field(default=None, metadata={"limits": (0.01, 10.0)})
-    """Edge length of the smallest voxels, mm; empty: default of `rhizotwin reconstruct`."""
+    """Edge length of the smallest voxels, in mm. If it is empty, the default of `rhizotwin reconstruct` is used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +123,7 @@ class Experiment:
     """Plants and phantoms."""
     schedule: Schedule
     catalogue: str = ""
-    """Catalogue file; empty: name of the experiment file with the suffix .rhizotwin."""
+    """Catalogue file. If it is empty, it has the name of the experiment file with the suffix .rhizotwin."""
     scans: str = "scans"
     """Folder of the datasets."""
     results: str = "results"
@@ -127,7 +131,8 @@ class Experiment:
     twin: TwinPart = TwinPart()
     reconstruction: Reconstruction = Reconstruction()
     file: str = field(default="", compare=False)
-    """Path of the experiment file, to whose folder other paths are relative; set by `load_experiment`."""
+    """Path of the experiment file, which is set by `load_experiment`. Relative paths in the file are relative to its
+    folder."""
 
     @property
     def folder(self) -> Path:
@@ -151,7 +156,7 @@ class Experiment:
 
     @property
     def start_utc(self) -> datetime:
-        """Time of the first round of scans, UTC."""
+        """Time of the first round of scans, in UTC."""
         return datetime.fromisoformat(self.schedule.start).astimezone(UTC)
 
     @property
@@ -198,7 +203,7 @@ class Experiment:
         return date.fromisoformat(member.sown) if member.sown else datetime.fromisoformat(self.schedule.start).date()
 
     def visits(self) -> list[tuple[str, str]]:
-        """Return the plant and planned time (UTC, ISO 8601) of each scan, sorted by time."""
+        """Return the plant and the planned time (UTC, ISO 8601) of each scan, sorted by time."""
         length_h = self.schedule.every_h * self.schedule.rounds
         found: list[tuple[datetime, int, str]] = []
         for number, one in enumerate(self.plants):
@@ -210,18 +215,24 @@ class Experiment:
     def day(self, member: Member, due_utc: str) -> float:
         """Return the age of a plant at a planned scan, in days since sowing.
 
-        The age is a whole number at the time of day of the first round.
+        The age is a whole number of days if the scan is planned for the same time of day as the first round.
         """
         first = datetime.fromisoformat(self.schedule.start).date()
         days = (datetime.fromisoformat(due_utc) - self.start_utc) / timedelta(days=1)
         return round((first - self.sown(member)).days + days, 4)
 
     def scan_folder(self, member: Member, due_utc: str) -> Path:
-        """Return the folder of a planned scan's dataset, which depends only on plant and planned time."""
+        """Return the folder for the dataset of a planned scan.
+
+        Its name depends only on the plant and the planned time.
+        """
         return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{self.day(member, due_utc):06.2f}"
 
     def known_scene(self, member: Member, due_utc: str) -> Scene:
-        """Return the nominal scene of a planned scan, with marker strip, subject and nutrient solution of the plant."""
+        """Return the scene of a planned scan with nominal values.
+
+        It contains the marker strip, the subject and the nutrient solution of the plant.
+        """
         base = self.base_scene()
         when = datetime.fromisoformat(due_utc).astimezone(datetime.fromisoformat(self.schedule.start).tzinfo)
         whose = Subject(

@@ -15,7 +15,9 @@ GROWTH = "growth"
 
 
 def reconstruct_scans(experiment: Experiment, catalogue: Catalogue, *, leave_out: set[Path], say: Callable[[str], object]) -> set[Path]:
-    """Reconstruct all complete scans without a result, as `rhizotwin batch` does, and update the growth curves.
+    """Reconstruct all complete scans that have no result, and then update the growth curves.
+
+    The scans are reconstructed as by `rhizotwin batch`.
 
     Parameters
     ----------

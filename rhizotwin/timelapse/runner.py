@@ -32,22 +32,23 @@ from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
 
 @dataclass(frozen=True, kw_only=True)
 class Listener:
-    """Callbacks for the events of a run, provided by the console or the command line."""
+    """Functions that are called during a run. They are provided by the console or the command line."""
 
     say: Callable[[str], None] = lambda _: None
-    """Function that is called with each line of output for the user."""
+    """Function that is called with each line of text for the user."""
     say_devices: Callable[[str], None] | None = None
-    """Function that is called with each line of output about devices; None: same as ``say``."""
+    """Function that is called with each line of output about devices. If it is None, these lines are passed to
+    ``say``."""
     on_visit: Callable[[Visit], object] = lambda _: None
-    """Function that is called after each change of a planned scan's state."""
+    """Function that is called whenever the state of a planned scan has changed."""
     stop: Callable[[], bool] = lambda: False
-    """Function that returns True if the run is to end before the next scan."""
+    """Function that returns whether the run should end before the next scan."""
     ask: Ask | None = None
-    """Function that asks the user a question and returns the answer; None if no user is available."""
+    """Function that asks the user a question, and returns the answer. It is None if there is no user to ask."""
     observer: Observer = field(default_factory=Observer)
-    """Receiver of the pictures of a scan, which can also pause the scan."""
+    """Receives the pictures of a scan, and can pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
-    """Receiver of the progress of a scan."""
+    """Receives the progress of a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +60,9 @@ class Outcome:
     missed: tuple[Visit, ...]
     """Missed scans."""
     open: tuple[Visit, ...]
-    """Planned scans that are neither finished nor missed."""
+    """Scans that are still to be performed."""
     growth: Path | None
-    """Path of the page with the growth curves; None if there are none yet."""
+    """Path of the page with the growth curves. It is None if no growth curves have been computed yet."""
 
 
 class Runner:
@@ -88,7 +89,7 @@ class Runner:
         self._calendar = calendar
         self._numbers = {visit: number for number, visit in enumerate(experiment.visits())}
         self.table: RealTable | EmulatedTable | None = None
-        """Rig of the experiment; None before the run has started."""
+        """Rig of the experiment with its turntable. It is None until the run starts."""
 
     def prepare(self) -> None:
         """Create the catalogue if necessary, and add plants and planned scans that are not yet listed.
@@ -102,7 +103,9 @@ class Runner:
             self._prepare(catalogue)
 
     def run(self) -> Outcome:
-        """Perform all planned scans at their times, until the schedule is complete or the listener stops the run.
+        """Perform all planned scans at their times.
+
+        The method returns when the schedule is complete, or when the listener stops the run.
 
         Returns
         -------
@@ -144,7 +147,7 @@ class Runner:
         return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
 
     def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
-        """Perform a scan whose time has come, or record the scan as missed."""
+        """Perform a planned scan at its time, or record it as missed."""
         member = self.experiment.member(visit.plant)
         folder = self.experiment.scan_folder(member, visit.due_utc)
         if self._is_complete(folder, member):
@@ -175,7 +178,7 @@ class Runner:
         self._change(catalogue, visit, state="missed", note=reason)
 
     def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path, *, reason: str) -> None:
-        """Place the canister on the turntable, and scan the plant after verifying its identity in the first picture."""
+        """Place the canister on the turntable, check the identity of the plant in the first picture, and scan it."""
         if self.table is None or self._changer is None or self._calendar is None:
             raise RuntimeError("the run has not started")
         self._changer.change(member, reason=reason)
@@ -199,7 +202,10 @@ class Runner:
             self._calendar.advance(bench.clock.now_s() - begin_s)
 
     def _finish(self, catalogue: Catalogue, visit: Visit, folder: Path) -> None:
-        """Add the dataset to the catalogue and record the scan as finished, in a single transaction."""
+        """Add the dataset to the catalogue, and record the scan as finished.
+
+        Both changes are made in a single transaction.
+        """
         with catalogue.writing():
             adding.add_scan(catalogue, folder)
             done = catalogue.update_visit(visit, state="scanned", at_utc=self._now().isoformat(timespec="seconds"), scan=folder)
@@ -208,7 +214,10 @@ class Runner:
         self.listener.on_visit(done)
 
     def _reconstruct(self, catalogue: Catalogue, *, leave_out: set[Path]) -> set[Path]:
-        """Reconstruct scans that have no result yet; return the datasets whose reconstruction was attempted."""
+        """Reconstruct all scans that have no result yet.
+
+        The result is the set of datasets whose reconstruction was attempted.
+        """
         if not self.experiment.reconstruction.run:
             return set()
         return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
@@ -221,7 +230,10 @@ class Runner:
         return changed
 
     def _is_complete(self, folder: Path, member: Member) -> bool:
-        """Return whether an interrupted run has finished a scan without recording it in the catalogue."""
+        """Return whether a scan is complete, although the catalogue does not record it as finished.
+
+        This happens if a run is interrupted directly after the scan.
+        """
         if not (folder / "dataset.json").is_file():
             return False
         dataset = load_dataset(folder)
@@ -252,5 +264,5 @@ def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
 
 
 def _next_visit(catalogue: Catalogue) -> Visit | None:
-    """Return the earliest planned scan that is neither finished nor missed; None if there is none."""
+    """Return the earliest scan that is still to be performed, or None if there is none."""
     return next((one for one in catalogue.visits() if one.state in ("due", "scanning")), None)

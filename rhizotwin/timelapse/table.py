@@ -1,4 +1,4 @@
-"""Rig of an experiment, real or emulated, with the canister on its turntable."""
+"""Real or emulated rig of an experiment, with the canister that is on its turntable."""
 
 from dataclasses import replace
 
@@ -15,7 +15,8 @@ from rhizotwin.timelapse.changers import CarouselChanger, Changer, EmulatedHand,
 from rhizotwin.timelapse.experiment import Experiment, Member
 
 SEEDS_APART = 1000
-"""Multiplier of `TwinPart.seed`, to which the number of a scan is added to obtain a different seed for each scan."""
+"""Factor by which the seed of the experiment is multiplied before the number of a scan is added. The scans of an
+experiment thus have different seeds."""
 
 
 class RealTable:
@@ -26,7 +27,9 @@ class RealTable:
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
     def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
-        """Return the rig with the scene of a scan; the second value is None, because the rig is real.
+        """Return the rig with the scene of a scan.
+
+        The second value is None, because options for simulated pictures do not apply to a real rig.
 
         Parameters
         ----------
@@ -39,12 +42,15 @@ class RealTable:
 
 
 class EmulatedTable:
-    """Turntable of the emulated rig; a scan shows the canister that was placed on it, even if it is the wrong one."""
+    """Turntable of the emulated rig.
+
+    A scan shows the canister that was placed on it, even if it is not the canister of the plant to be scanned.
+    """
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
         self.canister = 0
-        """Number of the canister on the turntable; 0 if the turntable is empty."""
+        """Number of the canister on the turntable. It is 0 if the turntable is empty."""
         if experiment.twin.fidelity == "render":
             engine.ensure("auto")
 
@@ -53,7 +59,7 @@ class EmulatedTable:
         self.canister = canister
 
     def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, rigs.TwinPictures]:
-        """Return the emulated rig for a scan, with calibrated lens, and the options of its pictures.
+        """Return the emulated rig for a scan, with its calibrated lens, and the options for its pictures.
 
         Parameters
         ----------
@@ -78,10 +84,10 @@ class EmulatedTable:
 
 
 def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
-    """Return the true scene of a canister on the emulated rig, with the plant grown to its age at the planned time.
+    """Return the true scene of a canister on the emulated rig.
 
-    Simulated plants of the experiment are grown from different seeds. Growth is not simulated for sketches, because
-    they show no roots.
+    The plant has grown to its age at the planned time. Simulated plants of the experiment are grown from different
+    seeds. Growth is not simulated for sketches, because they show no roots.
     """
     known = experiment.known_scene(member, due_utc)
     own = experiment.base_scene() if not member.scene else files.load_scene(member.scene)
