@@ -1,4 +1,7 @@
-"""State of each device of the rig, parsed from the output of checks and scans and from driver errors."""
+"""State of each device of the rig.
+
+States are parsed from the output of checks and scans, and from error messages of drivers.
+"""
 
 import re
 from collections.abc import Callable
@@ -49,7 +52,10 @@ class DeviceStates:
             self._set(name, "ok" if verdict == "ok" else "wrong", text.strip())
 
     def read_report(self, line: str) -> None:
-        """Parse an output line of the checks before a scan, which consists of name and text; ignore other lines."""
+        """Parse an output line of the checks before a scan, which consists of name and text.
+
+        Lines without the name of a device are ignored.
+        """
         name, _, text = line.partition(" ")
         if name in self._devices and text.strip():
             self._set(name, "ok", text.strip())

@@ -45,7 +45,7 @@ class Served:
 
 
 def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
-    """Start the web server of a console; if the port is in use, the next free port is used.
+    """Start the web server of a console. If the port is in use, the next free port is used.
 
     Parameters
     ----------
