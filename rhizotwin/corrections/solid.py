@@ -148,7 +148,8 @@ class Solid:
     def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
         """Add sources, and return their indices.
 
-        Voxels are added where a source leaves the existing voxels. Each source has points (M, 3) and diameters (M,), mm.
+        Voxels are added where a source leaves the existing voxels. Each source consists of points (M, 3) and diameters
+        (M,), mm.
         """
         from rhizotwin.recon.tubes import filling
 

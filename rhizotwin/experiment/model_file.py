@@ -38,7 +38,7 @@ class Predicted:
 
     @property
     def beyond(self) -> bool:
-        """Whether the trait lies outside the range of the fitted plants."""
+        """Whether the trait lies outside the range of the plants used in the fit."""
         return not self.relation.least <= self.measured.traits[self.relation.trait] <= self.relation.most
 
 
