@@ -30,7 +30,7 @@ MOST_SESSIONS = 1000
 WAIT_S = 1.0
 """Delay, in seconds, before another password is checked after a wrong password."""
 PUBLIC = ("/console.css", "/login")
-"""Paths served without authentication, for the login page."""
+"""Paths that are served without authentication, because the login page needs them."""
 REFUSED = "The address is incomplete. Open the complete address printed by `rhizotwin console`, which includes a token.\n"
 HEADERS = {
     "Content-Security-Policy": (

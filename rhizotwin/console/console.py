@@ -122,7 +122,10 @@ class Console:
     # state
 
     def state(self, client: str) -> dict[str, Any]:
-        """Return the complete state for a client, as JSON values."""
+        """Return the complete state of the console as JSON values.
+
+        It includes whether ``client`` has control of the rig.
+        """
         if self.rig.live_until_s > 0.0:
             self.rig.live_until_s = time.monotonic() + LIVE_S
         self.controls.touch(client)

@@ -23,7 +23,7 @@ class Message:
     number: int
     """Consecutive number of the message."""
     time: str
-    """Local time, such as 14:05:10."""
+    """Local time of the message, such as 14:05:10."""
     kind: Kind
     text: str
 

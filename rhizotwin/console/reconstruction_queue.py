@@ -37,14 +37,14 @@ class Job:
     error: str = ""
     """Error message for the user. It is empty if the reconstruction has not failed."""
     added: str = ""
-    """Time at which the scan was added, UTC (ISO 8601)."""
+    """Time at which the scan was added to the queue, UTC (ISO 8601)."""
     ended: str = ""
     """Time at which the reconstruction ended, UTC (ISO 8601). It is empty if the reconstruction has not ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress of the running reconstruction."""
+    """Name of the current stage of the running reconstruction, and completed fraction of the work."""
 
     stage: str
     fraction: float

@@ -29,7 +29,7 @@ Send = Callable[[str, float], None]
 
 
 class SentBar(OneBar):
-    """Monitor that sends the progress to the console.
+    """Progress monitor of a reconstruction, which sends the progress to the console.
 
     Parameters
     ----------

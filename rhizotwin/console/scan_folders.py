@@ -42,11 +42,11 @@ class ScanEntry:
     name: str
     """Name of the scan and of its folder."""
     subject: str
-    """Description of plant, treatment and day, for the user."""
+    """Text that describes the plant, the treatment and the day."""
     plant: str
     """Name of the plant."""
     pictures: int
-    """Number of views that were taken."""
+    """Number of views for which pictures were taken."""
     planned: int
     """Number of planned views."""
     complete: bool
@@ -59,7 +59,7 @@ class ScanEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultEntry:
-    """Result of the reconstruction of a scan."""
+    """Summary of a scan's result for the list of scans."""
 
     volume: str
     """Text with the volume and its 90 % interval, or with the reason why the volume is not reliable."""
@@ -88,7 +88,7 @@ class ScanFolders:
         self._entries: dict[Path, tuple[tuple[int, int], ScanEntry | ResultEntry | None]] = {}
 
     def new_name(self, subject: Subject) -> str:
-        """Return an unused name for a scan, which consists of plant and date."""
+        """Return an unused name for a scan. The name consists of plant and date."""
         plant = re.sub(r"[^\w.-]+", "-", subject.plant).strip("-._") or "scan"
         stem = f"{plant[:40]}-{subject.date}"
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ScheduleRun:
-    """Run of an experiment's schedule, whose progress is stored in the catalogue.
+    """Execution of an experiment's schedule. Its progress is stored in the catalogue.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class _Forwarding(Observer):
             scan.live.on_look(look)
 
     def on_drop(self, files: list[str]) -> None:
-        """Forward the names of rejected pictures."""
+        """Forward the file names of rejected pictures."""
         if (scan := self._scan()) is not None:
             scan.live.on_drop(files)
 

@@ -1,4 +1,4 @@
-"""Web server of the console (uvicorn in a separate thread)."""
+"""Web server of the console. It runs in a separate thread with uvicorn."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rhizotwin.console.console import Console
 from rhizotwin.scenes.errors import UserError
 
 MOST_PORTS = 20
-"""Number of consecutive ports that are tried."""
+"""Maximum number of consecutive ports that are tried."""
 START_S = 30.0
 """Timeout for the start of the server, s."""
 

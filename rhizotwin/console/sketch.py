@@ -51,7 +51,7 @@ class _Seen:
     view: View
     image: NDArray[np.float32]
     water: NDArray[np.bool_]
-    """Mask (H, W) of the pixels that show water."""
+    """Mask (H, W) of the pixels through which the water is visible."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Sketch:
         return float(low), float(high)
 
     def carve(self) -> tuple[Array, float]:
-        """Compute the visual hull.
+        """Compute the visual hull of the roots.
 
         Returns
         -------

@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # imported at run time only after the engine has been started
 Array = NDArray[np.float64]
 
 _VIEWS = 8
-"""Number of views that are compared, spread over one revolution of the turntable as in the reconstruction."""
+"""Number of views that are compared. They are spread over one revolution of the turntable, as in the reconstruction."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,6 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
 
 
 def _surplus(found: Agreement, volume: Array) -> float:
-    """Return the fraction of the visible volume that lies outside the silhouettes, averaged over views."""
+    """Return the fraction of the visible volume that lies outside the silhouettes, averaged over the views."""
     seen = found.sees @ volume
     return float(np.mean((found.excluded & found.sees) @ volume / np.maximum(seen, 1e-12)))

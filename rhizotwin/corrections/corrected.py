@@ -94,7 +94,7 @@ def write(
 
 
 def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
-    """Return the content of ``result.json`` for a corrected result, without traits and verdicts.
+    """Return the content of ``result.json`` for a corrected result, without its traits and verdicts.
 
     Parameters
     ----------

@@ -46,16 +46,16 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Root under correction: centre line, diameters and place in the root tree."""
+    """Root that can be corrected, with its centre line, diameters and place in the root tree."""
 
     points_mm: Array
-    """Points of the centre line (N, 3) from base to tip, mm, canister frame."""
+    """Points (N, 3) of the centre line from base to tip in the canister frame, mm."""
     diameters_mm: Array
     """Diameter at each point (N,), mm."""
     parent: int
     """Number of the parent root. It is -1 if the root has no parent."""
     pieces: tuple[Piece, ...]
-    """Parts of measured roots or added tubes that make up this root, from base to tip."""
+    """Parts of sources that make up this root, from base to tip."""
     tip_seen: bool = True
     """Whether the tip of the root is visible in the pictures."""
     label: str = ""
@@ -257,7 +257,7 @@ def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
 
 
 def as_roots(lines: Lines) -> tuple[Root, ...]:
-    """Convert lines to roots, sorted with parents before children."""
+    """Convert lines to roots. Parents are sorted before their children."""
     placed, roots = dict[int, int](), list[Root]()
     waiting = sorted((number for number, line in lines.items() if line.parent not in lines), reverse=True)
     while waiting:

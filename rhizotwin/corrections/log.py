@@ -1,4 +1,4 @@
-"""Log of manual corrections with author and time, stored as ``edits.json`` in the result's folder.
+"""Log of manual corrections with their authors and times, stored as ``edits.json`` in the result's folder.
 
 Corrections are applied when the log is replayed. The result itself is not changed.
 """
@@ -41,11 +41,11 @@ class Edit:
     """Manual correction of a result."""
 
     do: str
-    """Kind of the correction, a key of `KINDS`."""
+    """Kind of the correction, which is a key of `KINDS`."""
     who: str
     """User name of the author."""
     when: str
-    """Time of the correction, UTC, ISO 8601."""
+    """Time of the correction in UTC (ISO 8601)."""
     roots: tuple[int, ...] = ()
     """Numbers of the roots to correct. The roots of ``roots.rsml`` are numbered by their position in the file. New
     roots have the following numbers, in order of creation."""
@@ -61,7 +61,7 @@ class Edit:
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """Corrections of one result, in the order in which they are applied."""
+    """Corrections of a result, in the order in which they are applied."""
 
     shape_sha256: str
     """SHA-256 hash of the result's ``shape.npz``. The numbers of voxels and roots in the log are valid only for this

@@ -1,4 +1,4 @@
-"""Refit corrected roots to the pictures without changing their topology."""
+"""Fit corrected roots to the pictures again. The topology of the roots is not changed."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Measured:
 
 
 class Session:
-    """Result with its corrections. Thread-safe.
+    """Result of a reconstruction, to which corrections can be applied. The class is thread-safe.
 
     The volume is divided among the roots on first use of `solid`, at the latest by the first correction. The division
     takes seconds for large plants.
@@ -71,7 +71,7 @@ class Session:
 
     @property
     def solid(self) -> Solid:
-        """Return the voxels with their volume divided among the roots."""
+        """Return the voxels, whose volume is divided among the roots."""
         with self._dividing:
             if self._divided is None:
                 self._divided = Solid.of(self.leaves, self._sources, finest_mm=self._finest_mm)

@@ -38,7 +38,7 @@ _MOST_SAMPLES = 1_000_000
 single roots were compared with those computed from 3.4 million points. Their sum differs by 0.3 %, and each volume by
 at most 0.04 % of the plant's volume, with a third of the time and memory."""
 _LEAST_A_DISC = 6
-"""Minimum number of sample points per cross-section of a tube."""
+"""Minimum number of sample points in a cross-section of a tube."""
 _END_MM = 1e-6
 """Tolerance of arc length, mm. A position within this distance of an end of a source is regarded as the end."""
 _NEAR_VOXELS = 2.0
@@ -53,7 +53,7 @@ class _Samples:
     """Sample points, each of which represents a part of a tube's volume."""
 
     volume_mm3: Singles
-    """Volume that each point represents (S,), mm3."""
+    """Volume (S,) that each point represents, mm3."""
     source: Numbers
     """Index (S,) of the source that contains each point."""
     along_mm: Singles
@@ -284,7 +284,7 @@ class Solid:
         return points.min(axis=0) - reach, points.max(axis=0) + reach
 
     def _assign_unexplained(self) -> None:
-        """Assign the volume that no tube explains to the nearest roots."""
+        """Assign volume that no tube explains to the nearest root."""
         from scipy.spatial import cKDTree
 
         left = np.flatnonzero(self._rest_mm3 > 0.0)

@@ -28,7 +28,7 @@ _BRIDGE_MM = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """Root after refitting to the pictures."""
+    """Centre line and diameters of a root after it was fitted to the pictures."""
 
     points_mm: Array
     """Points (N, 3) of the centre line, mm. Their number is the same as before the fit."""
@@ -53,7 +53,7 @@ class State:
     removed: Lines
     """Deleted roots as they were before the deletion, keyed by number."""
     next_number: int
-    """Number that the next new root will have."""
+    """Number that will be assigned to the next new root."""
     base_mm: tuple[float, float, float] | None = None
     """Base of the plant in the canister frame, mm. It is None if it was not corrected."""
 
@@ -68,7 +68,7 @@ class State:
         return sum(line.length_mm for line in self.lines.values())
 
     def roots(self) -> tuple[Root, ...]:
-        """Convert the remaining lines to roots, sorted with parents before children."""
+        """Convert the remaining lines to roots. Parents are sorted before their children."""
         return roots_of.as_roots(self.lines)
 
 

@@ -74,7 +74,7 @@ class Effect:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """90 % interval of the coefficient."""
+        """Lower and upper end of the 90 % interval of the coefficient."""
         reach = float(student.ppf(0.95, self.dof)) * self.error
         return self.value - reach, self.value + reach
 
@@ -100,7 +100,7 @@ class Difference:
     size: float
     """Ratio of the trait in the treatment to the trait in the reference treatment, on the mean day."""
     size_interval: tuple[float, float]
-    """90 % interval of the ratio ``size``."""
+    """Lower and upper end of the 90 % interval of the ratio ``size``."""
     size_p: float
     """p value of the ratio ``size``."""
     rate_per_day: float

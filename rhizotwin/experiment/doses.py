@@ -34,13 +34,13 @@ class Response:
     ion: str
     """Name of the ion."""
     with_ions: tuple[str, ...]
-    """Other ions whose concentrations are correlated with this ion's concentration."""
+    """Other ions of the group, whose concentrations are correlated with the concentration of this ion."""
     range_mmol: tuple[float, float]
-    """Minimum and maximum concentration, mmol/l."""
+    """Minimum and maximum concentration of the ion, mmol/l."""
     slope: float
     """Slope of the trait's logarithm on the mean day with respect to the concentration, l/mmol."""
     slope_interval: tuple[float, float]
-    """90 % interval of the slope, l/mmol."""
+    """Lower and upper end of the 90 % interval of the slope, l/mmol."""
     slope_p: float
     """p value of the slope."""
     rate: float
@@ -52,7 +52,7 @@ class Response:
     """p value of the quadratic term of the concentration. It is None if an ion has only two concentrations, or if there
     are too few plants."""
     levels: int
-    """Number of different concentrations."""
+    """Number of different concentrations of the ion."""
     plants: int
     """Number of plants."""
 
@@ -176,7 +176,7 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
 
 
 def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
-    """Compute the partial residuals of fitted dose responses for a plot.
+    """Compute the partial residuals of dose responses. They are plotted together with the fitted responses.
 
     Parameters
     ----------

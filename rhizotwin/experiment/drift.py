@@ -21,7 +21,7 @@ from rhizotwin.scenes.errors import UserError
 D2 = 1.128
 """Expected absolute difference of two normally distributed values, as a multiple of their standard deviation."""
 SIGMAS = 3.0
-"""Distance of the control limits from the centre line, in standard deviations."""
+"""Distance between the control limits and the centre line, as a multiple of the standard deviation."""
 LEAST_POINTS = 4
 """Minimum number of points for which control limits are computed."""
 PICTURES = 4
@@ -152,8 +152,8 @@ def panel_level(dataset: Dataset) -> float | None:
     """Return the grey level of the panel in the pictures of a scan, as a fraction of full scale.
 
     The level of a picture is the grey value that a quarter of its pixels exceed, as in the exposure check of a scan
-    (`rig.scanning.preflight.measure_exposure`). The median over a few pictures is returned. It is None if the pictures are
-    silhouettes or cannot be read.
+    (`rig.scanning.preflight.measure_exposure`). The median over a few pictures is returned. It is None if the pictures
+    are silhouettes or cannot be read.
     """
     frames = [frame for frame in dataset.frames if frame.kind == "root"]
     if dataset.masks or not frames:

@@ -139,7 +139,7 @@ def _check_strips(plant: str, days: Sequence[Measured]) -> None:
 
 
 def _track(days: Sequence[Measured]) -> TrackedPlant | None:
-    """Track the roots of a plant. Return None if roots were found on fewer than two days."""
+    """Track the roots of a plant over time. Return None if roots were found on fewer than two days."""
     known = []
     for one in days:
         file = None if one.folder is None else one.folder / "roots.rsml"
@@ -166,7 +166,7 @@ def neighbours_csv(growth: Growth) -> str:
 
 
 def write(growth: Growth, folder: Path) -> None:
-    """Write the tables of growth, and RSML files with times, to a folder."""
+    """Write the tables of growth to a folder, and write the roots of each day to RSML files."""
     for name, text in (("traits", traits_csv(growth)), ("roots", roots_csv(growth)), ("treatments", treatments_csv(growth))):
         atomic.write_text(folder / f"{name}.csv", text)
     if growth.responses:
@@ -256,7 +256,7 @@ def doses_csv(growth: Growth) -> str:
 
 
 def write_rsml(growth: Growth, folder: Path) -> list[Path]:
-    """Write the roots of each plant and day to RSML files with times, and return the paths of the files.
+    """Write the roots of each plant and day to an RSML file that contains the day, and return the paths of the files.
 
     A root has the same id on all days. Coordinates are in the canister frame of the first day.
     """

@@ -65,7 +65,7 @@ def is_of_masses(path: Path) -> bool:
 
 
 def read(paths: Sequence[Path]) -> list[Masses]:
-    """Read tables of masses and return one entry per plant and day.
+    """Read tables of masses, and return one entry per plant and day.
 
     Raises
     ------

@@ -47,7 +47,7 @@ class Day:
 
 @dataclass(frozen=True, kw_only=True)
 class RootState:
-    """Length and diameter of a root on one day, with its geometry in the frame of the first day."""
+    """Geometry of a root on one day in the frame of the first day, with its length and mean diameter."""
 
     day: float
     """Day of the experiment."""
@@ -71,7 +71,7 @@ class Track:
     order: int
     """Branching order of the root. It is 0 if the root has no parent."""
     states: list[RootState] = field(default_factory=list)
-    """Observations of the root, sorted by day."""
+    """Observations of the root in chronological order."""
     absent_day: float = 0.0
     """Day of the last scan before the root appeared. It is zero if the root was present in the first scan."""
 
@@ -85,9 +85,11 @@ class Track:
 
     @property
     def emergence_day(self) -> float:
-        """Day of emergence, extrapolated to length zero with the first elongation rate.
+        """Day of emergence.
 
-        The day lies between the last day without the root and the first day with the root.
+        It is extrapolated to a length of zero with the first elongation rate. The day lies between the last scan
+        without the root and the first scan with the root, and is the middle of both if there is no positive elongation
+        rate.
         """
         first = self.states[0]
         rate = self.rates_mm_per_day[0][2] if len(self.states) > 1 else 0.0
@@ -100,9 +102,9 @@ class TrackedPlant:
     """Plant whose roots were tracked over several days."""
 
     days: tuple[Day, ...]
-    """Roots of each day, in the frame of the first day."""
+    """Roots on each day, in the frame of the first day."""
     names: tuple[tuple[str, ...], ...]
-    """Names of the roots of each day, in the order of ``Day.roots``."""
+    """Names of the roots on each day, in the same order as ``Day.roots``."""
     tracks: tuple[Track, ...]
     """All roots of the plant over time."""
     residual_mm: tuple[float, ...]

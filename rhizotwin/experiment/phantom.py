@@ -29,7 +29,7 @@ whose diameters double, the midpoint between two wires is at a factor of 1.41.""
 
 @dataclass(frozen=True, kw_only=True)
 class Wire:
-    """Measured length and volume of a wire."""
+    """Measured length and volume of a wire in the phantom."""
 
     diameter_mm: float
     """Known diameter of the wire, mm."""
@@ -50,12 +50,12 @@ class Wire:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the wire was measured successfully, so that roots of its diameter can be measured."""
+        """Whether the wire was measured successfully. Roots of the same diameter can then be measured as well."""
         return self.length_mm >= LEAST_MM and abs(self.error) <= TOLERANCE
 
     @property
     def verdict(self) -> str:
-        """Text that states whether the wire was measured successfully, with the reason if it was not."""
+        """Text that states whether the wire was measured successfully, and the reason if it was not."""
         if self.length_mm < LEAST_MM:
             return f"not measurable: less than {LEAST_MM:g} mm of the wire were detected"
         return f"{'measured' if self.is_measured else 'not measurable'} within {100.0 * TOLERANCE:g} %"
