@@ -28,9 +28,9 @@ MOST_BYTES = 64 * 1024
 """Maximum length of a request's body, bytes."""
 MOST_SESSIONS = 1000
 WAIT_S = 1.0
-"""Delay after a wrong password before another password is checked, s."""
+"""Delay, in seconds, before another password is checked after a wrong password."""
 PUBLIC = ("/console.css", "/login")
-"""Paths served without authentication, for the login page."""
+"""Paths that are served without authentication, because the login page needs them."""
 REFUSED = "The address is incomplete. Open the complete address printed by `rhizotwin console`, which includes a token.\n"
 HEADERS = {
     "Content-Security-Policy": (
@@ -50,10 +50,10 @@ class Access:
     """Secrets that grant access to a running console."""
 
     password: str = ""
-    """Password of the console; if empty, only the token grants access."""
+    """Password of the console. If it is empty, only the token grants access."""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     sessions: dict[str, str] = field(default_factory=dict)
-    """Page secret of each session, by the session cookie."""
+    """Secret that the console's page must send with each change, keyed by session cookie."""
     _checking: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     def new_session(self) -> str:
@@ -65,7 +65,10 @@ class Access:
         return cookie
 
     async def allows(self, secret: str) -> bool:
-        """Return whether a secret is the token or the password; the check is delayed after a wrong password."""
+        """Return whether a secret is the token or the password.
+
+        If the console has a password, a wrong secret delays further checks by `WAIT_S`.
+        """
         if _same(secret, self.token):
             return True
         if not self.password:
@@ -131,7 +134,10 @@ class Guard:
 
 
 def cookie_of(scope: Scope) -> str:
-    """Return the name of the session cookie, which includes the port, because browsers share cookies between ports."""
+    """Return the name of the session cookie.
+
+    The name contains the port, because browsers send cookies to all ports of a host.
+    """
     return f"rhizotwin_console_{_header(scope, 'host').rpartition(':')[2] or 'default'}"
 
 
@@ -141,7 +147,7 @@ def login_headers(cookie_name: str, cookie: str) -> dict[str, str]:
 
 
 def _with_headers(send: Send) -> Send:
-    """Return a send function that adds the security headers which a response does not already have."""
+    """Wrap the ASGI function ``send`` so that it adds missing security headers to each response."""
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -162,13 +168,16 @@ async def _answer(send: Send, status: int, text: str, **headers: str) -> None:
 
 
 def _header(scope: Scope, name: str) -> str:
-    """Return the value of a request header; empty if the header is missing or repeated, which no browser sends."""
+    """Return the value of a request header. The value is empty if the header is missing or occurs more than once."""
     found = [value.decode("utf-8", "replace") for key, value in scope["headers"] if key.decode("latin-1").lower() == name]
     return found[0] if len(found) == 1 else ""
 
 
 def _is_too_long(scope: Scope) -> bool:
-    """Return whether the body of a request is too long, or its length is unknown before it is read."""
+    """Return whether the body of a request exceeds `MOST_BYTES`.
+
+    Bodies without a valid Content-Length header are rejected, too.
+    """
     headers = {key.lower() for key, _ in scope["headers"]}
     if b"transfer-encoding" in headers:
         return True

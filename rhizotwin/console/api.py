@@ -1,4 +1,4 @@
-"""REST API and web page of the console; the OpenAPI schema is available at ``/api/openapi.json``."""
+"""REST API and web page of the console. The OpenAPI schema is available at ``/api/openapi.json``."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, printable
 
 LOOK_S = 0.05
-"""Polling interval at which a waiting request checks whether the state has changed, s."""
+"""Polling interval, in seconds, at which a waiting request checks whether the state has changed."""
 LONGEST_WAIT_S = 30.0
-"""Maximum time that a request for the state may wait for a change, s."""
+"""Maximum time, in seconds, that a client may wait for a change of the state."""
 REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
-"""Content security policy of reports, whose scripts may be from untrusted sources: no cookies and no requests."""
+"""Content security policy of reports. It forbids cookies and requests, because a report may contain untrusted
+scripts."""
 _PAGE = files("rhizotwin.console").joinpath("page")
 
 Client = Annotated[str, Header(alias="X-Rhizotwin-Client", min_length=1, max_length=100, description="Random identifier of the client")]
@@ -120,7 +121,7 @@ def _add_state(app: FastAPI, console: Console) -> None:
         after: Annotated[int, Query(description="Version of the state known to the client; wait for a newer version")] = 0,
         wait_s: Annotated[float, Query(ge=0.0, le=LONGEST_WAIT_S, description="Maximum waiting time, s")] = 0.0,
     ) -> dict[str, Any]:
-        """Return the state of devices, picture, scan, queue and messages."""
+        """Return the state of the devices, the latest picture, the scan, the queue and the messages."""
         end_s = time.monotonic() + wait_s
         while console.version == after and time.monotonic() < end_s:
             await asyncio.sleep(LOOK_S)
@@ -136,7 +137,10 @@ def _add_state(app: FastAPI, console: Console) -> None:
 
     @app.get("/api/sketch", tags=["state"], response_class=Response, responses={200: {"content": {"application/octet-stream": {}}}})
     def sketch() -> Response:
-        """Return the sketch of the roots as little-endian float32, mm: edge of a cell, then x, y, z of each centre."""
+        """Return the coarse cells of the roots as little-endian float32 values in mm.
+
+        The first value is the edge length of a cell, and x, y and z of the centre of each cell follow.
+        """
         cells_mm, edge_mm = console.sketch()
         data = cells_mm.astype("<f4").tobytes()
         edge = cells_mm.dtype.type(edge_mm).astype("<f4").tobytes()
@@ -201,7 +205,7 @@ def _add_rig(app: FastAPI, console: Console) -> None:
 
     @app.post("/api/live", tags=["rig"])
     def live(request: body.Switch, client: Client) -> None:
-        """Switch live pictures on or off."""
+        """Switch the continuous display of pictures on or off."""
         controls.require(client)
         console.set_live(on=request.on)
 
@@ -245,7 +249,7 @@ def _add_scans(app: FastAPI, console: Console) -> None:
 
     @app.post("/api/answer", tags=["rig"])
     def answer(request: body.Answer, client: Client) -> None:
-        """Answer the current question to the person at the rig."""
+        """Answer the question that the person at the rig is asked."""
         controls.require(client)
         console.questions.answer(request.text)
 
@@ -280,7 +284,10 @@ def _add_plans(app: FastAPI, console: Console) -> None:
 
 
 def _wait(future: Future[Any]) -> Any:
-    """Wait for an action of the rig's thread and return its result; other errors are converted to `UserError`."""
+    """Wait until the rig's thread has completed an action, and return the result.
+
+    Errors of other types are converted to `UserError`.
+    """
     try:
         return future.result()
     except UserError:

@@ -30,7 +30,7 @@ class Switch(Body):
 
 
 class Answer(Body):
-    """Answer to the current question to the person at the rig."""
+    """Answer to the question that the person at the rig is asked."""
 
     text: str = Field(max_length=1000)
 
@@ -58,7 +58,7 @@ class StartScan(Finish):
     paused: bool = Field(default=False, description="Pause the scan before the first picture")
 
     def subject(self) -> SubjectOptions:
-        """Return the options that describe the plant; empty texts leave the scene's values unchanged."""
+        """Return the options that describe the plant. Empty strings leave the values in the scene unchanged."""
         texts = {name: getattr(self, name) or None for name in ("plant", "species", "treatment", "date", "notes")}
         return SubjectOptions(**texts, day=self.day, replicate=self.replicate)
 

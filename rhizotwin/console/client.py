@@ -14,9 +14,10 @@ from urllib.request import ProxyHandler, Request, build_opener
 from rhizotwin.scenes.errors import UserError
 
 TIMEOUT_S = 120.0
-"""Timeout of a request, s; the slowest request is the alignment of the arm."""
+"""Timeout of a request, s. The slowest request is the alignment of the arm."""
 WAIT_S = 20.0
-"""Time after which a request for a change of the state is repeated, s."""
+"""Maximum time, in seconds, for which a single request waits for a change of the state. The request is then
+repeated."""
 
 
 class Console:
@@ -79,7 +80,7 @@ class Console:
         return json.loads(content) if is_json else content
 
     def state(self, *, after: int = 0, wait_s: float = 0.0) -> dict[str, Any]:
-        """Return the state of devices, picture, scan, queue and messages.
+        """Return the state of the devices, the latest picture, the scan, the queue and the messages.
 
         Parameters
         ----------
@@ -92,7 +93,7 @@ class Console:
         return found
 
     def take_control(self, name: str) -> None:
-        """Take control of the rig even if another client has control; ``name`` is shown to other clients."""
+        """Take control of the rig, even if another client has control. Other clients see ``name``."""
         self.request("POST", "/api/control", {"name": name})
 
     def release_control(self) -> None:
@@ -133,7 +134,7 @@ class Console:
         return str(self.request("POST", "/api/scans", options)["name"])
 
     def finish_scan(self, name: str, **options: Any) -> None:
-        """Finish an interrupted scan; ``options`` are fields of ``Finish`` in the OpenAPI schema."""
+        """Finish an interrupted scan. ``options`` are fields of ``Finish`` in the OpenAPI schema."""
         self.request("POST", f"/api/scans/{quote(name, safe='')}/finish", options)
 
     def pause_scan(self) -> None:
@@ -145,11 +146,11 @@ class Console:
         self.request("POST", "/api/scan/continue")
 
     def stop_scan(self) -> None:
-        """Stop the running scan safely; the pictures taken so far are kept."""
+        """Stop the running scan safely. The pictures taken so far are kept."""
         self.request("POST", "/api/scan/stop")
 
     def answer(self, text: str) -> None:
-        """Answer the current question to the person at the rig, which is ``question`` in the state."""
+        """Answer the question that the person at the rig is asked. The state contains it as ``question``."""
         self.request("POST", "/api/answer", {"text": text})
 
     def start_schedule(self) -> None:

@@ -1,4 +1,7 @@
-"""Console with the rig, scans, reconstruction queue and messages, whose state is shared by all clients."""
+"""Console of a laboratory, with the rig, the scans, the queue of reconstructions and the messages.
+
+All clients share its state.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +48,11 @@ if TYPE_CHECKING:
 
 LOCK = ".rhizotwin-console-lock"
 CATALOGUE = "laboratory.rhizotwin"
-"""File name of the catalogue if the console has no experiment."""
+"""File name of the catalogue of plants and scans that is used if the console has no experiment."""
 LIVE_S = 8.0
-"""Timeout of live pictures, s; they end if no client has requested the state for this time."""
+"""Time, in seconds, after which live pictures end if no client has requested the state."""
 WORDS = ("table", "home", "lights", "band", "joint", "go", "look", "align", "park", "relax", "pose", "markers")
-"""Commands of `rig.jog` permitted to clients; ``picture`` is excluded, because it writes to any path."""
+"""Commands of `rig.jog` that clients may execute. ``picture`` is excluded, because it writes a file to any path."""
 
 
 class Console:
@@ -82,11 +85,11 @@ class Console:
         self.messages = Messages(self.changed)
         self.questions = Questions(self.changed)
         self.schedule: ScheduleRun | None = None
-        """Running schedule; None if no schedule is running."""
+        """Schedule that is being executed. It is None if no schedule is running."""
         self.shown: Shown | None = None
-        """Latest picture; None before the first picture."""
+        """Latest picture. It is None before the first picture."""
         self.scan: RunningScan | None = None
-        """Running or most recent scan; None before the first scan."""
+        """Running or most recent scan. It is None before the first scan."""
         self._closing = False
         self._replies: list[str] = []
         self._view = StateView(self)
@@ -104,7 +107,7 @@ class Console:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Stop scan, schedule and reconstruction, bring the rig to a safe state, and release the folder."""
+        """Stop the scan, the schedule and the reconstruction, bring the rig to a safe state, and release the folder."""
         self._closing = True
         self.stop_schedule()
         if self.scan is not None:
@@ -119,14 +122,20 @@ class Console:
     # state
 
     def state(self, client: str) -> dict[str, Any]:
-        """Return the complete state for a client, as JSON values."""
+        """Return the complete state of the console as JSON values.
+
+        It includes whether ``client`` has control of the rig.
+        """
         if self.rig.live_until_s > 0.0:
             self.rig.live_until_s = time.monotonic() + LIVE_S
         self.controls.touch(client)
         return self._view.plain(client)
 
     def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
-        """Return the centres (N, 3) of the sketch's cells in the canister frame, mm, and their edge length, mm."""
+        """Return the coarse cells of the roots as centres (N, 3) and edge length.
+
+        Both are in mm, and centres are in the canister frame.
+        """
         if self.scan is None:
             return np.zeros((0, 3), np.float32), 1.0
         live = self.scan.live
@@ -152,7 +161,10 @@ class Console:
         return self.rig.begin(line, lambda: self._command(words))
 
     def take_picture(self) -> Future[str]:
-        """Take a picture, write it to the folder ``pictures``, and return its file name, which is the time."""
+        """Take a picture, write it to the folder ``pictures``, and return its file name.
+
+        The name consists of date and time.
+        """
         return self.rig.begin("picture", self._take_picture)
 
     def let_go(self) -> Future[None]:
@@ -161,7 +173,7 @@ class Console:
         return self.rig.begin("release of the devices", self.rig.let_go)
 
     def set_live(self, *, on: bool) -> None:
-        """Switch live pictures on or off; live pictures are taken only while clients request the state."""
+        """Switch live pictures on or off. Live pictures are taken only while clients request the state."""
         self.rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
         self.changed()
 
@@ -202,7 +214,7 @@ class Console:
         return name
 
     def resume_scan(self, name: str, *, reconstruct: bool = True, table_angle_deg: float | None = None) -> None:
-        """Finish an interrupted scan of the same plant.
+        """Finish an interrupted scan. Its plant, nutrient solution and marker strip are read from its dataset.
 
         Raises
         ------
@@ -334,7 +346,10 @@ class Console:
         return self.scan
 
     def _ask(self, question: str) -> str:
-        """Ask the person at the rig; stopping the scan, the schedule or the console cancels the question."""
+        """Ask the person at the rig a question.
+
+        The question is cancelled if the scan, the schedule or the console is stopped.
+        """
 
         def cancelled() -> bool:
             scan, schedule = self.scan, self.schedule

@@ -1,4 +1,4 @@
-"""Exclusive control of the rig by one client at a time, whose name is shown to all clients."""
+"""Control of the rig, which only one client has at a time. All clients see the name of this client."""
 
 import threading
 import time
@@ -17,7 +17,7 @@ class Holder:
     """Client that has control of the rig."""
 
     client: str
-    """Random identifier chosen by the client, which is not shown to other clients."""
+    """Random identifier that the client chose. It is not shown to other clients."""
     name: str
     """Name of the client, which is shown to all clients."""
     since: str
@@ -88,7 +88,10 @@ class Controls:
                 self._active_s = time.monotonic()
 
     def state(self, client: str) -> dict[str, object]:
-        """Return the name and activity of the client in control, as JSON values for the given client."""
+        """Return who has control of the rig, since when and for how long inactive, as JSON values.
+
+        ``own`` states whether it is the given client.
+        """
         with self._lock:
             holder = self._holder
             if holder is None:

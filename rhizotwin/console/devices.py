@@ -1,4 +1,7 @@
-"""State of each device of the rig, parsed from the output of checks and scans and from driver errors."""
+"""State of each device of the rig.
+
+States are parsed from the output of checks and scans, and from error messages of drivers.
+"""
 
 import re
 from collections.abc import Callable
@@ -19,7 +22,7 @@ class Device:
     name: str
     state: State = "unknown"
     text: str = "not checked yet"
-    """Reply of the device, or error message with advice."""
+    """Reply of the device, or the error message with advice if the device failed."""
     time: str = ""
     """Local time of the last change of the state."""
 
@@ -42,20 +45,23 @@ class DeviceStates:
         return [asdict(device) for device in self._devices.values()]
 
     def read_check(self, line: str) -> None:
-        """Parse an output line of `rig.bench.check`, which consists of name, verdict and text."""
+        """Parse an output line of `rig.bench.check`. A line consists of name, verdict and text."""
         name, _, rest = line.partition(" ")
         verdict, _, text = rest.strip().partition(" ")
         if name in self._devices and verdict in ("ok", "WRONG"):
             self._set(name, "ok" if verdict == "ok" else "wrong", text.strip())
 
     def read_report(self, line: str) -> None:
-        """Parse an output line of the checks before a scan, which consists of name and text; ignore other lines."""
+        """Parse an output line of the checks before a scan, which consists of name and text.
+
+        Lines without the name of a device are ignored.
+        """
         name, _, text = line.partition(" ")
         if name in self._devices and text.strip():
             self._set(name, "ok", text.strip())
 
     def read_error(self, text: str) -> None:
-        """Parse an error message of a driver, which begins with the name of the device."""
+        """Parse an error message of a driver. The message begins with the name of the device."""
         found = _ERROR.match(text)
         if found and found["name"] in self._devices:
             self._set(found["name"], "wrong", text.removeprefix(f"{found['name']}: "))

@@ -16,9 +16,9 @@ from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes.model import Scene
 
 CARVE_EVERY = 4
-"""Number of pictures after which the sketch is updated, which takes a separate thread a few seconds."""
+"""Number of pictures between two updates of the sketch. An update takes a few seconds in a separate thread."""
 HOLD_S = 0.5
-"""Polling interval at which a paused scan checks the arm, s."""
+"""Maximum time, in seconds, that a paused scan waits before it checks the arm again."""
 
 
 class Live(Observer):
@@ -40,9 +40,10 @@ class Live(Observer):
         self.scene = scene
         self.total = self.done = 0
         self.last: Look | None = None
-        """Latest picture with its measurements; None before the first picture."""
+        """Latest picture with its measurements. It is None before the first picture."""
         self.panel: tuple[float, float] | None = None
-        """5th and 95th percentile of the panel's brightness, as fractions of full scale; None if unknown."""
+        """5th and 95th percentiles of the panel's brightness, as fractions of full scale. They are None if no markers
+        have been detected yet."""
         self.cells_mm: NDArray[np.float64] = np.zeros((0, 3))
         self.cell_mm = 1.0
         self.paused = paused
@@ -56,7 +57,7 @@ class Live(Observer):
         self._begun_s, self._held_s = time.monotonic(), 0.0
 
     def on_plan(self, total: int, done: int) -> None:
-        """Set the number of planned pictures, and the number of pictures that an earlier run has taken."""
+        """Set the number of planned pictures, and the number of pictures taken before an interruption."""
         self.total, self.done, self._begun_s = total, done, time.monotonic()
         self._changed()
 
@@ -76,7 +77,7 @@ class Live(Observer):
         self._changed()
 
     def holds(self) -> bool:
-        """Return whether the scan is paused, after a short wait in this case.
+        """Return whether the scan is paused. If it is paused, the method waits up to `HOLD_S` before it returns.
 
         Raises
         ------
@@ -112,7 +113,10 @@ class Live(Observer):
         return self._stop
 
     def left_s(self) -> float | None:
-        """Estimate the remaining time from the mean time per picture without pauses; None before the second picture."""
+        """Estimate the remaining time in seconds from the mean time per picture, without pauses.
+
+        It is None before the second picture.
+        """
         if self._taken < 2:
             return None
         return (time.monotonic() - self._begun_s - self._held_s) / self._taken * (self.total - self.done)
@@ -137,6 +141,6 @@ class Live(Observer):
         self._changed()
 
     def _changed(self) -> None:
-        """Notify the console, and ignore its errors, which must not affect the scan."""
+        """Notify the console of a change. Errors of the console are ignored, so that they do not affect the scan."""
         with suppress(Exception):
             self._on_change()

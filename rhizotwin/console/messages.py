@@ -12,7 +12,7 @@ from rhizotwin.scenes.formatting import printable
 
 KEPT = 200
 RESUME = re.compile("(finish the scan|start the scan again|resume) with --resume")
-"""Advice for users of the command line, which `for_console` replaces."""
+"""Pattern of advice that is valid only for the command line. `for_console` replaces it."""
 Kind = Literal["info", "error"]
 
 
@@ -23,7 +23,7 @@ class Message:
     number: int
     """Consecutive number of the message."""
     time: str
-    """Local time, such as 14:05:10."""
+    """Local time of the message, such as 14:05:10."""
     kind: Kind
     text: str
 
@@ -34,7 +34,7 @@ def for_console(text: str) -> str:
 
 
 class Messages:
-    """Stores the `KEPT` most recent messages.
+    """Stores the most recent messages. Their maximum number is `KEPT`.
 
     Parameters
     ----------

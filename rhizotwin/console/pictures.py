@@ -1,4 +1,4 @@
-"""Preparation of the rig's pictures for display, with marker outlines and measurements of the picture quality."""
+"""Preparation of pictures of the rig for display. Marker outlines and measurements of picture quality are added."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.scenes.picture_codec import Grey
 
 TRUST = TrustSettings()
-"""Limits of the reconstruction's checks, which the console applies to the measurements as well."""
+"""Limits of the scan quality checks in the reconstruction. Pictures in the console are assessed with the same
+limits."""
 PICTURE_PX = 800
-"""Maximum width of a displayed picture; wider pictures are reduced."""
+"""Maximum width of a displayed picture, px. Wider pictures are downsampled."""
 JPEG_QUALITY = 85
 _MARKER_BGR = (90, 210, 0)
 
@@ -150,5 +151,5 @@ def _motion(motion: float | None) -> Meter | None:
 
 
 def _state(value: float, good: float, bad: float) -> State:
-    """Return the verdict on a value for which larger is better."""
+    """Return the verdict on a value that is better if it is larger. ``good`` and ``bad`` are the thresholds."""
     return "good" if value >= good else "fair" if value >= bad else "bad"

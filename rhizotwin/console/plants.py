@@ -1,4 +1,4 @@
-"""Plants of the console's catalogue, with their identification, scans and planned scans."""
+"""Plants in the catalogue of the console, with functions that identify them and list their scans."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.subject import Subject
 
 KEPT = ("species", "treatment", "replicate")
-"""Fields of a scan's subject that are stored in the catalogue as well."""
+"""Fields of a scan's subject that the catalogue also contains."""
 MOST_SHOWN = 6
-"""Maximum number of listed future scans, and of missed scans, in addition to the scans planned for today."""
+"""Maximum number of future scans in the list, and of missed scans. Scans planned for today are always listed."""
 
 
 class Plants:

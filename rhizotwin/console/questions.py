@@ -8,7 +8,7 @@ from queue import Empty, SimpleQueue
 from rhizotwin.scenes.errors import UserError
 
 LOOK_S = 0.5
-"""Polling interval at which a pending question checks whether it is cancelled, s."""
+"""Polling interval, in seconds, at which a pending question checks whether it has been cancelled."""
 
 
 class Questions:
@@ -22,7 +22,7 @@ class Questions:
 
     def __init__(self, on_change: Callable[[], object]) -> None:
         self.text = ""
-        """Text of the pending question; empty if there is none."""
+        """Text of the pending question. It is empty if no question is pending."""
         self._on_change = on_change
         self._lock = threading.Lock()
         self._answers: SimpleQueue[str] = SimpleQueue()

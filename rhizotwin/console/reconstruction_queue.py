@@ -1,6 +1,6 @@
-"""Queue of reconstructions, which are run one at a time in a separate process.
+"""Queue of reconstructions, which are executed one after another in a separate process.
 
-The queue is stored in a file, so that it is continued when the console is started again.
+The queue is stored in a file, and is continued when the console is started again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 SCHEMA_VERSION = 1
 KEPT = 50
-"""Maximum number of ended reconstructions in the list."""
+"""Maximum number of completed or failed reconstructions in the list."""
 State = Literal["waiting", "running", "done", "failed"]
 
 
@@ -35,16 +35,16 @@ class Job:
     """Name of the scan and of its result."""
     state: State = "waiting"
     error: str = ""
-    """Reason for a failure, for the user."""
+    """Error message for the user. It is empty if the reconstruction has not failed."""
     added: str = ""
-    """Time at which the scan was added, UTC (ISO 8601)."""
+    """Time at which the scan was added to the queue, UTC (ISO 8601)."""
     ended: str = ""
-    """Time at which the reconstruction ended, UTC (ISO 8601); empty before."""
+    """Time at which the reconstruction ended, UTC (ISO 8601). It is empty if the reconstruction has not ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress of the running reconstruction."""
+    """Name of the current stage of the running reconstruction, and completed fraction of the work."""
 
     stage: str
     fraction: float
@@ -89,7 +89,7 @@ class Queue:
         return [asdict(job) | (running if job.state == "running" else {}) for job in (*active, *ended)]
 
     def add(self, scan: str) -> None:
-        """Add a complete scan to the queue; its reconstruction replaces an earlier result.
+        """Add a complete scan to the queue. The new result will replace an earlier result of the scan.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Queue:
         self._on_change()
 
     def remove(self, scan: str) -> None:
-        """Remove a scan from the queue, and stop its reconstruction if it is running; an earlier result is retained.
+        """Remove a scan from the queue. If its reconstruction is running, it is stopped, and an earlier result is kept.
 
         Raises
         ------
@@ -127,7 +127,10 @@ class Queue:
         self._on_change()
 
     def close(self) -> None:
-        """Stop the running reconstruction, which the next console starts again, and end the thread."""
+        """Stop the running reconstruction, and end the thread.
+
+        The reconstruction starts again when the console is started again.
+        """
         with self._wake:
             self._ended = True
             if self._process is not None:
@@ -156,7 +159,10 @@ class Queue:
             self._on_change()
 
     def _reconstruct(self, job: Job) -> str:
-        """Run a reconstruction in a separate process; return the error message, or an empty text on success."""
+        """Run a reconstruction in a separate process.
+
+        Return the error message, or an empty string if the reconstruction succeeded.
+        """
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         source, output = str(self._folders.scans / job.scan), str(self._folders.result(job.scan))
@@ -185,7 +191,10 @@ class Queue:
         return error
 
     def _change(self, job: Job, **changes: Any) -> Job:
-        """Replace a job in the queue, and write the file; if the disk is full, the next console repeats the job."""
+        """Replace a job in the queue, and write the queue to its file.
+
+        If writing fails, the job is repeated after a restart of the console.
+        """
         changed = replace(job, **changes)
         jobs = [changed if other is job else other for other in self._jobs]
         try:
@@ -195,7 +204,10 @@ class Queue:
         return changed
 
     def _keep(self, jobs: list[Job]) -> None:
-        """Write the queue to the file, and only then replace the jobs in memory, so that the file is always current."""
+        """Write the queue to its file, and then replace the jobs in memory.
+
+        If writing fails, the jobs in memory remain unchanged.
+        """
         active = [job for job in jobs if job.state in ("waiting", "running")]
         ended = sorted((job for job in jobs if job not in active), key=lambda job: job.ended)[-KEPT:]
         kept = [job for job in jobs if job in active or job in ended]
@@ -204,7 +216,7 @@ class Queue:
 
 
 def read(path: Path) -> list[Job]:
-    """Read the jobs from the file of a queue; the list is empty if the file does not exist.
+    """Read the jobs from the file of a queue. The list is empty if the file does not exist.
 
     Raises
     ------

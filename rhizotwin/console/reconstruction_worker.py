@@ -21,15 +21,15 @@ from rhizotwin.scenes.formatting import error_sentence
 from rhizotwin.scenes.terminal import OneBar
 
 LOOK_S = 1.0
-"""Polling interval at which the process checks that the console still exists, s."""
+"""Polling interval, in seconds, at which the process checks whether the console is still running."""
 NICE = 10
-"""Nice value of the process, so that a concurrent scan has a higher priority."""
+"""Niceness of the process. It gives a simultaneous scan a higher priority."""
 
 Send = Callable[[str, float], None]
 
 
 class SentBar(OneBar):
-    """Monitor that sends the progress to the console.
+    """Progress monitor of a reconstruction, which sends the progress to the console.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ class SentBar(OneBar):
 
 @dataclass(frozen=True, kw_only=True)
 class SentProgress(Progress):
-    """Progress options whose bar sends the progress to the console."""
+    """Progress options for a reconstruction whose progress is sent to the console."""
 
     send: Send = lambda _stage, _done: None
 
     def bar(self, **shares: float) -> OneBar:
-        """Return a monitor for stages with the relative durations ``shares``."""
+        """Return a progress monitor. ``shares`` are the relative durations of the stages."""
         return SentBar(shares, self.send)
 
 

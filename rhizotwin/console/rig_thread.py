@@ -1,4 +1,7 @@
-"""Thread that performs all actions on the rig's devices, one command, check, live picture or scan at a time."""
+"""Thread that performs all actions on the devices of the rig one after another.
+
+An action is a command, a check, a live picture or a scan.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +63,9 @@ class RigThread:
         self._next: tuple[Callable[[], Any], Future[Any]] | None = None
         self._ended = False
         self.busy = ""
-        """Description of the current action; empty if the rig is idle."""
+        """Description of the current action. It is empty if the rig is idle."""
         self.live_until_s = 0.0
-        """Time (`time.monotonic`) until which live pictures are taken, s."""
+        """Time at which live pictures end, in seconds on the clock `time.monotonic`."""
         # not a daemon thread, so that the program ends only after the rig is in a safe state
         self._thread = threading.Thread(target=self._run, name="rig", daemon=False)
         self._thread.start()
@@ -105,7 +108,7 @@ class RigThread:
         return future
 
     def jog(self) -> Jog:
-        """Open the devices for commands if necessary, and return them; must be called in the rig's thread."""
+        """Return the devices, which are opened if necessary. The method must be called in the rig's thread."""
         if self._jog is None:
             stack = ExitStack()
             try:
@@ -117,7 +120,7 @@ class RigThread:
         return self._jog
 
     def command(self, words: list[str]) -> None:
-        """Execute a command of `rig.jog`; must be called in the rig's thread."""
+        """Execute a command of `rig.jog`. The method must be called in the rig's thread."""
         with self._closed_if_lost():
             self.jog().do(words)
 

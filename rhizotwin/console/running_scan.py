@@ -1,4 +1,4 @@
-"""Running or most recent scan of the console, with its name, scene and live state."""
+"""Running or most recent scan of the console, with its name, its scene and its live state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RunningScan:
     ) -> None:
         self.name, self.scene = name, scene
         self.error = ""
-        """Reason for the failure of the scan; empty if it has not failed."""
+        """Error message if the scan has failed. It is empty if the scan has not failed."""
         self._on_change, self._on_look = on_change, on_look
         self._shown: Look | None = None
         self.live = Live(scene, on_change=self._live_changed, paused=paused)

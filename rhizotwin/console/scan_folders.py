@@ -1,6 +1,7 @@
-"""Access to scans, results and pictures in the console's folder by their names.
+"""Access to the scans, results and pictures in the console's folder.
 
-Names are validated and links are rejected, so that clients cannot access files outside the folder. Its contents are:
+Clients identify them by name, which is validated, and links are rejected, so that clients cannot access files outside
+the folder. Its contents are:
 
 - ``scans/NAME``: dataset of a scan
 - ``results/NAME``: result of the reconstruction of a scan
@@ -29,7 +30,7 @@ from rhizotwin.timelapse.reconstruction import GROWTH
 
 NAME = re.compile(r"\w[\w.-]{0,99}")
 MOST_BYTES = 200
-"""Maximum length of a name in UTF-8, bytes. File systems allow 255 bytes, of which temporary files need some."""
+"""Maximum length of a name in UTF-8, bytes. File systems allow 255 bytes, but names of temporary files are longer."""
 MOST_LISTED = 100
 """Maximum number of listed scans."""
 
@@ -41,24 +42,24 @@ class ScanEntry:
     name: str
     """Name of the scan and of its folder."""
     subject: str
-    """Description of plant, treatment and day, for the user."""
+    """Text that describes the plant, the treatment and the day."""
     plant: str
     """Name of the plant."""
     pictures: int
-    """Number of views that were taken."""
+    """Number of views for which pictures were taken."""
     planned: int
     """Number of planned views."""
     complete: bool
     """Whether all planned views were taken."""
     sketch: bool = False
-    """Whether the pictures are sketches of the emulated rig, which show no roots."""
+    """Whether the emulated rig made the pictures with the fidelity ``sketch``, which does not draw roots."""
     error: str = ""
-    """Reason why the dataset cannot be read; empty for a readable dataset."""
+    """Reason why the dataset cannot be read. It is empty if the dataset is readable."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResultEntry:
-    """Result of the reconstruction of a scan."""
+    """Summary of a scan's result for the list of scans."""
 
     volume: str
     """Text with the volume and its 90 % interval, or with the reason why the volume is not reliable."""
@@ -87,7 +88,7 @@ class ScanFolders:
         self._entries: dict[Path, tuple[tuple[int, int], ScanEntry | ResultEntry | None]] = {}
 
     def new_name(self, subject: Subject) -> str:
-        """Return an unused name for a scan, which consists of plant and date."""
+        """Return an unused name for a scan. The name consists of plant and date."""
         plant = re.sub(r"[^\w.-]+", "-", subject.plant).strip("-._") or "scan"
         stem = f"{plant[:40]}-{subject.date}"
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))
@@ -120,7 +121,7 @@ class ScanFolders:
         return folder
 
     def result(self, name: str) -> Path:
-        """Return the folder of a scan's result, which does not need to exist.
+        """Return the folder of a scan's result. The folder may not exist yet.
 
         Raises
         ------
@@ -143,7 +144,7 @@ class ScanFolders:
         return path
 
     def growth(self) -> Path | None:
-        """Return the path of the page with the growth curves; None if the page does not exist."""
+        """Return the path of the HTML page with the growth curves. It is None if the page does not exist."""
         path = self.results / GROWTH / "growth.html"
         return path if path.is_file() and not path.is_symlink() else None
 
@@ -167,11 +168,14 @@ class ScanFolders:
         return entry
 
     def result_of(self, name: str) -> ResultEntry | None:
-        """Return the result of a scan; None if the scan has no readable result."""
+        """Return the entry of a scan's result. It is None if the scan has no readable result."""
         return self._entry(self.results / name / "result.json", _result_entry)
 
     def _entry(self, path: Path, read: Callable[[Path], Entry]) -> Entry | None:
-        """Return the entry of a file, which is read only if it has changed since the last call; None without a file."""
+        """Read the entry of a file, or return the stored entry if the file has not changed.
+
+        Return None if the file does not exist.
+        """
         stamp = _stamp(path)
         if stamp is None:
             return None
@@ -208,7 +212,10 @@ def _inside(parent: Path, name: str) -> Path:
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
-    """Return the modification time and size of a regular file in a folder with a valid name; otherwise None."""
+    """Return the modification time, in nanoseconds, and the size of a dataset or result file.
+
+    Return None if it is a link or its folder has an invalid name.
+    """
     try:
         check_name(path.parent.name)
         status = path.lstat()

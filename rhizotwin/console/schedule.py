@@ -1,4 +1,7 @@
-"""Execution of a time-lapse experiment's schedule in the console, with questions and live pictures for the user."""
+"""Execution of the schedule of a time-lapse experiment in the console.
+
+Questions and live pictures are shown to the user.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ScheduleRun:
-    """Run of an experiment's schedule, whose progress is stored in the catalogue.
+    """Execution of an experiment's schedule. Its progress is stored in the catalogue.
 
     Parameters
     ----------
@@ -38,7 +41,7 @@ class ScheduleRun:
     ) -> None:
         self.experiment = experiment
         self.stopping = False
-        """Whether the run is to end before the next scan."""
+        """Whether the schedule should stop before the next scan."""
         self._ask, self._say, self._show_scan = ask, say, show_scan
         self._scan: RunningScan | None = None
 
@@ -64,7 +67,7 @@ class ScheduleRun:
             self._end_scan()
 
     def _follow(self, visit: Visit) -> None:
-        """Show the scan of a planned visit that has started, and close the display of the previous scan."""
+        """Show the scan of a planned visit when it starts. The display of the previous scan is closed."""
         self._end_scan()
         if visit.state == "scanning":
             member = self.experiment.member(visit.plant)
@@ -78,7 +81,10 @@ class ScheduleRun:
 
 
 class _Person(PersonChanger):
-    """Person who is asked to place canisters; on the emulated rig, the answer can be the number of a canister."""
+    """Person who is asked to place canisters on the turntable.
+
+    On the emulated rig, the person may answer with the number of another canister.
+    """
 
     def __init__(self, table: Callable[[], RealTable | EmulatedTable | None], ask: Ask) -> None:
         super().__init__(self._asked)
@@ -86,7 +92,10 @@ class _Person(PersonChanger):
         self._to_person, self._answer = ask, ""
 
     def change(self, member: Member, *, reason: str = "") -> None:
-        """Ask the person to place the canister, and place the answered canister on an emulated turntable."""
+        """Ask the person to place the canister of a plant.
+
+        On the emulated rig, place the canister whose number was answered.
+        """
         super().change(member, reason=reason)
         table = self._table()
         if isinstance(table, EmulatedTable):
@@ -102,7 +111,7 @@ class _Person(PersonChanger):
 
 
 class _Forwarding(Observer):
-    """Observer that forwards all calls to the live state of the current scan, if any."""
+    """Observer that forwards all calls to the live state of the current scan. Calls are ignored if there is no scan."""
 
     watches_motion = True
 
@@ -120,7 +129,7 @@ class _Forwarding(Observer):
             scan.live.on_look(look)
 
     def on_drop(self, files: list[str]) -> None:
-        """Forward the names of rejected pictures."""
+        """Forward the file names of rejected pictures."""
         if (scan := self._scan()) is not None:
             scan.live.on_drop(files)
 

@@ -1,4 +1,4 @@
-"""Web server of the console (uvicorn in a separate thread)."""
+"""Web server of the console. It runs in a separate thread with uvicorn."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rhizotwin.console.console import Console
 from rhizotwin.scenes.errors import UserError
 
 MOST_PORTS = 20
-"""Number of consecutive ports that are tried."""
+"""Maximum number of consecutive ports that are tried."""
 START_S = 30.0
 """Timeout for the start of the server, s."""
 
@@ -45,7 +45,7 @@ class Served:
 
 
 def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
-    """Start the web server of a console; if the port is in use, the next free port is used.
+    """Start the web server of a console. If the port is in use, the next free port is used.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
-"""Coarse visual hull of the roots during a scan, called sketch, for display but not for measurements.
+"""Compute a coarse visual hull of the roots during a scan.
 
-Cells that a picture shows empty are removed, and the remaining cells are subdivided while their number is small. Each
-camera is estimated from the markers in its own picture, the empty backlight of a pixel is the maximum value so far, and
-the smallest cells have an edge of 1 mm.
+It is called sketch, and is displayed but not used for measurements. Cells that lie outside the roots in a picture are
+removed, and the remaining cells are subdivided while their number is small. Each camera is estimated from the markers
+in its own picture, the empty backlight of a pixel is the maximum value so far, and the smallest cells have an edge of 1
+mm.
 """
 
 from __future__ import annotations
@@ -23,40 +24,43 @@ from rhizotwin.scenes.picture_codec import Grey
 Array = NDArray[np.float64]
 
 WIDEST_PX = 400
-"""Width to which pictures are reduced. A field of view of 250 mm then has 0.6 mm per pixel, finer than the cells."""
+"""Maximum width of the pictures used for the sketch. With a field of view of 250 mm, a pixel then corresponds to 0.6
+mm, which is finer than the cells."""
 DARK = 0.85
-"""Maximum brightness of a covered pixel, relative to the empty backlight. Noise and panel vary by a few per cent, and a
-root of 0.2 mm covers a third of a pixel of 0.6 mm."""
+"""Maximum brightness of a pixel that shows a root, relative to its brightness without roots. Noise and the panel vary
+by a few per cent, and a root of 0.2 mm covers a third of a pixel of 0.6 mm."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
-"""Edge lengths of the initial cells and of the smallest cells."""
+"""Edge length of the initial cells, and edge length of the smallest cells."""
 MOST_CELLS = 40_000
-"""Maximum number of cells, which a browser can draw without delay."""
+"""Maximum number of cells. A browser can draw this number without delay."""
 SPARE_PX = 1.0
-"""Tolerance for projection errors of a camera estimated from a single picture, px."""
+"""Tolerance for the projection of a cell, px. It allows for errors of a camera pose that is estimated from a single
+picture."""
 LEAST_SEEN = 3
-"""Minimum number of pictures that must show a cell for the cell to be retained."""
+"""Minimum number of pictures in whose field of view a cell must lie. Other cells are removed."""
 _REACH = 0.95
-"""Radius of the cells' grid, relative to the radius that is visible in all views (R_o / n_water)."""
+"""Radius of the grid of cells, relative to the radius R_o / n_water. Water within this radius is visible in all
+views."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Reduced picture with its camera."""
+    """Downsampled picture with its camera."""
 
     file: str
     view: View
     image: NDArray[np.float32]
     water: NDArray[np.bool_]
-    """Mask (H, W) of the pixels that show water."""
+    """Mask (H, W) of the pixels through which the water is visible."""
 
 
 @dataclass(frozen=True)
 class _Outline:
-    """Empty part of a picture, as a distance image."""
+    """Distance image of the pixels that show no root."""
 
     seen: _Seen
     away_px: NDArray[np.float32]
-    """Distance (H, W) from each pixel to the nearest covered pixel."""
+    """Distance (H, W) from each pixel to the nearest pixel that shows a root."""
 
 
 class Sketch:
@@ -98,9 +102,10 @@ class Sketch:
             self._seen[ring] = [one for one in seen if one.file != file]
 
     def evenness(self, ring: int) -> tuple[float, float] | None:
-        """Return the 5th and 95th percentile of the panel's brightness behind the water, as fractions of full scale.
+        """Return the 5th and 95th percentiles of the panel's brightness behind the water, as fractions of full scale.
 
-        The value is None before the first picture of the ring.
+        The percentiles are computed from all pictures at the same height of the camera, and are None before the first
+        picture.
         """
         seen = self._seen.get(ring)
         if not seen:
@@ -113,7 +118,7 @@ class Sketch:
         return float(low), float(high)
 
     def carve(self) -> tuple[Array, float]:
-        """Compute the visual hull.
+        """Compute the visual hull of the roots.
 
         Returns
         -------
@@ -136,7 +141,10 @@ class Sketch:
             middles = (middles[:, None] + corner).reshape(-1, 3)
 
     def _grid(self, edge_mm: float) -> Array:
-        """Return the centres (N, 3) of cells in the part of the water that all views at the same height show."""
+        """Return the centres (N, 3) of a grid of cells.
+
+        The grid fills the part of the water that is visible in all views at the same height.
+        """
         optics = self._optics
         reach = _REACH * min(optics.inner_radius_mm, optics.outer_radius_mm / optics.n_water)
         side = np.arange(-reach, reach + edge_mm, edge_mm)
@@ -145,7 +153,10 @@ class Sketch:
         return np.column_stack([x, y, z])[np.hypot(x, y) < reach]
 
     def _outlines(self, seen: list[_Seen]) -> list[_Outline]:
-        """Return the empty parts of a ring's pictures; the list is empty if the ring has fewer than three pictures."""
+        """Compute distance images of the pictures at one height of the camera.
+
+        The list is empty if there are fewer than three pictures.
+        """
         if len(seen) < LEAST_SEEN:
             return []
         panel = np.max([one.image for one in seen], axis=0)
@@ -157,7 +168,10 @@ class Sketch:
         return found
 
     def _look(self, middles: Array, edge_mm: float, outline: _Outline) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return masks (N,) of the cells that a picture shows, and of the cells that it shows empty."""
+        """Return two masks (N,) of cells.
+
+        The first selects cells in the field of view of a picture, and the second selects cells that show no root there.
+        """
         view, water = outline.seen.view, outline.seen.water
         px = cameras.project_inner(view, self._optics, middles)
         height, width = water.shape

@@ -26,7 +26,10 @@ class StateView:
         self._sketch: tuple[int, Any] = (0, None)
 
     def plain(self, client: str) -> dict[str, Any]:
-        """Return the complete state for a client, as JSON values."""
+        """Return the complete state of the console as JSON values.
+
+        It includes whether ``client`` has control of the rig.
+        """
         console = self._console
         version = console.version  # read first, so that a later change is not missed
         queue = console.queue.plain()
@@ -75,7 +78,7 @@ class StateView:
         return {"name": experiment.name, "state": state, "growth": self._console.folders.growth() is not None, **visits}
 
     def _sketch_state(self) -> dict[str, object]:
-        """Return the version and size of the sketch, and the size of the canister, as JSON values."""
+        """Return the size of the canister, and the version and number of cells of the sketch, as JSON values."""
         scan, can = self._console.scan, self._console.bench.scene.canister
         cells = None if scan is None else scan.live.cells_mm
         with self._lock:

@@ -25,21 +25,21 @@ if TYPE_CHECKING:  # imported at run time only after the engine has been started
 Array = NDArray[np.float64]
 
 _VIEWS = 8
-"""Number of views that are compared, spread over one revolution of the turntable as in the reconstruction."""
+"""Number of views that are compared. They are spread over one revolution of the turntable, as in the reconstruction."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Disagreement between shape and pictures that manual corrections added."""
+    """Disagreement between the shape and the pictures that is due to manual corrections."""
 
     missed: float
-    """Increase of the unexplained fraction of a silhouette, maximum over the compared views. The maximum is used
-    because a deleted part may be hidden by other roots in some views."""
+    """Increase of the fraction of a silhouette that the shape does not explain. It is the maximum over the compared
+    views, because other roots may hide a deleted part in some views."""
     surplus: float
     """Increase of the fraction of the shape's volume that lies where the pictures show no roots."""
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
-        """Compare the missing and surplus fractions that corrections added with the limit ``trust.missed``."""
+        """Check that the missing and surplus fractions do not exceed the limit ``trust.missed``."""
         lacking = f"the corrected shape does not explain {100.0 * self.missed:.1f} % of the roots in a picture"
         beyond = f"{100.0 * self.surplus:.1f} % of the corrected shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
@@ -49,7 +49,9 @@ class Comparison:
         )
 
     def term(self, before_mm3: float, after_mm3: float) -> Term:
-        """Return the contribution to the error budget of the volume, mm3, with area fractions used as volume fractions.
+        """Return the contribution of the corrections to the error budget of the volume, mm3.
+
+        Area fractions in the pictures are used as volume fractions.
 
         Parameters
         ----------
@@ -108,6 +110,6 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
 
 
 def _surplus(found: Agreement, volume: Array) -> float:
-    """Return the fraction of the visible volume that lies outside the silhouettes, averaged over views."""
+    """Return the fraction of the visible volume that lies outside the silhouettes, averaged over the views."""
     seen = found.sees @ volume
     return float(np.mean((found.excluded & found.sees) @ volume / np.maximum(seen, 1e-12)))

@@ -23,7 +23,10 @@ class Cameras:
 
     @classmethod
     def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Cameras:
-        """Read the cameras of a result, with the calibrated focal length and refractive index of the water."""
+        """Read the cameras of a result.
+
+        The focal length and the refractive index of water are those that the reconstruction calibrated.
+        """
         rig = summary.get("rig") or {}
         camera = dataset.scene.camera.as_pinhole().focused(rig.get("focal_scale") or 1.0)
         optics = Optics.from_scene(dataset.scene)

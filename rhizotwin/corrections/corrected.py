@@ -1,4 +1,4 @@
-"""Write a corrected result to a new folder, with the measurements that a reconstruction contains."""
+"""Write a corrected result to a new folder. It contains the same measurements as the result of a reconstruction."""
 
 from __future__ import annotations
 
@@ -31,13 +31,16 @@ from rhizotwin.scenes.schema import to_plain
 from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
-"""Maximum volume of an empty voxel, mm3."""
+"""Volume, mm3, up to which a voxel is regarded as empty."""
 _OWN = ("plant", "species", "treatment")
 """Fields of `Subject` that differ between plants of the same scan."""
 
 
 def share(before_mm3: float, after_mm3: float) -> float:
-    """Return the relative change of the volume by the corrections (0.1: 10 % larger)."""
+    """Return the relative change of the volume due to the corrections.
+
+    A value of 0.1 means that the volume is 10 % larger.
+    """
     return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
 
 
@@ -91,7 +94,7 @@ def write(
 
 
 def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
-    """Return the content of ``result.json`` for a corrected result, without traits and verdicts.
+    """Return the content of ``result.json`` for a corrected result, without its traits and verdicts.
 
     Parameters
     ----------
@@ -129,7 +132,7 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
 
 
 def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str, Any]:
-    """Return the entries of ``result.json`` for the interval, budget, verdict and checks of the corrected volume."""
+    """Return the interval, error budget, verdict and checks of the corrected volume as entries of ``result.json``."""
     old, before_mm3 = session.summary, float(session.summary["volume_mm3"])
     ratio = after_mm3 / before_mm3 if before_mm3 > 0.0 else 1.0
     terms = [
@@ -166,9 +169,9 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
 
 
 def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tuple[tuple[Root, ...], list[Json]]:
-    """Return the roots, ordered by plant, and the entries of the plants for ``result.json``.
+    """Return the roots, ordered by plant, and the entries for the plants in ``result.json``.
 
-    The height of the highest root is used instead of the net pot's height, which is not stored with a result.
+    The height of the highest root replaces the height of the net pot, which is not stored with a result.
     """
     where = str(session.folder / "result.json")
     known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.from_summary(session.summary, where)]

@@ -1,4 +1,4 @@
-"""Centre lines of roots and their corrections: cut, join, change the parent, move the base.
+"""Centre lines of roots, and functions that cut lines, remove parts of them, or move the base of the plant.
 
 Lines are immutable. Each correction returns a new dictionary of lines.
 """
@@ -21,14 +21,17 @@ Lines = Mapping[int, "Line"]
 
 @dataclass(frozen=True)
 class Piece:
-    """Interval of arc length on a source (a root as it was measured, or a tube added by a correction)."""
+    """Interval of arc length on a source.
+
+    A source is a root of the uncorrected result, or a tube added by a correction.
+    """
 
     source: int
     """Index of the source in `Solid.sources`."""
     begin_mm: float
     """Arc length at the beginning of the interval, mm."""
     end_mm: float
-    """Arc length at the end of the interval, mm, smaller than ``begin_mm`` if the direction is reversed."""
+    """Arc length at the end of the interval, mm. It is smaller than ``begin_mm`` if the direction is reversed."""
 
     @property
     def length_mm(self) -> float:
@@ -36,30 +39,30 @@ class Piece:
         return abs(self.end_mm - self.begin_mm)
 
     def between(self, begin_mm: float, end_mm: float) -> Piece:
-        """Return the part between two distances from the beginning of this interval, mm."""
+        """Return the part of the interval between two distances from its beginning. The distances are in mm."""
         sign = 1.0 if self.end_mm >= self.begin_mm else -1.0
         return Piece(self.source, self.begin_mm + sign * begin_mm, self.begin_mm + sign * end_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Root under correction: centre line, diameters and place in the root tree."""
+    """Root that can be corrected, with its centre line, diameters and place in the root tree."""
 
     points_mm: Array
-    """Points of the centre line (N, 3) from base to tip, mm, canister frame."""
+    """Points (N, 3) of the centre line from base to tip in the canister frame, mm."""
     diameters_mm: Array
     """Diameter at each point (N,), mm."""
     parent: int
-    """Number of the parent root, -1 for none."""
+    """Number of the parent root. It is -1 if the root has no parent."""
     pieces: tuple[Piece, ...]
-    """Parts of measured roots or added tubes that make up this root, from base to tip."""
+    """Parts of sources that make up this root, from base to tip."""
     tip_seen: bool = True
     """Whether the tip of the root is visible in the pictures."""
     label: str = ""
     sigma_mm: Array | None = None
-    """Standard deviation of the diameter at each point (N,), mm. None: unknown."""
+    """Standard deviation of the diameter at each point (N,), mm. It is None if it is unknown."""
     plant: str = ""
-    """Name of the plant. Empty if the scan has a single plant."""
+    """Name of the plant. It is empty if the scan has a single plant."""
 
     @property
     def way_mm(self) -> Array:
@@ -72,7 +75,7 @@ class Line:
         return polyline.length_mm(self.points_mm)
 
     def nearest_mm(self, point_mm: Sequence[float]) -> float:
-        """Return the arc length at the point of the centre line that is nearest to ``point_mm``, mm."""
+        """Return the arc length, in mm, of the point on the centre line that is nearest to ``point_mm``."""
         begin, step = self.points_mm[:-1], np.diff(self.points_mm, axis=0)
         square = np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
         share = np.clip(np.einsum("ij,ij->i", np.asarray(point_mm) - begin, step) / square, 0.0, 1.0)
@@ -81,7 +84,10 @@ class Line:
         return float(self.way_mm[best] + share[best] * np.sqrt(square[best]))
 
     def between(self, begin_mm: float, end_mm: float) -> Line:
-        """Return the part of the root between two distances from the base, mm."""
+        """Return the part of the root between two distances from its base.
+
+        Distances are measured along the centre line, in mm.
+        """
         way = self.way_mm
         inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
@@ -96,13 +102,16 @@ class Line:
         return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces), sigma_mm=sigma)
 
     def stretches(self, chosen: Mask) -> list[tuple[int, int]]:
-        """Return first and last index of each run of at least two consecutive points selected by a mask (N,)."""
+        """Return the runs of at least two consecutive points that a mask (N,) selects.
+
+        A run consists of the indices of its first and last point.
+        """
         rows = np.flatnonzero(chosen)
         runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         return [(int(run[0]), int(run[-1])) for run in runs if len(run) > 1]
 
     def backward(self) -> Line:
-        """Return the root with the direction from tip to base reversed."""
+        """Return the root with its points in reversed order, so that base and tip are exchanged."""
         pieces = tuple(Piece(piece.source, piece.end_mm, piece.begin_mm) for piece in reversed(self.pieces))
         sigma = None if self.sigma_mm is None else self.sigma_mm[::-1]
         return replace(self, points_mm=self.points_mm[::-1], diameters_mm=self.diameters_mm[::-1], pieces=pieces, sigma_mm=sigma)
@@ -119,7 +128,7 @@ def descendants(lines: Lines, number: int) -> list[int]:
 
 
 def inherit_plant(lines: Lines, number: int) -> dict[int, Line]:
-    """Assign a root and its descendants to its parent's plant."""
+    """Assign a root and its descendants to the plant of the root's parent."""
     plant = lines[lines[number].parent].plant
     return {**lines, **{k: replace(lines[k], plant=plant) for k in descendants(lines, number)}}
 
@@ -208,9 +217,10 @@ def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tu
 
 
 def reroot(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Line]:
-    """Move the base of the plant to the end of a root that is nearest to ``point_mm``.
+    """Make one end of a root the base of the plant.
 
-    The root then has no parent, and its former ancestors become its laterals.
+    The end that is nearer to ``point_mm`` is chosen. The root then has no parent, and its former ancestors become its
+    laterals.
     """
     changed, line = dict(lines), lines[number]
     if line.nearest_mm(point_mm) > line.length_mm / 2.0:
@@ -230,7 +240,7 @@ def _distance_mm(point_mm: Array, line_mm: Array) -> float:
 
 
 def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
-    """Convert roots to lines by number. Root k becomes the only piece of line k."""
+    """Convert roots to lines, keyed by number. Line k consists of a single piece, which is the whole of root k."""
     return {
         k: Line(
             root.points_mm,
@@ -247,7 +257,7 @@ def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
 
 
 def as_roots(lines: Lines) -> tuple[Root, ...]:
-    """Convert lines to roots, sorted with parents before children."""
+    """Convert lines to roots. Parents are sorted before their children."""
     placed, roots = dict[int, int](), list[Root]()
     waiting = sorted((number for number, line in lines.items() if line.parent not in lines), reverse=True)
     while waiting:

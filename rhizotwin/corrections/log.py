@@ -1,4 +1,4 @@
-"""Log of manual corrections with author and time, stored as ``edits.json`` in the result's folder.
+"""Log of manual corrections with their authors and times, stored as ``edits.json`` in the result's folder.
 
 Corrections are applied when the log is replayed. The result itself is not changed.
 """
@@ -32,7 +32,7 @@ KINDS = {
     "base": "set the base of the plant",
     "fit": "refit centre lines and diameters to the pictures",
 }
-"""Kinds of corrections with a description. The kind determines which fields of `Edit` are used."""
+"""Description of each kind of correction. The kind determines which fields of `Edit` are used."""
 Triple = tuple[float, float, float]
 
 
@@ -41,30 +41,31 @@ class Edit:
     """Manual correction of a result."""
 
     do: str
-    """Kind of the correction, a key of `KINDS`."""
+    """Kind of the correction, which is a key of `KINDS`."""
     who: str
     """User name of the author."""
     when: str
-    """Time of the correction, UTC, ISO 8601."""
+    """Time of the correction in UTC (ISO 8601)."""
     roots: tuple[int, ...] = ()
     """Numbers of the roots to correct. The roots of ``roots.rsml`` are numbered by their position in the file. New
     roots have the following numbers, in order of creation."""
     laterals: bool = False
     """Whether a deletion of roots includes their laterals."""
     runs: tuple[tuple[int, int], ...] = ()
-    """Voxels to correct, as runs (first row, number of rows) in ``shape.npz``."""
+    """Voxels to correct, as runs of rows in ``shape.npz``. A run consists of the first row and the number of rows."""
     box_mm: tuple[Triple, Triple] | None = None
-    """Lowest and highest corner of the box, mm, canister frame."""
+    """Lowest and highest corner of the box in the canister frame, mm."""
     point_mm: Triple | None = None
-    """Position of the correction, mm, canister frame."""
+    """Point at which a root is corrected, in the canister frame, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """Corrections of one result, in the order in which they are applied."""
+    """Corrections of a result, in the order in which they are applied."""
 
     shape_sha256: str
-    """SHA-256 of the result's ``shape.npz``, to which the numbers of voxels and roots refer."""
+    """SHA-256 hash of the result's ``shape.npz``. The numbers of voxels and roots in the log are valid only for this
+    file."""
     edits: tuple[Edit, ...] = ()
 
 
@@ -75,7 +76,10 @@ def edit(do: str, *, roots: Sequence[int] = (), who: str | None = None, **more: 
 
 
 def runs(rows: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """Convert row numbers in ascending order to runs (first row, number of rows)."""
+    """Convert row numbers in ascending order to runs of consecutive rows.
+
+    A run consists of the first row and the number of rows.
+    """
     found: list[tuple[int, int]] = []
     for row in rows:
         if found and row == sum(found[-1]):
@@ -116,7 +120,7 @@ def read(path: Path, result_folder: Path) -> Log:
 
 
 def write(path: Path, log: Log, *, follow: bool = True) -> None:
-    """Write a log to a file atomically, see `scenes.atomic.write_bytes`."""
+    """Write a log to a file atomically, with `scenes.atomic.write_bytes`."""
     listed = [{key: value for key, value in asdict(entry).items() if value not in ((), None, False)} for entry in log.edits]
     text = atomic.json_bytes({"schema_version": SCHEMA_VERSION, "shape_sha256": log.shape_sha256, "edits": listed})
     atomic.write_bytes(path, text, follow=follow)

@@ -1,4 +1,4 @@
-"""Refit corrected roots to the pictures without changing their topology."""
+"""Fit corrected roots to the pictures again. The topology of the roots is not changed."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEPS = 8
-"""Number of steps of the tube fit."""
+"""Number of optimisation steps in the fit of roots to the pictures."""
 
 
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
-    """Create a function that fits roots to the pictures of a dataset, using the coverage stored with the result.
+    """Create a function that fits roots to the pictures of a dataset.
 
-    The function does not change thick roots. The first point of a lateral remains on its parent. The errors below are
-    raised when the function is called.
+    It uses the silhouettes that are stored with the result, and does not change thick roots. The first point of a
+    lateral remains on its parent. The errors below are raised when the function is called.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
 
 
 def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
-    """Convert roots to one tree of tubes for the fit.
+    """Convert all roots to a single tree of tubes that can be fitted to the pictures.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Apply, undo, redo and measure corrections of a result."""
+"""Apply corrections to a result, undo and redo them, and measure the corrected result."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Measured:
     volumes_mm3: Array
     """Volume in each voxel (N,), mm3."""
     solid: Solid
-    """Voxels and sources. The first N voxels are those of ``volumes_mm3``."""
+    """Voxels whose volume is divided among the roots. The first N voxels are those of ``volumes_mm3``."""
 
 
 class Session:
-    """Result with its corrections. Thread-safe.
+    """Result of a reconstruction, to which corrections can be applied. The class is thread-safe.
 
     The volume is divided among the roots on first use of `solid`, at the latest by the first correction. The division
     takes seconds for large plants.
@@ -58,7 +58,7 @@ class Session:
         self.log: Log = logs.new(self.folder)
         self.lock = threading.RLock()
         self.refit = refit
-        """Function that fits roots to the pictures. None: refitting is not available."""
+        """Function that fits roots to the pictures. It is None if refitting is not available."""
         self._states = [states.start(self._undivided, self.roots)]
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
@@ -71,7 +71,7 @@ class Session:
 
     @property
     def solid(self) -> Solid:
-        """Return the voxels with their volume divided among the roots."""
+        """Return the voxels, whose volume is divided among the roots."""
         with self._dividing:
             if self._divided is None:
                 self._divided = Solid.of(self.leaves, self._sources, finest_mm=self._finest_mm)
@@ -125,7 +125,10 @@ class Session:
             return self.state
 
     def last_deleted(self) -> tuple[list[int], NDArray[np.int64]]:
-        """Return the numbers of the roots and the rows of the voxels of the last deletion that are still deleted."""
+        """Return the numbers of the roots and the rows of the voxels in the most recent deletion.
+
+        Restored roots and voxels are omitted, and deletions that were restored completely are skipped.
+        """
         with self.lock:
             now, count = self.state, len(self.state.gone)
             for before, after in zip(self._states[-2::-1], self._states[:0:-1], strict=True):
@@ -155,7 +158,7 @@ class Session:
 
     @property
     def unsaved(self) -> int:
-        """Return the number of corrections that differ from the saved log."""
+        """Return the number of corrections in which the current log and the saved log differ."""
         return sum(a is not b for a, b in zip_longest(self.log.edits, self._saved))
 
     def save(self) -> Path:

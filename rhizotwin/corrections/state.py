@@ -23,23 +23,23 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BRIDGE_MM = 0.3
-"""Maximum spacing of the nodes of a tube that joins two roots, mm."""
+"""Maximum spacing, mm, of the points on a straight tube that joins two roots."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """Root after refitting to the pictures."""
+    """Centre line and diameters of a root after it was fitted to the pictures."""
 
     points_mm: Array
-    """Points of the centre line (N, 3), mm, as many as before the fit."""
+    """Points (N, 3) of the centre line, mm. Their number is the same as before the fit."""
     diameters_mm: Array
     """Diameter at each point (N,), mm."""
     stays: Mask
-    """Whether a point was excluded from the fit (N,)."""
+    """Mask (N,) of the points that were excluded from the fit."""
 
 
 Refit = Callable[[Lines], dict[int, Refitted]]
-"""Type of a function that fits all roots to the pictures and returns them by number."""
+"""Type of a function that fits all roots to the pictures and returns the fitted roots, keyed by number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +47,15 @@ class State:
     """Roots and voxels after corrections."""
 
     lines: Lines
-    """Remaining roots by number."""
+    """Remaining roots, keyed by number."""
     gone: Mask
-    """Whether a voxel was deleted (N,)."""
+    """Mask (N,) of the deleted voxels."""
     removed: Lines
-    """Deleted roots by number, as they were before the deletion."""
+    """Deleted roots as they were before the deletion, keyed by number."""
     next_number: int
-    """Number that the next new root will have."""
+    """Number that will be assigned to the next new root."""
     base_mm: tuple[float, float, float] | None = None
-    """Base of the plant, mm, canister frame. None: not corrected."""
+    """Base of the plant in the canister frame, mm. It is None if it was not corrected."""
 
     @property
     def pieces(self) -> list[Piece]:
@@ -68,12 +68,12 @@ class State:
         return sum(line.length_mm for line in self.lines.values())
 
     def roots(self) -> tuple[Root, ...]:
-        """Convert the remaining lines to roots, sorted with parents before children."""
+        """Convert the remaining lines to roots. Parents are sorted before their children."""
         return roots_of.as_roots(self.lines)
 
 
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
-    """Return the state of a result before corrections, in which root k is source k of the solid."""
+    """Return the state of a result before corrections. Root k consists of source k of ``solid``."""
     lines = roots_of.as_lines(roots)
     return State(lines, np.zeros(len(solid.size), bool), {}, len(lines))
 
@@ -149,7 +149,10 @@ def _point(edit: Edit) -> tuple[float, float, float]:
 
 
 def _inner_arc_length(line: Line, edit: Edit) -> float:
-    """Return the arc length at the correction's point, mm. Raise an error if the point is an end of the root."""
+    """Return the arc length, in mm, of the point at which a root is corrected.
+
+    Raise an error if the point is an end of the root.
+    """
     at, length = line.nearest_mm(_point(edit)), line.length_mm
     if not 1e-6 < at < length - 1e-6:
         raise UserError(f"correction '{edit.do}': the point is an end of root {edit.roots[0]}; choose a point between the two ends")
@@ -188,7 +191,10 @@ def _pad_mask(gone: Mask, solid: Solid) -> Mask:
 
 
 def _delete_voxels(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) -> State:
-    """Delete voxels, and the parts of roots inside these voxels or inside the correction's box."""
+    """Delete voxels and the parts of roots that lie inside them.
+
+    If the correction has a box, the parts of roots inside the box are deleted.
+    """
     gone = _pad_mask(state.gone, solid)
     gone[rows] = True
     now = np.zeros(len(solid.size) + 1, bool)  # the last entry represents points outside all voxels
@@ -205,7 +211,7 @@ def _delete_voxels(state: State, rows: NDArray[np.int64], edit: Edit, solid: Sol
 
 
 def _set_tip(state: State, number: int, edit: Edit) -> State:
-    """Set the tip of a root at a point, and delete the part beyond the point with its laterals."""
+    """Set the tip of a root at a point. The part of the root beyond this point is deleted with its laterals."""
     line = state.lines[number]
     at = line.nearest_mm(_point(edit))
     if at >= line.length_mm - 1e-6:
@@ -217,7 +223,10 @@ def _set_tip(state: State, number: int, edit: Edit) -> State:
 
 
 def _join(state: State, one: int, other: int, solid: Solid) -> State:
-    """Append root ``other`` with its laterals to root ``one``, with a straight tube between both."""
+    """Append root ``other`` with its laterals to root ``one``.
+
+    A gap between the two roots is filled with a straight tube.
+    """
     if one in roots_of.descendants(state.lines, other)[1:]:
         raise UserError(f"root {one} cannot be joined to root {other}, which is its ancestor")
     first, second = state.lines[one], state.lines[other]
@@ -250,7 +259,10 @@ def _join(state: State, one: int, other: int, solid: Solid) -> State:
 
 
 def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
-    """Replace roots by their fitted geometry. Parts that were excluded from the fit keep their volume."""
+    """Replace the centre lines and diameters of roots by the fitted ones.
+
+    Parts that were excluded from the fit keep their volume.
+    """
     changed = {number: root for number, root in found.items() if not root.stays.all()}
     runs = {number: _runs(root.stays) for number, root in changed.items()}
     made = [(number, a, b) for number in changed for a, b, stays in runs[number] if not stays]
@@ -273,7 +285,11 @@ def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) ->
 
 
 def _runs(stays: Mask) -> list[tuple[int, int, bool]]:
-    """Return runs of points (first, last, whether excluded from the fit). Adjacent runs share a point."""
+    """Divide points into runs.
+
+    A run consists of the index of its first point, the index of its last point, and whether it was excluded from the
+    fit. Adjacent runs share a point.
+    """
     held = stays[:-1] & stays[1:]
     edges = [0, *(np.flatnonzero(held[1:] != held[:-1]) + 1).tolist(), len(held)]
     return [(a, b, bool(held[a])) for a, b in pairwise(edges)]

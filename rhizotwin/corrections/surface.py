@@ -1,4 +1,4 @@
-"""Surface mesh of a corrected shape: holes after deletions are closed, and tubes are added for new roots."""
+"""Surface mesh of a corrected shape. Holes that deletions leave are closed, and tubes are added for new roots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 _LOST = 0.5
-"""Maximum fraction of volume that the voxels around a face may lose before the face is removed."""
+"""Maximum fraction of the volume in the voxels around a face that may be deleted without deleting the face."""
 
 
 def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> trimesh.Trimesh:
@@ -41,7 +41,10 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
 
 
 def _faces_to_keep(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
-    """Return which faces (F,) remain, because their voxels kept their volume or because they lie in no voxel."""
+    """Return a mask (F,) of the faces to keep.
+
+    A face is removed if more than `_LOST` of the volume in the voxels around it was deleted.
+    """
     middle = mesh.vertices_mm[mesh.faces].mean(axis=1)
     kept = np.ones(len(middle), bool)
     lost = np.flatnonzero(volumes_mm3 < solid.measured_mm3[: len(volumes_mm3)])
@@ -61,9 +64,10 @@ def _faces_to_keep(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.b
 
 
 def _may_be_inside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
-    """Return which points (N, 3) may lie in cubes with centres (M, 3) and half edges (M,), mm.
+    """Return a mask (N,) of the points (N, 3) that may lie in one of the cubes with the given centres (M, 3).
 
-    The test is conservative, because it is made on a coarse grid.
+    ``reach_mm`` is half the edge length of each cube (M,). Points near a cube may be selected as well, because the test
+    uses a coarse grid.
     """
     cell_mm = 2.0 * float(reach_mm.max())  # then each cell that a cube overlaps contains a corner of the cube
     low = (centre - reach_mm[:, None]).min(axis=0)
@@ -77,7 +81,10 @@ def _may_be_inside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.
 
 
 def _close_holes(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Array, Faces]:
-    """Remove the faces outside ``kept`` and close each hole with triangles between its rim and its centre."""
+    """Remove all faces except ``kept``, and close the holes.
+
+    Each hole is filled with triangles between its boundary and its centroid.
+    """
     rim = np.zeros(len(vertices), bool)
     rim[faces[~kept]] = True
     faces = faces[kept]
@@ -114,6 +121,6 @@ def _close_holes(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tupl
 
 
 def _added_tubes(solid: Solid, state: State) -> list[tuple[Array, Faces]]:
-    """Return vertices and faces of the tubes that corrections added."""
+    """Return the vertices and faces of each tube that corrections added."""
     numbers = sorted({piece.source for piece in state.pieces if piece.source >= solid.given})
     return [tube(*solid.sources[number]) for number in numbers]

@@ -20,33 +20,37 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 STEP_MM = 0.5
-"""Spacing of the sample points on a centre line, mm, about one root diameter."""
+"""Spacing of the sample points on a centre line, mm. It is about one root diameter."""
 KEPT = 0.7
-"""Fraction of the younger plant's points, nearest to the older plant, that are used in the fit. The remaining points
-lie on roots that moved or were traced at one age only."""
+"""Fraction of the younger plant's points that are used in the fit. These are the points nearest to the older plant,
+because the other points may lie on roots that moved or were traced at one age only."""
 MOST_ROUNDS = 60
 """Maximum number of iterations of the registration."""
 STILL_MM = 1e-4
-"""Maximum change of a coordinate in an iteration at which the algorithm has converged, mm."""
+"""Convergence threshold, mm. The registration ends if all coordinates change by less than this value in an
+iteration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aligned:
-    """Registration of an older plant to the frame of the same plant at a younger age."""
+    """Rigid registration of an older plant with the same plant at a younger age."""
 
     younger_from_older: Array
-    """Homogeneous transform (4, 4) from the older to the younger plant's frame, mm."""
+    """Homogeneous transform (4, 4) from the frame of the older plant to the frame of the younger plant, mm."""
     residual_mm: float
-    """Median distance of the younger plant's points from the older plant's centre lines, mm."""
+    """Median distance, mm, between the points of the younger plant and the centre lines of the older plant."""
 
     def of(self, root_mm: Array) -> Array:
-        """Transform points (N, 3) of the older plant to the younger plant's frame, mm."""
+        """Transform points (N, 3) of the older plant to the frame of the younger plant, mm."""
         moved: Array = root_mm @ self.younger_from_older[:3, :3].T + self.younger_from_older[:3, 3]
         return moved
 
 
 def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
-    """Sample points (N, 3) about ``step_mm`` apart along a root, and return them with their unit directions (N, 3)."""
+    """Sample points along a root with a spacing of at most ``step_mm``.
+
+    Return the points (N, 3) and the unit direction of the root at each point (N, 3).
+    """
     way = polyline.arc_length_mm(root.points_mm)
     count = max(2, int(np.ceil(way[-1] / step_mm)) + 1)
     at = np.linspace(0.0, way[-1], count)
@@ -72,9 +76,10 @@ def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
 
 
 def _iterate_closest_points(young: Array, old: Array, tree: cKDTree, begin: Array) -> tuple[Array, float]:
-    """Estimate the rigid motion (4, 4) from ``young`` to ``old`` points, and the median distance of the moved points.
+    """Estimate the rigid motion (4, 4) that maps the points ``young`` onto the points ``old``.
 
-    The iteration starts from the motion ``begin`` (4, 4).
+    It is returned with the median distance between the moved points and the nearest points of ``old``. The iteration
+    starts from the motion ``begin`` (4, 4).
     """
     motion = begin.copy()
     for _ in range(MOST_ROUNDS):

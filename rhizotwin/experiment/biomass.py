@@ -1,8 +1,8 @@
 """Fit models that predict the mass of a plant from a trait.
 
-The logarithm of the mass is a linear function of the logarithm of the trait (`experiment.york`, errors in both
-variables), because plants vary by factors over a fifty-fold range of mass. A model with slope 1 on the volume is a
-density. The model is selected by leave-one-out cross-validation.
+The logarithm of the mass is a linear function of the logarithm of the trait, because plants vary by factors over a
+fifty-fold range of mass. The line is fitted with errors in both variables (`experiment.york`). A model with slope 1 on
+the volume is a density. The model is selected by leave-one-out cross-validation.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ leave-one-out cross-validation needs one more."""
 SHARE = 0.9
 """Coverage probability of the prediction intervals."""
 MIXED = 100.0
-"""Ratio of mass per volume between a plant and the median of all plants (or the inverse ratio) above which the unit of
-the mass is assumed to be wrong. Species differ by less than a factor of ten."""
+"""Maximum factor between the mass per volume of a plant and the median of all plants. If the factor is exceeded, the
+unit of the mass is assumed to be wrong. Species differ by less than a factor of ten."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,13 +41,13 @@ class Relation:
     proportional: bool
     """Whether the slope is fixed at 1."""
     line: Line
-    """Fitted line between the logarithms of trait and mass (g)."""
+    """Fitted line, which gives the logarithm of the mass in g as a function of the logarithm of the trait."""
     least: float
-    """Minimum of the trait among the fitted plants."""
+    """Minimum of the trait among the plants used in the fit."""
     most: float
-    """Maximum of the trait among the fitted plants."""
+    """Maximum of the trait among the plants used in the fit."""
     plants: int
-    """Number of fitted plants."""
+    """Number of plants used in the fit."""
     error: float
     """Root mean square of the relative errors in leave-one-out cross-validation."""
     held: float
@@ -59,7 +59,10 @@ class Relation:
         return f"{self.kind} from {self.trait}" + ("" if self.proportional else f" to the power {self.line.slope:.2f}")
 
     def predict(self, value: float, sigma: float) -> tuple[float, float, float]:
-        """Predict the mass, g, and its 90 % interval from a trait and the standard deviation of its logarithm."""
+        """Predict the mass from a trait, and return it with the lower and the upper end of its 90 % interval, g.
+
+        ``sigma`` is the standard deviation of the trait's logarithm.
+        """
         (middle,), (spread,) = self.line.at(np.array([np.log(value)]), x_sigma=sigma)
         reach = self.line.reach(SHARE) * spread
         return float(np.exp(middle)), float(np.exp(middle - reach)), float(np.exp(middle + reach))
@@ -70,7 +73,7 @@ class Model:
     """Fitted mass model of a species."""
 
     species: str
-    """Name of the species. Empty if unknown."""
+    """Name of the species. It is empty if the species is unknown."""
     relations: tuple[Relation, ...]
     """Selected relation for each kind of mass."""
     tried: tuple[Relation, ...]
@@ -122,7 +125,7 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
 
 
 def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, float]]:
-    """Return the mass per volume of each plant, g/ml (thesis, table 4.1)."""
+    """Return each plant with its mass per volume, g/ml (thesis, table 4.1)."""
     with_both = [(pair, pair.measured.usable("volume")) for pair in found if kind in pair.weighed.grams]
     return [(pair, pair.weighed.grams[kind] / (volume / 1000.0)) for pair, volume in with_both if volume is not None]
 
@@ -206,7 +209,7 @@ def _best(tried: Sequence[Relation]) -> Relation:
 
 
 def _check_units(found: Sequence[Pair]) -> None:
-    """Raise an error if the mass per volume of a plant differs from the median by a factor of `MIXED`."""
+    """Raise an error if the mass per volume of a plant differs from the median by a factor of at least `MIXED`."""
     for kind in KINDS:
         known = ratios(found, kind)
         if len(known) < LEAST_PLANTS:

@@ -1,10 +1,10 @@
 """Growth statistics: relative growth rates, means with intervals, and comparison of treatments.
 
-The logarithm of a trait of plant i on day t follows a linear mixed model (Laird and Ware 1982, Biometrics 38:963): a
-fixed level per day, a fixed effect of the treatment on the mean day and on the daily rate, and a random level and slope
-per plant. The plants are the statistical units, however many times each plant is measured. The t statistic of a
-difference between treatments therefore has (plants - treatments) degrees of freedom (Schluchter and Elashoff 1990,
-Journal of Statistical Computation and Simulation 37:69).
+The logarithm of a trait of plant i on day t follows a linear mixed model (Laird and Ware 1982, Biometrics 38:963). The
+fixed effects are a level per day, the effect of the treatment on the level on the mean day, and its effect on the daily
+rate. The random effects are a level and a slope per plant. The plants are the statistical units, however many times
+each plant is measured. The t statistic of a difference between treatments therefore has (plants - treatments) degrees
+of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69).
 """
 
 import warnings
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 SURE = 0.05
 """Significance level for differences between treatments."""
 ROUNDING = 1e-12
-"""Numerical tolerance below which a difference of logarithms is assumed to be zero."""
+"""Magnitude up to which a difference of logarithms, or its standard error, is regarded as zero."""
 LEAST_PLANTS = 2
 """Minimum number of plants per treatment for a comparison."""
 
@@ -54,7 +54,7 @@ class Point:
     mean: float
     """Mean over the plants."""
     low: float
-    """Lower end of the 90 % interval of the mean, equal to the mean for a single plant."""
+    """Lower end of the 90 % interval of the mean. It is equal to the mean if there is a single plant."""
     high: float
     """Upper end of the 90 % interval of the mean."""
     plants: int
@@ -74,7 +74,7 @@ class Effect:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """90 % interval of the coefficient."""
+        """Lower and upper end of the 90 % interval of the coefficient."""
         reach = float(student.ppf(0.95, self.dof)) * self.error
         return self.value - reach, self.value + reach
 
@@ -82,7 +82,7 @@ class Effect:
     def p(self) -> float:
         """Two-sided p value of the coefficient.
 
-        The p value is 0 or 1 if the standard error is zero.
+        If the standard error is zero, the p value is 1 for a coefficient of zero, and 0 otherwise.
         """
         if self.error <= ROUNDING:
             return 1.0 if abs(self.value) <= ROUNDING else 0.0
@@ -98,17 +98,17 @@ class Difference:
     against: str
     """Name of the reference treatment."""
     size: float
-    """Ratio of the trait between both treatments on the mean day."""
+    """Ratio of the trait in the treatment to the trait in the reference treatment, on the mean day."""
     size_interval: tuple[float, float]
-    """90 % interval of the ratio of the trait between both treatments."""
+    """Lower and upper end of the 90 % interval of the ratio ``size``."""
     size_p: float
-    """p value of the ratio of the trait between both treatments."""
+    """p value of the ratio ``size``."""
     rate_per_day: float
-    """Difference of the relative growth rates, 1/day."""
+    """Difference between the relative growth rates in the treatment and in the reference treatment, 1/day."""
     rate_p: float
-    """p value of the difference of the relative growth rates."""
+    """p value of the difference ``rate_per_day``."""
     plants: int
-    """Number of plants in both treatments."""
+    """Total number of plants in both treatments."""
 
     @property
     def is_significant(self) -> bool:
@@ -117,7 +117,10 @@ class Difference:
 
 
 def means(seen: Sequence[Observation]) -> list[Point]:
-    """Compute the mean of each treatment on each day, with a 90 % interval from the variation among plants."""
+    """Compute the mean of a trait for each treatment and day.
+
+    Its 90 % interval is computed from the variation among plants.
+    """
     points = []
     for treatment, day in sorted({(one.treatment, one.day) for one in seen}):
         values = np.array([one.value for one in seen if (one.treatment, one.day) == (treatment, day)])
@@ -128,9 +131,10 @@ def means(seen: Sequence[Observation]) -> list[Point]:
 
 
 def relative_rates(seen: Sequence[Observation]) -> list[tuple[str, float, float, float]]:
-    """Return relative growth rates between consecutive days as (plant, first day, last day, rate per day).
+    """Return the relative growth rates between consecutive observations of each plant.
 
-    The relative growth rate is the change of the trait's logarithm divided by the time (Hunt 1982).
+    An entry consists of the plant, the first day, the last day and the rate per day. The relative growth rate is the
+    change of the trait's logarithm divided by the time (Hunt 1982).
     """
     rates = []
     for plant in dict.fromkeys(one.plant for one in seen):
@@ -140,12 +144,15 @@ def relative_rates(seen: Sequence[Observation]) -> list[tuple[str, float, float,
 
 
 def _plants(seen: Sequence[Observation]) -> dict[str, set[str]]:
-    """Return the names of the plants of each treatment, sorted by treatment."""
+    """Return the names of the plants in each treatment. Treatments are sorted alphabetically."""
     return {name: {one.plant for one in seen if one.treatment == name} for name in sorted({one.treatment for one in seen})}
 
 
 def too_few(seen: Sequence[Observation]) -> str:
-    """Return the reason why treatments cannot be compared, empty if they can, or if there is a single treatment."""
+    """Return the reason why treatments cannot be compared.
+
+    It is empty if they can be compared, or if there is only one treatment.
+    """
     plants = _plants(seen)
     few = [name for name, own in plants.items() if len(own) < LEAST_PLANTS]
     if len(plants) < 2 or not few:
@@ -220,11 +227,11 @@ def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], 
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
-    """Fit a mixed model and return its fixed effects (P,) and their standard errors (P,).
+    """Fit a mixed model, and return its fixed effects (P,) and their standard errors (P,).
 
-    With one observation per plant, the random level cannot be estimated and ordinary least squares is used. Powell's
-    method is used because the likelihood has no gradient where a variance is zero. Gradient methods stopped early for
-    four of twelve sets of plants.
+    If there is one observation per plant, ordinary least squares is used, because the random level cannot be estimated.
+    Powell's method is used because the likelihood has no gradient where a variance is zero. Gradient methods stopped
+    early for four of twelve sets of plants.
     """
     try:
         import statsmodels.api as models

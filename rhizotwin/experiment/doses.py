@@ -20,11 +20,11 @@ from rhizotwin.scenes.solution import UNIT
 Array = NDArray[np.float64]
 
 MOST_SHARED = 0.9
-"""Maximum squared correlation between the concentrations of two ions that are fitted separately, equivalent to a
-variance inflation factor of 10 (Marquardt 1970, Technometrics 12:591)."""
+"""Maximum squared correlation between the concentrations of two ions whose effects are fitted separately. It is
+equivalent to a variance inflation factor of 10 (Marquardt 1970, Technometrics 12:591)."""
 _SAME = 1e-6
-"""Relative tolerance within which two concentrations are equal. The tolerance exceeds rounding errors in tables, which
-contain seven digits."""
+"""Relative difference up to which two concentrations are regarded as equal. It exceeds the rounding errors of tables,
+which contain seven digits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,29 +34,31 @@ class Response:
     ion: str
     """Name of the ion."""
     with_ions: tuple[str, ...]
-    """Other ions whose concentrations are correlated with this ion's concentration."""
+    """Other ions of the group, whose concentrations are correlated with the concentration of this ion."""
     range_mmol: tuple[float, float]
-    """Minimum and maximum concentration, mmol/l."""
+    """Minimum and maximum concentration of the ion, mmol/l."""
     slope: float
-    """Change of the trait's logarithm on the mean day per concentration, l/mmol."""
+    """Slope of the trait's logarithm on the mean day with respect to the concentration, l/mmol."""
     slope_interval: tuple[float, float]
-    """90 % interval of the slope, l/mmol."""
+    """Lower and upper end of the 90 % interval of the slope, l/mmol."""
     slope_p: float
     """p value of the slope."""
     rate: float
-    """Change of the relative growth rate per concentration, l/mmol/day, zero for a single day."""
+    """Slope of the relative growth rate with respect to the concentration, l/mmol/day. It is zero if there is a single
+    day."""
     rate_p: float
-    """p value of the change of the relative growth rate."""
+    """p value of the slope ``rate``."""
     curvature_p: float | None
-    """p value of the quadratic term. None if there are only two concentrations or too few plants."""
+    """p value of the quadratic term of the concentration. It is None if an ion has only two concentrations, or if there
+    are too few plants."""
     levels: int
-    """Number of different concentrations."""
+    """Number of different concentrations of the ion."""
     plants: int
     """Number of plants."""
 
     @property
     def change(self) -> float:
-        """Ratio of the trait between the highest and the lowest concentration."""
+        """Ratio of the trait at the highest concentration to the trait at the lowest concentration."""
         return exp(self.slope * (self.range_mmol[1] - self.range_mmol[0]))
 
     def sentence(self, trait: str) -> str:
@@ -82,7 +84,9 @@ class Response:
 
 
 def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[str, float]]:
-    """Return the ion concentrations, mmol/l, of each plant whose nutrient solution is known.
+    """Return the ion concentrations in mmol/l, keyed by plant name.
+
+    Plants with an unknown nutrient solution are omitted.
 
     Raises
     ------
@@ -172,7 +176,7 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
 
 
 def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
-    """Compute the partial residuals of fitted dose responses for a plot.
+    """Compute the partial residuals of dose responses. They are plotted together with the fitted responses.
 
     Parameters
     ----------
@@ -199,7 +203,10 @@ def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[s
 
 
 def _curvatures(seen: Sequence[Observation], dose: Array, plants: int) -> list[float | None]:
-    """Return the p value of each group's squared concentration, None if there are too few plants."""
+    """Return the p value of the squared concentration of each group of ions.
+
+    The values are None if there are too few plants.
+    """
     count = dose.shape[1]
     both = np.concatenate([dose, (dose - dose.mean(axis=0)) ** 2], axis=1)
     if plants < 2 * count + 2 or not _are_independent(both):
@@ -208,7 +215,7 @@ def _curvatures(seen: Sequence[Observation], dose: Array, plants: int) -> list[f
 
 
 def _are_independent(columns: Array) -> bool:
-    """Return whether the columns (N, C) and a constant are linearly independent."""
+    """Return whether the columns (N, C) and a constant column are linearly independent."""
     scaled = (columns - columns.mean(axis=0)) / columns.std(axis=0)
     return int(np.linalg.matrix_rank(scaled, tol=_SAME * len(scaled) ** 0.5)) == columns.shape[1]
 

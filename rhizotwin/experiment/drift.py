@@ -19,13 +19,13 @@ from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 
 D2 = 1.128
-"""Mean range of two normally distributed values, in standard deviations."""
+"""Expected absolute difference of two normally distributed values, as a multiple of their standard deviation."""
 SIGMAS = 3.0
-"""Distance of the control limits from the centre line, in standard deviations."""
+"""Distance between the control limits and the centre line, as a multiple of the standard deviation."""
 LEAST_POINTS = 4
 """Minimum number of points for which control limits are computed."""
 PICTURES = 4
-"""Number of pictures of a scan from which the grey level of the panel is measured."""
+"""Maximum number of pictures per scan in which the grey level of the panel is measured."""
 SURE = 0.05
 """Significance level of the test for a trend."""
 
@@ -35,14 +35,16 @@ class RigNumber:
     """Quantity of the rig that every scan measures."""
 
     name: str
-    """Name of the monitored quantity of the rig."""
+    """Identifier of the quantity, which is its key in `BY_NAME`."""
     heading: str
     """Description of the quantity for users, with its unit."""
     effects: Mapping[str, float]
-    """Exponents by trait. If the quantity changes by a factor, the trait changes by this factor to the power of the
-    exponent. Traits without an exponent have no known relation to the quantity."""
+    """Exponents that relate traits to the quantity, keyed by trait name. If the quantity changes by a factor, a trait
+    changes by this factor to the power of its exponent. Traits without an exponent have no known relation to the
+    quantity."""
     is_ratio: bool = False
-    """Whether changes are relative to the mean. Otherwise they are in the unit of the quantity."""
+    """Whether changes of the quantity are given relative to its mean. If not, they are given in the unit of the
+    quantity."""
 
 
 RIG_NUMBERS = (
@@ -68,11 +70,11 @@ RIG_NUMBERS = (
     RigNumber(name="reprojection_px", heading="reprojection error of the markers (px)", effects={}),
     RigNumber(name="attenuation_per_mm", heading="attenuation of the roots (1/mm)", effects={"volume": -1.0}, is_ratio=True),
 )
-"""Quantities of the rig. Measured lengths are proportional to the scale of the pictures, and volumes to its cube. The
-volume of thin translucent roots is inversely proportional to the attenuation, because their opacity is the product of
-attenuation and chord length."""
+"""Monitored quantities of the rig. Measured lengths are proportional to the scale of the pictures, and volumes to its
+cube. The volume of thin translucent roots is inversely proportional to the attenuation, because their opacity is the
+product of attenuation and chord length."""
 BY_NAME = {one.name: one for one in RIG_NUMBERS}
-"""Quantities of the rig by name."""
+"""Monitored quantities of the rig, keyed by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,21 +82,21 @@ class Chart:
     """Individuals control chart of a quantity."""
 
     times: tuple[float, ...]
-    """Times of the points, days, in ascending order."""
+    """Times of the points in ascending order, days."""
     values: tuple[float, ...]
     """Values of the monitored quantity at the times of the points."""
     centre: float
     """Centre line of the chart, which is the mean of the values."""
     sigma: float | None
-    """Standard deviation estimated from the moving range. None if there are too few points."""
+    """Standard deviation estimated from the moving range. It is None if there are too few points."""
     slope_per_day: float
     """Slope of a straight line fitted to all points, per day."""
     slope_p: float
-    """p value of the slope, 1 if there are too few points."""
+    """p value of the slope. It is 1 if there are too few points."""
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """Lower and upper control limit. None if there are too few points."""
+        """Lower and upper control limit. The value is None if there are too few points."""
         return None if self.sigma is None else (self.centre - SIGMAS * self.sigma, self.centre + SIGMAS * self.sigma)
 
     @property
@@ -112,20 +114,20 @@ class Chart:
 
     @property
     def change(self) -> float:
-        """Estimated change during the experiment, zero without a trend and without points outside the control limits.
+        """Estimated change of the quantity during the experiment.
 
-        The change is the maximum of the trend over the whole time and of the distance between the mean and a point
-        outside the control limits.
+        It is the larger of the change along a significant trend and the largest distance between the mean and a point
+        outside the control limits. It is zero if there is neither a trend nor such a point.
         """
         trend = abs(self.slope_per_day) * (self.times[-1] - self.times[0]) if self.has_trend else 0.0
         return max([trend, *(abs(self.values[i] - self.centre) for i in self.outside)])
 
 
 def rig_numbers(summary: Json) -> dict[str, float]:
-    """Return the quantities of the rig that ``result.json`` contains, by the names of `RIG_NUMBERS`.
+    """Return the quantities of the rig that ``result.json`` contains, keyed by the names in `RIG_NUMBERS`.
 
-    If the reconstruction corrected the focal length with the markers or the roots, its uncorrected part is 1. The level
-    of the panel is measured by `panel_level` instead.
+    If the reconstruction corrected the focal length with the markers or the roots, ``focal_left`` is 1. The level of
+    the panel is measured by `panel_level` instead.
     """
     rig: dict[str, Any] = summary.get("rig") or {}
     checks = {str(one.get("name")): one.get("value") for one in summary.get("checks") or [] if isinstance(one, dict)}
@@ -150,8 +152,8 @@ def panel_level(dataset: Dataset) -> float | None:
     """Return the grey level of the panel in the pictures of a scan, as a fraction of full scale.
 
     The level of a picture is the grey value that a quarter of its pixels exceed, as in the exposure check of a scan
-    (`rig.scanning.preflight.measure_exposure`). The median over a few pictures is returned. None if the pictures are
-    silhouettes or cannot be read.
+    (`rig.scanning.preflight.measure_exposure`). The median over a few pictures is returned. It is None if the pictures
+    are silhouettes or cannot be read.
     """
     frames = [frame for frame in dataset.frames if frame.kind == "root"]
     if dataset.masks or not frames:
@@ -182,7 +184,7 @@ def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:
 
 
 def effect_of(chart: Chart, number: RigNumber, trait: str) -> float:
-    """Return the factor by which the drift of a quantity may change a trait, 1 if no effect is known."""
+    """Return the factor by which the drift of a quantity may change a trait. It is 1 if no effect is known."""
     power = number.effects.get(trait, 0.0)
     if not power or not number.is_ratio or chart.centre <= 0.0:
         return 1.0
@@ -190,7 +192,7 @@ def effect_of(chart: Chart, number: RigNumber, trait: str) -> float:
 
 
 def _trend(t: np.ndarray[Any, Any], x: np.ndarray[Any, Any]) -> tuple[float, float]:
-    """Return slope and p value of a straight line fitted to values ``x`` at times ``t``."""
+    """Return the slope and the p value of a straight line that is fitted to values ``x`` at times ``t``."""
     from scipy.stats import linregress
 
     if np.ptp(t) == 0.0 or np.ptp(x) == 0.0:
@@ -200,7 +202,10 @@ def _trend(t: np.ndarray[Any, Any], x: np.ndarray[Any, Any]) -> tuple[float, flo
 
 
 def _tilt_deg(pose: Any) -> float | None:
-    """Return the angle between the z axes of the two frames of a pose, deg, None without a pose."""
+    """Return the angle, in degrees, between the z axes of two frames.
+
+    ``pose`` is the transform between them. The angle is None if the pose is None.
+    """
     if pose is None:
         return None
     return degrees(acos(max(-1.0, min(1.0, float(pose[2][2])))))

@@ -25,23 +25,23 @@ class Growth:
     """Growth of a set of plants over several days."""
 
     plants: Mapping[str, Sequence[Measured]]
-    """Results by name of the plant, sorted by day."""
+    """Results of each plant, sorted by day and keyed by plant name."""
     tracked: Mapping[str, TrackedPlant]
-    """Tracked roots by name of the plant, for plants that were scanned on at least two days."""
+    """Tracked roots, keyed by plant name. Plants whose roots were found on fewer than two days are omitted."""
     seen: Mapping[str, Sequence[Observation]]
-    """Reliable values by name of the trait."""
+    """Reliable values, keyed by trait name."""
     curves: Mapping[str, Sequence[Point]]
-    """Mean of each treatment on each day, by name of the trait."""
+    """Mean of each treatment on each day, keyed by trait name."""
     compared: Mapping[str, Sequence[Difference]]
-    """Differences between treatments, by name of the trait."""
+    """Differences between treatments, keyed by trait name."""
     doses: Mapping[str, Mapping[str, float]]
-    """Ion concentrations of the plants with a known nutrient solution, mmol/l, by name of the plant."""
+    """Ion concentrations in mmol/l, keyed by plant name. Plants with an unknown nutrient solution are omitted."""
     responses: Mapping[str, Sequence[Response]]
-    """Dose responses to the ions whose concentrations differ between plants, by name of the trait."""
+    """Dose responses, keyed by trait name. They are fitted for the ions whose concentrations differ between plants."""
     notes: tuple[str, ...]
     """Sentences about excluded values and plants."""
     drift: Mapping[str, Chart] = field(default_factory=dict)
-    """Control charts of the rig during the experiment, by the names of `drift.RIG_NUMBERS`."""
+    """Control charts of the rig during the experiment, keyed by the names in `drift.RIG_NUMBERS`."""
 
 
 def measure(found: Sequence[Measured]) -> Growth:
@@ -98,7 +98,10 @@ def measure(found: Sequence[Measured]) -> Growth:
 
 
 def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
-    """Return the control charts of the rig by date, or by day of the plants if a scan has no date."""
+    """Return the control charts of the rig.
+
+    The time of a point is the date of its scan, or the day of the plant if a scan has no date.
+    """
     scans = {one.folder: one.subject for one in found if one.folder is not None}
     dated = all(whose.date for whose in scans.values())
     points: dict[str, list[tuple[float, float]]] = {}
@@ -119,7 +122,10 @@ def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Observat
 
 
 def _check_strips(plant: str, days: Sequence[Measured]) -> None:
-    """Raise an error if scans of a plant were made with different marker strips, because their frames are unrelated."""
+    """Raise an error if scans of a plant were made with different marker strips.
+
+    The frames of different strips are unrelated.
+    """
     strips = []
     for one in days:
         if one.folder is not None:
@@ -133,7 +139,7 @@ def _check_strips(plant: str, days: Sequence[Measured]) -> None:
 
 
 def _track(days: Sequence[Measured]) -> TrackedPlant | None:
-    """Track the roots of a plant. Return None if roots were found on fewer than two days."""
+    """Track the roots of a plant over time. Return None if roots were found on fewer than two days."""
     known = []
     for one in days:
         file = None if one.folder is None else one.folder / "roots.rsml"
@@ -146,9 +152,9 @@ def _track(days: Sequence[Measured]) -> TrackedPlant | None:
 
 
 def neighbours_csv(growth: Growth) -> str:
-    """Return a CSV table of the distances and overlaps between plants in the same canister, by day.
+    """Return a CSV table of the distances and overlaps between plants in the same canister on each day.
 
-    The table only contains scans with reliable lengths, and is empty if there are none.
+    Only scans with reliable lengths are included, and the table is empty if there are none.
     """
     scans: dict[Path, list[Measured]] = {}
     for one in (one for own in growth.plants.values() for one in own):
@@ -160,7 +166,7 @@ def neighbours_csv(growth: Growth) -> str:
 
 
 def write(growth: Growth, folder: Path) -> None:
-    """Write the tables of growth, and RSML files with times, to a folder."""
+    """Write the tables of growth to a folder, and write the roots of each day to RSML files."""
     for name, text in (("traits", traits_csv(growth)), ("roots", roots_csv(growth)), ("treatments", treatments_csv(growth))):
         atomic.write_text(folder / f"{name}.csv", text)
     if growth.responses:
@@ -171,9 +177,10 @@ def write(growth: Growth, folder: Path) -> None:
 
 
 def traits_csv(growth: Growth) -> str:
-    """Return a CSV table with one row per plant, day and trait: value, 90 % interval, verdict and relative growth rate.
+    """Return a CSV table with one row per plant, day and trait.
 
-    The growth rate is computed from the preceding day with a reliable value.
+    It contains the value, its 90 % interval, its verdict, and the relative growth rate since the preceding day with a
+    reliable value.
     """
     dissolved = solution.headings(list(growth.doses.values()))
     head = ["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "reasons", "relative_growth_rate_per_day"]
@@ -214,7 +221,10 @@ def roots_csv(growth: Growth) -> str:
 
 
 def treatments_csv(growth: Growth) -> str:
-    """Return a CSV table of differences from the reference treatment with one row per trait and treatment."""
+    """Return a CSV table of the differences between each treatment and the reference treatment.
+
+    It has one row per trait and treatment.
+    """
     head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate_per_day", "rate_p", "plants", "significant"]
     rows: list[Sequence[str]] = [head]
     for trait, compared in growth.compared.items():
@@ -246,7 +256,7 @@ def doses_csv(growth: Growth) -> str:
 
 
 def write_rsml(growth: Growth, folder: Path) -> list[Path]:
-    """Write the roots of each plant and day to RSML files with times, and return the paths of the files.
+    """Write the roots of each plant and day to an RSML file that contains the day, and return the paths of the files.
 
     A root has the same id on all days. Coordinates are in the canister frame of the first day.
     """

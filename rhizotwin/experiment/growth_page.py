@@ -39,7 +39,10 @@ def draw(growth: Growth) -> bytes:
 
 
 def draw_responses(growth: Growth) -> bytes:
-    """Draw the dose responses with one row per group of ions and one dot per plant, and return the figure as PNG."""
+    """Draw the dose responses, and return the figure as PNG.
+
+    The figure has one row per group of ions and one dot per plant.
+    """
     many = max(len(one) for one in growth.responses.values())
     drawn = figure(4.2 * len(growth.responses), 3.6 * many)
     grid = drawn.subplots(many, len(growth.responses), squeeze=False)

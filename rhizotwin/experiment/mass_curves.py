@@ -36,10 +36,13 @@ class Masses:
     treatment: str
     """Name of the treatment."""
     grams: Mapping[str, float]
-    """Masses, g, by kind, such as ``root_fresh``."""
+    """Masses in g, keyed by kind of mass, such as ``root_fresh``."""
 
     def value(self, part: str, quantity: str) -> float | None:
-        """Return a quantity (key of `QUANTITIES`) of a part of the plant, None if a required mass is unknown."""
+        """Return a quantity of a part of the plant.
+
+        ``quantity`` is a key of `QUANTITIES`, and the value is None if a required mass is unknown.
+        """
         if quantity == "water":
             fresh, dry = self.value(part, "fresh"), self.value(part, "dry")
             return None if fresh is None or dry is None else 100.0 * (1.0 - dry / fresh)
@@ -50,7 +53,7 @@ class Masses:
 
 
 Curves = Mapping[tuple[str, str], Sequence[Point]]
-"""Type of the mean curves by part and quantity."""
+"""Type of the mean curves, keyed by part and quantity."""
 
 
 def is_of_masses(path: Path) -> bool:
@@ -62,7 +65,7 @@ def is_of_masses(path: Path) -> bool:
 
 
 def read(paths: Sequence[Path]) -> list[Masses]:
-    """Read tables of masses and return one entry per plant and day.
+    """Read tables of masses, and return one entry per plant and day.
 
     Raises
     ------
@@ -109,7 +112,10 @@ def to_csv(curves: Curves) -> str:
 
 
 def draw(curves: Curves) -> bytes:
-    """Draw fresh mass, dry mass and water content against time as in figure 4.1 of the thesis, as PNG."""
+    """Draw fresh mass, dry mass and water content against time, and return the figure as PNG.
+
+    The style is that of figure 4.1 of the thesis.
+    """
     colours, marks = dict(zip(PARTS, ("#8c510a", "#1b7837", "#333333"), strict=True)), "osD^v"
     shown = [quantity for quantity in QUANTITIES if any(key[1] == quantity for key in curves)]
     drawn = figure(4.2 * len(shown), 3.6)

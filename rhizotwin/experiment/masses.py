@@ -22,7 +22,7 @@ KINDS = tuple(f"{organ}_{state}" for organ in ORGANS for state in STATES)
 BALANCE_G = 1e-4
 """Readability of the laboratory balance of the thesis, g."""
 GRAMS = {"g": 1.0, "mg": 1e-3, "kg": 1e3}
-"""Size of each supported unit of mass, g."""
+"""Supported units of mass, with their sizes in g."""
 _COLUMN = re.compile(rf"({'|'.join(ORGANS)})_(fresh|dry|foil_scraped|foil)_(\w+)")
 
 
@@ -35,13 +35,13 @@ class Weighed:
     subject: Subject
     """Plant, day and treatment."""
     grams: Mapping[str, float]
-    """Weighed masses including foil residues, g, by kind (`KINDS`)."""
+    """Masses including the residues on the foil, in g, keyed by the names in `KINDS`."""
     residue_g: Mapping[str, float]
-    """Foil residues that were added to the dry masses, g, by kind."""
+    """Residues on the foil that were added to the dry masses, in g, keyed by the names in `KINDS`."""
 
 
 def has_masses(head: Collection[str]) -> bool:
-    """Return whether column names are those of a table of masses."""
+    """Return whether the column names belong to a table of masses."""
     return any((match := _COLUMN.fullmatch(column)) is not None and f"{match[1]}_{match[2]}" in KINDS for column in head)
 
 
@@ -73,7 +73,7 @@ def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
 
 
 def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Return the name of the column and its unit in grams for each kind of mass."""
+    """Return the column name, and the size of its unit in g, for each kind of mass."""
     if "plant" not in head:
         raise UserError(f"{path}: the column 'plant' is missing; add it with the plant names used in the datasets")
     found: dict[str, tuple[str, float]] = {}
@@ -122,7 +122,7 @@ def _read_row(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance
 
 
 def _residue(row: tables.Row, organ: str, grams: Mapping[str, float], balance_g: float) -> float | None:
-    """Return the residue on the foil after scraping, g, None if the foil was not weighed."""
+    """Return the mass of the residue on the foil after scraping, g. It is None if the foil was not weighed."""
     empty, scraped, dry = (grams.get(f"{organ}_{what}") for what in ("foil", "foil_scraped", "dry"))
     if empty is None or scraped is None or dry is None:
         return None

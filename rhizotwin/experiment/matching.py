@@ -1,6 +1,6 @@
-"""Track roots over time: identity across days, day of emergence and growth.
+"""Track roots over time, and determine their day of emergence and their growth.
 
-A root is recognised by its centre line, because the older root includes the younger root's centre line. The score of a
+The centre line of a root includes its centre line on an earlier day, by which the root is recognised. The score of a
 pair of a known root and a root of the current day is the length of the known centre line that lies on the current root.
 Pairs are assigned so that the sum of scores is maximal (DynamicRoots, Symonova et al. 2015, matches overlapping voxels
 in a similar way). Unmatched roots are new.
@@ -22,15 +22,17 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 LEAST_SHARE = 0.5
-"""Minimum fraction of a known root's length that must lie on a root of the current day for a match."""
+"""Minimum fraction of the length of an earlier root that must lie on a root of the current day for the two to be
+matched."""
 RESIDUALS = 4.0
-"""Tolerance within which a point lies on a root, in units of the median residual of the alignment."""
+"""Maximum distance between a point and a root on which it lies, as a multiple of the median residual of the
+alignment."""
 LEAST_ON_MM = 0.5
-"""Minimum tolerance within which a point lies on a root, mm: diameter of a fine root plus tracing error, about one
-voxel each."""
+"""Lower limit, mm, of the maximum distance between a point and a root on which it lies. It is the sum of the diameter
+of a fine root and the tracing error, which are about one voxel each."""
 LEAST_COSINE = 0.7
-"""Minimum absolute cosine of the angle between the directions of matching points (45 degrees), which distinguishes
-crossing roots."""
+"""Minimum absolute cosine of the angle between two centre lines at matching points, equivalent to an angle of 45
+degrees. It prevents matches between crossing roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +47,7 @@ class Day:
 
 @dataclass(frozen=True, kw_only=True)
 class RootState:
-    """Length and diameter of a root on one day, with its geometry in the frame of the first day."""
+    """Geometry of a root on one day in the frame of the first day, with its length and mean diameter."""
 
     day: float
     """Day of the experiment."""
@@ -54,7 +56,8 @@ class RootState:
     length_mm: float
     """Length of the centre line, mm."""
     diameter_mm: float
-    """Mean diameter, mm, over the root's length at its first observation, so that changes are due to radial growth."""
+    """Mean diameter, mm, of the part of the root that existed at its first observation. Changes of this diameter are
+    due to radial growth."""
 
 
 @dataclass
@@ -62,26 +65,31 @@ class Track:
     """Root tracked over time."""
 
     name: str
-    """Name of the root, equal on all days."""
+    """Name of the root, which is the same on all days."""
     parent: str
-    """Name of the parent root, empty for a root without a parent."""
+    """Name of the parent root. It is empty if the root has no parent."""
     order: int
-    """Order of the root, 0 for a root without a parent."""
+    """Branching order of the root. It is 0 if the root has no parent."""
     states: list[RootState] = field(default_factory=list)
-    """Observations of the root, sorted by day."""
+    """Observations of the root in chronological order."""
     absent_day: float = 0.0
-    """Last day before the root appeared, zero if the root was present on the first day."""
+    """Day of the last scan before the root appeared. It is zero if the root was present in the first scan."""
 
     @property
     def rates_mm_per_day(self) -> list[tuple[float, float, float]]:
-        """Elongation rates between consecutive observations as (first day, last day, rate in mm/day)."""
+        """Elongation rates between consecutive observations.
+
+        An entry consists of the first day, the last day and the rate in mm/day.
+        """
         return [(a.day, b.day, (b.length_mm - a.length_mm) / (b.day - a.day)) for a, b in pairwise(self.states)]
 
     @property
     def emergence_day(self) -> float:
-        """Day of emergence, extrapolated to length zero with the first elongation rate.
+        """Day of emergence.
 
-        The day lies between the last day without the root and the first day with the root.
+        It is extrapolated to a length of zero with the first elongation rate. The day lies between the last scan
+        without the root and the first scan with the root, and is the middle of both if there is no positive elongation
+        rate.
         """
         first = self.states[0]
         rate = self.rates_mm_per_day[0][2] if len(self.states) > 1 else 0.0
@@ -94,13 +102,13 @@ class TrackedPlant:
     """Plant whose roots were tracked over several days."""
 
     days: tuple[Day, ...]
-    """Roots of each day, in the frame of the first day."""
+    """Roots on each day, in the frame of the first day."""
     names: tuple[tuple[str, ...], ...]
-    """Names of the roots of each day, in the order of ``Day.roots``."""
+    """Names of the roots on each day, in the same order as ``Day.roots``."""
     tracks: tuple[Track, ...]
     """All roots of the plant over time."""
     residual_mm: tuple[float, ...]
-    """Residual of the alignment with the preceding days, mm, one value per day after the first."""
+    """Residual of the alignment of each day after the first with the preceding days, mm."""
 
 
 def track_roots(days: Sequence[Day]) -> TrackedPlant:
@@ -141,14 +149,14 @@ def track_roots(days: Sequence[Day]) -> TrackedPlant:
 
 @dataclass(frozen=True)
 class _Points:
-    """Sample points on the centre lines of all roots of a day."""
+    """Sample points on the centre lines of all roots found on one day."""
 
     points: Array
     """Sample points (N, 3), mm."""
     along: Array
-    """Unit direction of the centre line at each point (N, 3)."""
+    """Unit vector (N, 3) along the centre line at each point."""
     owner: NDArray[np.int64]
-    """Index of each point's root (N,)."""
+    """Index (N,) of the root on which each point lies."""
 
     @classmethod
     def of(cls, roots: Sequence[Root]) -> "_Points":
@@ -162,7 +170,10 @@ def _align_day(day: Day, aligned: Aligned) -> Day:
 
 
 def _match_roots(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[int, int]:
-    """Match the roots of two days, and return the index of the known root by index of the current root."""
+    """Match the roots of two days.
+
+    Return the index of the earlier root, keyed by the index of the root of the current day.
+    """
     if not known:
         return {}
     mine, theirs = _Points.of(known), _Points.of(today)
@@ -183,13 +194,16 @@ def _match_roots(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> 
 
 
 def _new_name(tracks: dict[str, Track], parent: str) -> str:
-    """Return the name of a new root: the parent's name and the number of the lateral in order of appearance."""
+    """Return the name of a new root.
+
+    It consists of the parent's name and the number of the lateral in order of appearance.
+    """
     count = sum(track.parent == parent for track in tracks.values())
     return f"{parent}.{count + 1}" if parent else str(count + 1)
 
 
 def _basal_diameter_mm(root: Root, first_mm: float) -> float:
-    """Return the mean diameter, mm, from the base to the distance ``first_mm``."""
+    """Return the mean diameter of a root, mm, over the distance ``first_mm`` from its base."""
     step = polyline.steps_mm(root.points_mm)
     way = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, min(first_mm, float(way[-1])), 20)

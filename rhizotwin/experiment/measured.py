@@ -35,25 +35,28 @@ class Measured:
     subject: Subject
     """Plant, day, species and treatment."""
     traits: Mapping[str, float]
-    """Measured traits by their names in tables, in the units of `scenes.trait_table`."""
+    """Measured traits, keyed by trait name as in tables. Units are those of `scenes.trait_table`."""
     assessed: Mapping[str, Assessment] = field(default_factory=dict)
-    """Assessments of the traits by their names in tables. A trait without an entry is not assessed."""
+    """Assessments of the traits, keyed by trait name as in tables. A trait without an entry is not assessed."""
     ions: Mapping[str, float] = field(default_factory=dict)
-    """Ion concentrations of the nutrient solution, mmol/l, empty if unknown."""
+    """Ion concentrations of the nutrient solution in mmol/l, keyed by ion. The mapping is empty if they are unknown."""
     folder: Path | None = None
-    """Result folder. None if the traits were read from a table."""
+    """Result folder. It is None if the traits were read from a table."""
 
     def assessment(self, trait: str) -> Assessment:
         """Return the assessment of a trait: reliability and 90 % interval."""
         return self.assessed.get(trait, NOT_ASSESSED)
 
     def usable(self, trait: str) -> float | None:
-        """Return the value of a trait, None if the value is not positive or is marked as not reliable."""
+        """Return the value of a trait. It is None if the value is not positive or is marked as not reliable."""
         value = self.traits.get(trait, 0.0)
         return value if value > 0.0 and self.assessment(trait).verdict != "not reliable" else None
 
     def log_sigma(self, trait: str) -> float:
-        """Return the standard deviation of a trait's logarithm from its 90 % interval, zero without an interval."""
+        """Return the standard deviation of a trait's logarithm, computed from its 90 % interval.
+
+        It is zero if there is no interval.
+        """
         low, high = self.assessment(trait).interval or (0.0, 0.0)
         return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0
 
@@ -116,7 +119,7 @@ def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
 
 
 def one_species(found: Sequence[Measured]) -> str:
-    """Return the species of all results, empty if unknown.
+    """Return the species of all results. It is empty if the species is unknown.
 
     Raises
     ------
@@ -152,7 +155,10 @@ def _read_folder(folder: Path) -> list[Measured]:
 
 
 def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
-    """Return one sentence per trait with the number of excluded unreliable values and the reasons."""
+    """Return a sentence for each trait that has unreliable values.
+
+    It states the number of excluded values and the reasons.
+    """
     sentences = []
     for trait in traits:
         known = [one for one in found if one.traits.get(trait, 0.0) > 0.0]
@@ -198,7 +204,10 @@ def _split(column: str) -> tuple[str, str]:
 
 
 def _ions(row: tables.Row) -> dict[str, float]:
-    """Return the ion concentrations in a row, mmol/l, by name of the ion, empty if there are none."""
+    """Return the ion concentrations in a row of a table in mmol/l, keyed by ion.
+
+    The dictionary is empty if there are none.
+    """
     headings = {ion: f"{ion} ({solution.UNIT})" for ion in solution.IONS}
     found = {ion: value for ion, heading in headings.items() if (value := tables.number(row, heading)) is not None}
     if low := [ion for ion, value in found.items() if value < 0.0]:
@@ -207,9 +216,9 @@ def _ions(row: tables.Row) -> dict[str, float]:
 
 
 def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
-    """Read interval and verdict of a trait.
+    """Read the interval and the verdict of a trait.
 
-    The column ``trusted`` (yes or no) is the verdict on the volume in earlier versions.
+    In tables of earlier versions, the verdict on the volume is the column ``trusted`` (yes or no).
     """
     columns = [f"{column}_verdict" for column, own in trait_table.column_names().items() if own == name]
     word = next((row.cells[column] for column in columns if row.cells.get(column)), "")

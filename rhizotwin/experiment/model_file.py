@@ -38,7 +38,7 @@ class Predicted:
 
     @property
     def beyond(self) -> bool:
-        """Whether the trait lies outside the range of the fitted plants."""
+        """Whether the trait lies outside the range of the plants used in the fit."""
         return not self.relation.least <= self.measured.traits[self.relation.trait] <= self.relation.most
 
 
@@ -71,7 +71,7 @@ def load_model(path: Path) -> Model:
 
 
 def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
-    """Predict the masses of all results in which the traits of the model were measured."""
+    """Predict the masses of all plants whose results contain the traits of the model."""
     found = []
     for one in measured:
         for relation in applicable_relations(model, one):
@@ -81,7 +81,10 @@ def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
 
 
 def to_csv(found: Sequence[Predicted]) -> str:
-    """Return a CSV table with one row per predicted mass: plant, mass with its 90 % interval, and reliability."""
+    """Return a CSV table with one row per predicted mass.
+
+    It contains the plant, the mass with its 90 % interval, and the reliability.
+    """
     dissolved = solution.headings([one.measured.ions for one in found])
     rows: list[list[str]] = [
         ["result", *subject.NAMES, *dissolved.values(), "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]

@@ -1,8 +1,8 @@
-"""Measure copper wires of known cross-section as a phantom to find out which root diameters a rig can measure.
+"""Measure a phantom of copper wires with known cross-sections.
 
-The upper end of a wire is hidden by its holder. The wire's volume is therefore divided by its visible length, and the
-resulting cross-section is compared with the known cross-section. The cross-section of a real wire is computed from the
-mass of a measured length and the density of copper.
+It shows which root diameters a rig can measure. The upper end of a wire is hidden by its holder. The wire's volume is
+therefore divided by its visible length, and the resulting cross-section is compared with the known cross-section. The
+cross-section of a real wire is computed from the mass of a measured length and the density of copper.
 """
 
 from collections.abc import Sequence
@@ -18,58 +18,59 @@ from rhizotwin.scenes.series import tube_mm3
 COPPER_MG_PER_MM3 = 8.96
 """Density of copper at 20 degrees Celsius, mg/mm3 (CRC Handbook of Chemistry and Physics)."""
 TOLERANCE = 0.03
-"""Maximum relative error of the cross-section of a wire that was measured successfully."""
+"""Maximum relative error of the measured cross-section at which a wire counts as measured successfully."""
 LEAST_MM = 10.0
-"""Minimum detected length of a wire that was measured successfully, mm. Errors at the ends dominate shorter lengths."""
+"""Minimum detected length, mm, at which a wire counts as measured successfully. Errors at the ends dominate shorter
+lengths."""
 NEAREST = 1.35
-"""Maximum ratio between the diameters of a root and the wire to which the root is assigned, or its inverse. For wires
-whose diameters double, the midpoint between two wires is at a ratio of 1.41."""
+"""Maximum factor between the diameter of a centre line and the diameter of the wire to which it is assigned. For wires
+whose diameters double, the midpoint between two wires is at a factor of 1.41."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wire:
-    """Measured length and volume of a wire."""
+    """Measured length and volume of a wire in the phantom."""
 
     diameter_mm: float
     """Known diameter of the wire, mm."""
     length_mm: float
     """Detected length of the wire, mm."""
     volume_mm3: float
-    """Volume of the detected length, computed from centre line and diameters, mm3."""
+    """Measured volume of the detected part of the wire, computed from its centre line and diameters, mm3."""
 
     @property
     def true_mm3(self) -> float:
-        """True volume of the detected length, computed from the known diameter, mm3."""
+        """True volume of the detected part of the wire, computed from the known diameter, mm3."""
         return pi / 4.0 * self.diameter_mm**2 * self.length_mm
 
     @property
     def error(self) -> float:
-        """Relative error of the cross-section, zero if the wire was not detected."""
+        """Relative error of the measured cross-section. It is zero if the wire was not detected."""
         return self.volume_mm3 / self.true_mm3 - 1.0 if self.length_mm > 0.0 else 0.0
 
     @property
     def is_measured(self) -> bool:
-        """Whether the wire was measured successfully, so that roots of its diameter can be measured."""
+        """Whether the wire was measured successfully. Roots of the same diameter can then be measured as well."""
         return self.length_mm >= LEAST_MM and abs(self.error) <= TOLERANCE
 
     @property
     def verdict(self) -> str:
-        """Text that states whether the wire was measured successfully, with the reason if it was not."""
+        """Text that states whether the wire was measured successfully, and the reason if it was not."""
         if self.length_mm < LEAST_MM:
             return f"not measurable: less than {LEAST_MM:g} mm of the wire were detected"
         return f"{'measured' if self.is_measured else 'not measurable'} within {100.0 * TOLERANCE:g} %"
 
 
 def diameter_of(mg_per_m: float) -> float:
-    """Return the diameter of a round copper wire, mm, from its mass per metre, mg/m."""
+    """Return the diameter of a round copper wire in mm. ``mg_per_m`` is its mass per metre in mg/m."""
     return float((4.0 / pi * mg_per_m / 1000.0 / COPPER_MG_PER_MM3) ** 0.5)
 
 
 def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
-    """Measure each wire in a scan of the phantom from the centre lines of the result.
+    """Measure the wires in a scan of the phantom.
 
-    Each centre line is assigned to the wire with the most similar diameter. Centre lines whose diameter differs from
-    all wires by more than the factor `NEAREST` are ignored.
+    Each centre line of the result is assigned to the wire with the most similar diameter. Centre lines whose diameter
+    differs from all wires by more than the factor `NEAREST` are ignored.
 
     Parameters
     ----------
