@@ -37,11 +37,11 @@ class ShootScore:
     leaves_true: int
     """True number of leaves."""
     projected_error: float
-    """Median relative error of the projected area over the pictures."""
+    """Relative error of the projected area of the shoot, as the median over the pictures."""
     projected_error_max: float
-    """Maximum absolute value of the relative error of the projected area."""
+    """Relative error of the projected area of the shoot, as the maximum absolute value over the pictures."""
     hull_mm3: float
-    """Volume of the shoot's hull, mm3."""
+    """Volume of the visual hull of the shoot, mm3."""
     volume_mm3: float | None
     """Volume of the shoot, mm3. None if the leaf thickness was not measured."""
     volume_true_mm3: float
@@ -49,7 +49,8 @@ class ShootScore:
     volume_error: float | None
     """Relative error of the volume. None if the volume is unknown."""
     colour: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """NDVI and NDRE as (found, true). Empty if the shoot was imaged in a single band."""
+    """Found and true values of the vegetation indices NDVI and NDRE, keyed by index name. It is empty if the shoot was
+    imaged in a single band."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows (name, text) of the score's text table."""
@@ -82,7 +83,7 @@ class ShootScore:
 
 
 def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) -> ShootScore | None:
-    """Compare a shoot with the ``truth`` folder of a dataset. None if the result or the truth has no shoot."""
+    """Compare a shoot with the ``truth`` folder of a dataset. Return None if the result or the truth has no shoot."""
     if found is None or not truth:
         return None
     half_mm2 = 0.5 * float(result_files.read_mesh(folder / "shoot.ply").areas_mm2.sum())
