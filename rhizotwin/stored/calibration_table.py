@@ -63,7 +63,10 @@ def rows(rig: Json) -> list[Row]:
 
 
 def reprojection(rig: Json) -> list[tuple[str, float, float, str]]:
-    """Return the residuals before and after calibration as (name, before, after, unit)."""
+    """Return the residuals of the calibration.
+
+    Each has a name, a value before calibration, a value after calibration, and a unit.
+    """
     edges, roots = rig.get("canister_edges"), rig.get("roots")
     found = []
     if rig.get("reprojection_before_px") is not None and rig.get("reprojection_after_px") is not None:
