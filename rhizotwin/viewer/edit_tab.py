@@ -40,7 +40,7 @@ class _Button:
     hint: str = ""
     """Tooltip of the button."""
     red: bool = False
-    """Whether the button is red, because it deletes something."""
+    """Whether the button is red. Buttons that delete something are red."""
     key: Literal["delete", "escape", "Z", "Y", "S"] | None = None
     """Key of the keyboard shortcut."""
     modifier: Literal["cmd/ctrl"] | None = None
