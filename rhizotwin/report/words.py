@@ -126,7 +126,7 @@ def _with_unit(definition: Definition, value: float | int | None, half: float | 
 
 
 def _number(definition: Definition, value: float, half: float | None) -> str:
-    """Format a value of a trait in the unit that reports use.
+    """Format a value of a trait in the unit that is used in reports.
 
     Parameters
     ----------

@@ -66,19 +66,19 @@ class Score(VolumeScore):
     surface: SurfaceScore
     """Distances between the surface of the result and the true surface."""
     poses: PoseScore | None
-    """Errors of the camera poses. None if no view was used."""
+    """Errors of the camera poses. It is None if no view was used."""
     rig: tuple[RigError, ...]
     """Errors of the calibrated rig parameters. Parameters whose true values are unknown are omitted."""
     masks: MaskScore | None
-    """Errors of the silhouettes. None if the result contains no silhouettes."""
+    """Errors of the silhouettes. It is None if the result contains no silhouettes."""
     hull: HullScore
     """Agreement of the visual hull with the true solid."""
     roots: RootScore | None
-    """Agreement of the centre lines with the true centre lines. None if the truth or the result has no roots."""
+    """Agreement of the centre lines with the true centre lines. It is None if the truth or the result has no roots."""
     plants: tuple[PlantScore, ...]
-    """Scores of the plants if the canister contains several. Empty for a single plant."""
+    """Scores of the plants, if the canister contains several. The tuple is empty for a single plant."""
     shoot: ShootScore | None
-    """Agreement of the shoot with the true shoot. None if the truth or the result has no shoot."""
+    """Agreement of the shoot with the true shoot. It is None if the truth or the result has no shoot."""
     traits: dict[str, TraitScore]
     """Errors of the traits, keyed by trait name (see `scenes.trait_table`)."""
     blind_mm3: float
@@ -86,7 +86,7 @@ class Score(VolumeScore):
     timings_s: dict[str, float]
     """Duration of each stage of the reconstruction, s."""
     peak_memory_mib: float | None
-    """Maximum memory of the reconstruction, MiB. None if unknown."""
+    """Maximum memory of the reconstruction, MiB. It is None if the memory was not measured."""
     warnings: tuple[str, ...]
     """Warnings of the reconstruction."""
 

@@ -71,8 +71,8 @@ class StatedScore:
     """Whether the interval contains the true value. It is None if there is no interval."""
     interval_score: float | None = None
     """Interval score of the 90 % interval (Gneiting and Raftery 2007), divided by the true value. It is the width of
-    the interval, plus a penalty if the interval does not contain the true value. A small score is good. It is None if
-    there is no interval."""
+    the interval, plus a penalty if the interval does not contain the true value. A smaller score is better. It is None
+    if there is no interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,11 +95,11 @@ class FileScore:
     """Intersection over union of the volumes. It is exact for a mesh that bounds a solid. For other closed meshes and
     for voxel arrays it is computed from voxels. Otherwise it is None."""
     surface: SurfaceScore | None = None
-    """Distances between the surface of the output and the true surface. None if the output has no surface."""
+    """Distances between the surface of the output and the true surface. It is None if the output has no surface."""
     roots: RootScore | None = None
-    """Agreement of the centre lines with the true centre lines. None if the output has no centre lines."""
+    """Agreement of the centre lines with the true centre lines. It is None if the output has no centre lines."""
     topology: TopologyScore | None = None
-    """Agreement of the branching with the true branching. None if the output has no centre lines."""
+    """Agreement of the branching with the true branching. It is None if the output has no centre lines."""
     traits: dict[str, StatedScore]
     """Errors of the traits, keyed by trait name."""
     notes: tuple[str, ...] = ()

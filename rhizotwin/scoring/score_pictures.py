@@ -28,8 +28,8 @@ from rhizotwin.scoring.score_solid import table_of
 from rhizotwin.stored.load import load_result
 
 NEAR_PX = 2.0
-"""Maximum distance of a matched centre line from a root in the silhouette with which it is compared, px. Blur widens a
-root by this distance on either side."""
+"""Maximum distance, in pixels, at which a point of a centre line matches a root. Centre lines of the pictures are
+matched with projected roots, and vice versa. Blur widens a root by this distance on either side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +166,8 @@ class Compared:
     edges_px: NDArray[np.float32]
     """Distances (N,) between the outlines, px, measured at points on both outlines."""
     lines_px: NDArray[np.float32]
-    """Distances (N,) between the centre lines, px. They are measured at those points of a centre line that lie near a
-    root in the silhouette with which it is compared."""
+    """Distances (N,) between the centre lines, px. Points of a centre line that match no root are excluded (see
+    `NEAR_PX`)."""
     explained: tuple[float, float]
     """Length of the picture's centre lines that lie near the projected result, and total length of the picture's centre
     lines, px."""

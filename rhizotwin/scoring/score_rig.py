@@ -27,9 +27,9 @@ class RigError:
     true: float
     """True value of the parameter."""
     sigma: float | None
-    """Standard deviation reported by the result. None if not reported."""
+    """Standard deviation in the result. It is None if the result contains no standard deviation."""
     unit: str
-    """Unit of the parameter. Empty for a dimensionless parameter."""
+    """Unit of the parameter. It is empty for a dimensionless parameter."""
 
     @property
     def error(self) -> float:

@@ -26,9 +26,9 @@ class VoxelScore:
     """
 
     recall: float
-    """Fraction of the voxel centres in the true solid that are occupied."""
+    """Of the voxels with their centres in the true solid, the fraction that is occupied."""
     precision: float
-    """Fraction of the occupied voxels whose centre is in the true solid."""
+    """Of the occupied voxels, the fraction with their centres in the true solid."""
     iou: float
     """Intersection over union of the occupied voxels and the voxels whose centres are in the true solid."""
     recall_weighted: float

@@ -27,11 +27,11 @@ class ShootScore:
     surface_area_error: float
     """Relative error of the surface area."""
     leaf_area_mm2: float | None
-    """One-sided area of the blades, mm2. None if leaves enclose a space that is not visible in any picture."""
+    """One-sided area of the blades, mm2. It is None if leaves enclose a space that is not visible in any picture."""
     leaf_area_true_mm2: float
     """True one-sided area of the blades, mm2."""
     leaf_area_error: float | None
-    """Relative error of the leaf area. None if the leaf area is unknown."""
+    """Relative error of the leaf area. It is None if the leaf area was not determined."""
     leaves: int
     """Number of leaves."""
     leaves_true: int
@@ -43,11 +43,11 @@ class ShootScore:
     hull_mm3: float
     """Volume of the visual hull of the shoot, mm3."""
     volume_mm3: float | None
-    """Volume of the shoot, mm3. None if the leaf thickness was not measured."""
+    """Volume of the shoot, mm3. It is None if the leaf thickness was not measured."""
     volume_true_mm3: float
     """True volume of the shoot, mm3."""
     volume_error: float | None
-    """Relative error of the volume. None if the volume is unknown."""
+    """Relative error of the volume. It is None if the volume was not determined."""
     colour: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Found and true values of the vegetation indices NDVI and NDRE, keyed by index name. It is empty if the shoot was
     imaged in a single band."""

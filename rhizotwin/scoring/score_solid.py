@@ -34,7 +34,7 @@ class VolumeScore:
     volume_trusted: bool
     """Whether the volume is reliable according to the result."""
     volume_verdict: str
-    """Reliability of the volume in one sentence."""
+    """Sentence that states whether the volume is reliable."""
 
     def to_dict(self) -> Json:
         """Convert the score to values that the json module can write."""
@@ -58,7 +58,7 @@ class SolidScore(VolumeScore):
     surface: SurfaceScore
     """Distances between the surface of the result and the true surface."""
     result_from_solid: tuple[tuple[float, ...], ...]
-    """Return the values of the fields of a `VolumeScore`, keyed by field name."""
+    """Rigid transform (4, 4) from the frame of the solid to the frame of the result, mm."""
 
     def table(self) -> str:
         """Return the score as a text table."""
@@ -113,7 +113,7 @@ def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) 
 
 
 def volume_fields(found: Result, volume_mm3: float) -> Json:
-    """Return the fields of a `VolumeScore` by name."""
+    """Return the values of the fields of a `VolumeScore`, keyed by field name."""
     low, high = found.interval_mm3
     return {
         "scene": found.scene,

@@ -1,6 +1,6 @@
 """Find the voxel centres that lie inside a closed triangle mesh.
 
-Vertical rays through the columns of the grid are intersected with the mesh, and the crossings are counted with sign.
+Vertical rays through the columns of the grid are intersected with the mesh, and their entries and exits are counted.
 
 A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Each triangle is assigned to the columns
 (x, y) whose centre lies in the triangle's projection. The crossings of a column are sorted by height. Each crossing
@@ -35,7 +35,7 @@ class Crossings:
     """Sorted crossings of a closed surface with the grid columns ``x_range[0] <= i_x < x_range[1]``."""
 
     low: Ints
-    """Lowest voxel index of the surface's bounding box (3,)."""
+    """Index (3,) of the lowest voxel of the surface's bounding box."""
     shape: Ints
     """Size (3,) of the bounding box in voxels. It is one larger along z, so that the first voxel centre above the
     topmost crossing has an index."""
@@ -146,7 +146,7 @@ def _find_crossings(
 
 
 def _are_balanced(columns: Ints, signs: Ints, size: int) -> NDArray[np.bool_]:
-    """Return for each column whether its crossings contain as many entries as exits."""
+    """Return for each column whether it has as many entries as exits."""
     return np.bincount(columns, weights=signs, minlength=size) == 0.0
 
 

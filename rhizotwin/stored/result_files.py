@@ -81,7 +81,7 @@ def results_in(folders: Sequence[Path]) -> list[Path]:
 
 
 def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:
-    """Read the figure of a result's shape (H, W, 3), BGR. None if the figure is missing or cannot be decoded."""
+    """Read the figure of a result's shape (H, W, 3), BGR. Return None if the figure is missing or cannot be decoded."""
     import cv2  # loaded on first use
 
     file = folder / "pictures" / "shape.png"

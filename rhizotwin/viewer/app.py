@@ -73,7 +73,7 @@ class Viewer(Drawing):
     def _click_background(self, ray: Ray, *, more: bool) -> None:
         """Handle a click that hits no root.
 
-        If distances are measured and the click hits a voxel, the point on the voxel is measured. Otherwise the
+        In the click mode for distances, a voxel that is hit is used as a point of the measurement. Otherwise the
         selection is cleared.
         """
         hit = self._voxel_at(ray) if self.look.click == CLICKS[2] else None

@@ -250,7 +250,7 @@ class Drawing:
         return self._visible[1]
 
     def nodes(self) -> Nodes:
-        """Return the nodes of the visible roots for picking."""
+        """Return the nodes of the visible roots, among which a clicked root is found."""
         parts = self.visible()
         if self._nodes is None or self._nodes[0] is not parts:
             self._nodes = parts, Nodes.of((number, line) for number, lines in parts.items() for line in lines)

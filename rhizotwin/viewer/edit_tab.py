@@ -120,7 +120,7 @@ def _add_box(viewer: Viewer) -> None:
 
 
 def _add_history(viewer: Viewer) -> None:
-    """Add undo, redo, save and the list of corrections."""
+    """Add the buttons that undo, redo and save corrections, and the list of corrections."""
     gui = viewer.served.server.gui
 
     _add_all(

@@ -15,7 +15,7 @@ Index = NDArray[np.int64]
 
 _REACH = 0.006
 """Maximum distance between the clicked ray and the surface of a picked root, divided by the distance of the root from
-the eye. It corresponds to 4 of 900 pixels."""
+the eye. It corresponds to 4 pixels in a view with a height of 500 pixels."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ class Screen:
 def root_at(nodes: Nodes, ray: Ray) -> tuple[int, Array] | None:
     """Return the number of the clicked root, and the position (3,), mm, of the clicked node.
 
-    It is the first root that the ray hits. If the ray hits no root, it is the root nearest to the ray. Return None if
-    no root is near.
+    The clicked root is the first root that the ray hits. If the ray hits no root, it is the root nearest to the ray.
+    Return None if no root is near.
     """
     along, beside = ray.nearness(nodes.point_mm)
     gap = beside - nodes.radius_mm

@@ -76,7 +76,7 @@ class Scene3d:
         start.look_at, start.position = self.home[0], self.camera_position("Reset")
 
     def camera_position(self, view: str, *, aspect: float = 1.0) -> Array:
-        """Return the camera position (3,), mm, of a preset view in which the whole shape is visible."""
+        """Return the camera position (3,), mm, of a preset view. The whole shape is visible from there."""
         middle, half = self.home
         toward = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
         right = np.cross([0.0, 0.0, 1.0], toward)
