@@ -1,6 +1,6 @@
-"""Read CSV tables with a header, and comment lines that start with ``#``.
+"""Read CSV tables with a header.
 
-Two tables of Kliman's thesis (2022) are part of the package.
+Lines that start with ``#`` are comments. Tables A.1 and 4.1 of Kliman's thesis (2022) are part of the package.
 """
 
 import csv
@@ -14,7 +14,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import read_file
 
 SHIPPED = ("kliman_2022_masses.csv", "kliman_2022_volumes.csv")
-"""Files with tables A.1 and 4.1 of the thesis. The first lines of each file contain its source."""
+"""Names of the files with tables A.1 and 4.1 of Kliman's thesis. The first lines of each file state its source."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,9 +22,9 @@ class Row:
     """Row of a CSV table."""
 
     where: str
-    """File and line, for error messages."""
+    """File and line number of the row, quoted in error messages."""
     cells: dict[str, str]
-    """Cells of the row as text, by column name. Missing cells are empty."""
+    """Texts of the cells, keyed by column name. Columns for which the row has no cell are omitted."""
 
 
 def read_table(path: Path) -> list[Row]:
@@ -61,7 +61,7 @@ def read_table(path: Path) -> list[Row]:
 
 
 def number(row: Row, column: str) -> float | None:
-    """Return the number in a cell, None if the cell is empty or the column is missing.
+    """Return the number in a cell. It is None if the cell is empty or the column is missing.
 
     Raises
     ------

@@ -1,9 +1,8 @@
 """Fit a straight line to points with errors in both coordinates and intrinsic scatter.
 
-The line is the maximum-likelihood estimate for normally distributed errors (York et al. 2004, American Journal of
-Physics 72:367, equations 13). Intrinsic scatter (variation among plants) is added to the variance of y, so that chi
-squared equals the degrees of freedom (Paule and Mandel 1982, Journal of Research of the National Bureau of Standards
-87:377).
+For normally distributed errors, the line is the maximum-likelihood estimate (York et al. 2004, American Journal of
+Physics 72:367, eq. 13). Intrinsic scatter (variation among plants) is added to the variance of y, so that chi squared
+equals the degrees of freedom (Paule and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ Array = NDArray[np.float64]
 MOST_ROUNDS = 200
 """Maximum number of iterations for the slope."""
 CONVERGED = 1e-13
-"""Relative change of the slope at which the iteration has converged."""
+"""Relative change of the slope between two iterations below which the iteration stops."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +38,7 @@ class Line:
     """Degrees of freedom: number of points minus number of parameters."""
 
     def at(self, x: Array, *, x_sigma: Array | float = 0.0, y_sigma: Array | float = 0.0) -> tuple[Array, Array]:
-        """Predict y (N,) at x, and the standard deviation (N,) of a new measurement of y.
+        """Return the predicted y (N,) and the standard deviation (N,) of a new measurement of y.
 
         Parameters
         ----------
@@ -53,9 +52,10 @@ class Line:
         return self.intercept + self.slope * x, np.sqrt(variance)
 
     def reach(self, share: float) -> float:
-        """Return the half-width of an interval with a given coverage probability, in standard deviations.
+        """Return the half-width of a prediction interval as a multiple of the standard deviation.
 
-        The half-width is a quantile of Student's t distribution with ``dof`` degrees of freedom.
+        The coverage probability of the interval is ``share``. The half-width is a quantile of Student's t distribution
+        with ``dof`` degrees of freedom.
         """
         return float(student.ppf(0.5 + share / 2.0, self.dof))
 
@@ -99,7 +99,10 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
 
 
 def _fit_york(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | None) -> Line:
-    """Fit York's line for given variances of x and y (N,). The variance of a fixed slope is zero."""
+    """Fit York's line to points (N,) with given variances.
+
+    If a slope is given, it is not fitted and has zero variance.
+    """
     b = slope if slope is not None else float(np.polyfit(x, y, 1)[0])
     for _ in range(MOST_ROUNDS):
         weight = 1.0 / (y_var + b**2 * x_var)

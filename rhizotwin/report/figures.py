@@ -32,9 +32,9 @@ Box = tuple[float, float, float, float]
 SHAPE_RGB = (0.86, 0.55, 0.25)
 """Colour of the reconstructed shape, ochre."""
 TRUTH_RGB = (0.42, 0.62, 0.80)
-"""Colour of the true shape, blue, which people with colour blindness can distinguish from ochre."""
+"""Colour of the true shape: blue, which colour-blind people can distinguish from ochre."""
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
-"""Colour of unusable pixels, red, blended with the grey picture."""
+"""Colour that is blended with the silhouette in unusable pixels: red."""
 _VIEWS_SHOWN = 4
 """Number of views that are shown side by side."""
 SHRINK = 2
@@ -42,13 +42,13 @@ SHRINK = 2
 PANEL_PX = 640
 """Height of a rendering, pixels."""
 _DISTANCE_PX = 2 * SHRINK
-"""Edge of a block of rendered pixels for which one distance is computed, pixels."""
+"""Edge of the square blocks of rendered pixels for which a single distance is computed, px."""
 
 
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:
-    """Draw views spread over the scan, pictures above silhouettes, with unusable pixels in red.
+    """Draw pictures from directions spread over the scan, with their silhouettes below.
 
-    None without silhouettes.
+    Unusable pixels of the silhouettes are red. The figure is None if the result has no silhouettes.
     """
     used = [view for view in summary["views"] if view["used"]]
     used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
@@ -80,7 +80,7 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
 def for_screen(dataset: Dataset, file: str) -> Floats | None:
     """Return a picture of the dataset (H, W) as sRGB values from 0 to 1.
 
-    None, after a warning, if the picture cannot be read.
+    If the picture cannot be read, a warning is logged, and None is returned.
     """
     try:
         picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
@@ -93,7 +93,11 @@ def for_screen(dataset: Dataset, file: str) -> Floats | None:
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
-    """Return the planned camera position (3,), mm, canister frame, of each frame that is part of the scan plan."""
+    """Return the planned camera position of each picture in the scan plan.
+
+    Positions (3,), mm, are in the canister frame and keyed by file name. Pictures that are not part of the plan are
+    omitted.
+    """
     centres: dict[str, Floats] = {}
     for frame in dataset.frames:
         if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
@@ -106,7 +110,10 @@ def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
 
 
 def camera_ring(summary: Json, dataset: Dataset) -> Figure:
-    """Draw the cameras around the canister from above and from the side, with crosses for unused views."""
+    """Draw the camera positions around the canister from above and from the side.
+
+    Crosses mark the cameras of unused views.
+    """
     scene = dataset.scene
     nominal = nominal_centres(dataset)
     used: list[Floats] = []
@@ -252,7 +259,10 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
 def _colours_of_pixels(
     found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: root_colours.Colouring
 ) -> Floats:
-    """Return the colour (H, W, 3), 0 to 1, of each rendered pixel from the nearest point of a centre line."""
+    """Return the colours (H, W, 3), 0 to 1, of a rendered shape.
+
+    Each pixel has the colour of the nearest point of a centre line. Empty pixels are black.
+    """
     row, column = np.nonzero(found.hit)
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
     picture = np.zeros((*found.hit.shape, 3))
@@ -261,9 +271,10 @@ def _colours_of_pixels(
 
 
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Figure:
-    """Draw the shape, the truth and the distance between them, from the front (top row) and from the side (bottom row).
+    """Draw the reconstructed shape, the true shape, and the distance between their surfaces.
 
-    The colours of the third column show the distance to the true surface.
+    The top row shows them from the front, the bottom row from the side. The colours of the third column show the
+    distance to the true surface.
 
     Parameters
     ----------
@@ -331,7 +342,7 @@ def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narro
 
 
 def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
-    """Set limits and labels of axes to a box and a viewing direction."""
+    """Set the limits and labels of axes that show a rectangle in a projection."""
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal")
@@ -344,9 +355,9 @@ def _box(points_mm: Floats, side: shading.Side) -> Box:
 
 
 def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
-    """Return the distance from each rendered pixel of the surface to the truth (H, W), mm, zero in empty pixels.
+    """Return the distance (H, W), mm, from the reconstructed surface in each rendered pixel to the true surface.
 
-    All pixels of a block have the distance of the block's first pixel.
+    It is zero in empty pixels. One distance is computed for each block of pixels, at its first pixel.
 
     Parameters
     ----------

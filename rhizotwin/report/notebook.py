@@ -9,7 +9,7 @@ from rhizotwin.recon.results.result import Result
 from rhizotwin.report import words
 
 DPI = 90
-"""Resolution at which a figure of 10 inches has the width of a notebook, 900 pixels, dots per inch."""
+"""Resolution of the figure, dots per inch. A figure with a width of 10 inches fills a notebook of 900 pixels."""
 
 
 def html(result: Result) -> str:
@@ -30,7 +30,7 @@ def html(result: Result) -> str:
 
 
 def _picture(result: Result) -> str:
-    """Return the picture of the shape as an HTML element, empty if the shape is empty."""
+    """Return the picture of the shape as an HTML element. It is empty if the shape has no surface."""
     surface = result.solid.surface
     if not len(surface.faces):
         return ""

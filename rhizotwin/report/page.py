@@ -38,11 +38,10 @@ AZIMUTHS_DEG = (0, 45, 90, 135)
 WIDEST_PX = 900
 """Maximum width of a picture in a report, pixels."""
 TRIANGLES, TRIANGLES_OF_MANY = 80_000, 24_000
-"""Maximum number of triangles of the surface in a report of one result (about 1.7 MB), and in a report of many
-results."""
+"""Maximum numbers of surface triangles in a report of one result (about 1.7 MB) and in a report of many results."""
 MARGIN, SMALLEST_PART, LEAST_WIDE_PX = 1.3, 0.2, 480
-"""Crop of a picture: size relative to the extent of the roots, minimum fraction of the picture, and minimum width,
-px."""
+"""Parameters for cropping a picture: size of the crop relative to the extent of the roots, minimum size as a fraction
+of the picture, and minimum width, px. Narrower crops are enlarged."""
 CAPTIONS = {
     "lengths.png": "Root length by depth, diameter and order.",
     "shape.png": "Reconstructed surface from two sides.",
@@ -50,7 +49,7 @@ CAPTIONS = {
     "inputs.png": "Pictures (top) and silhouettes (bottom). Red: pixels without information about the roots.",
     "cameras.png": "Camera positions. Crosses: unused views.",
 }
-"""Captions of the figures in a result's folder by file name."""
+"""Captions of the figures in a result's folder, keyed by file name."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +174,7 @@ def _short_report(report: _Report) -> str:
 
 
 def _head(report: _Report) -> str:
-    """Return an HTML heading with name, subject, volume and traffic light."""
+    """Return the heading of a report as HTML: name, subject, volume, and the verdict as a traffic light."""
     scan = "Simulated scan" if words.is_simulated(report.dataset) else "Scan"
     described = "" if report.dataset is None else ": ".join(filter(None, [scan, report.dataset.scene.description]))
     described = f"<p class=soft>{html.escape(described)}</p>" if described else ""
@@ -249,7 +248,10 @@ def _pictures(report: _Report, surface: Mesh) -> str:
 
 
 def _crop(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Crop a picture to pixels (N, 2) with a margin at the picture's aspect ratio, and enlarge small crops."""
+    """Crop a picture around projected points (N, 2), in pixels, with a margin.
+
+    The crop has the aspect ratio of the picture. Small crops are enlarged.
+    """
     inside = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(inside):
         return image
@@ -277,7 +279,7 @@ def _figure(source: str, caption: str) -> str:
 
 
 def _plants(report: _Report) -> str:
-    """Return a table of traits per plant as HTML, empty for a single plant."""
+    """Return a table with the traits of each plant as HTML. It is empty for a single plant."""
     if not report.summary.get("plants"):
         return ""
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
@@ -300,7 +302,7 @@ def _plants(report: _Report) -> str:
 
 
 def _traits(report: _Report) -> str:
-    """Return a table of all scalar traits with 90 % interval and definition, as HTML."""
+    """Return a table of all scalar traits with their 90 % intervals and definitions, as HTML."""
     values = ((definition, getattr(report.traits, definition.field)) for definition in trait_table.DEFINITIONS)
     rows = [words.trait_text(definition, value, report.assessed[definition.field]) for definition, value in values if value is not None]
     missing = "<p>No centre lines were found, so that lengths, diameters and angles are not available.</p>"

@@ -11,13 +11,13 @@ from rhizotwin.scenes.figures import png
 from rhizotwin.stored import result_files, stored_traits
 
 DPI = 130
-"""Resolution of the figures, dots per inch, at which characters of 9 pt are 16 pixels high."""
+"""Resolution of the figures, dots per inch. Characters of 9 pt are 16 pixels high."""
 
 
 def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: Path | None = None) -> list[Path]:
     """Write the figures of a result to ``pictures/*.png`` in its folder, and return the paths of the files.
 
-    Pictures of the dataset that cannot be read are omitted, so that the result is complete without them.
+    Pictures of the dataset that cannot be read are left out of the figures.
 
     Parameters
     ----------

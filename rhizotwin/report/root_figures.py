@@ -21,11 +21,11 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 Floats = NDArray[np.float64]
 
 ORDERS = tuple(tuple(channel / 255.0 for channel in rgb) for rgb in root_colours.ORDERS)
-"""Colours of root orders, 0 to 1."""
+"""Colours of the root orders, as RGB values from 0 to 1. The first is the colour of main roots."""
 LEAST_WIDTH_PT = 0.7
 """Minimum width of a line, points. Thinner lines are hardly visible."""
 PANEL_IN = 4.6
-"""Width of a panel, inches. Three panels side by side are 15 inches wide including the margins."""
+"""Width of a panel, inches. A figure of three panels is about 15 inches wide, including the margins."""
 MARGIN_MM = 4.0
 """Margin around the roots, mm."""
 BAR_RGB = "#4c86b0"
@@ -33,7 +33,10 @@ BAR_RGB = "#4c86b0"
 
 
 def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -> Figure:
-    """Draw the nearest picture and the roots by diameter and by order, from the front and from the side."""
+    """Draw the roots, coloured by diameter and by order, beside the nearest picture.
+
+    The top row shows them from the front, the bottom row from the side.
+    """
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
     scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
@@ -88,7 +91,7 @@ def _box(points_mm: Floats, side: shading.Side) -> figures.Box:
 
 
 def _draw_roots(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures.Box, scale: ScalarMappable | None) -> None:
-    """Draw roots as lines with the width of the roots, sorted from far to near."""
+    """Draw roots as lines as wide as the root diameters. Distant segments are drawn first."""
     pieces, shades, diameters, depth = [], [], [], []
     for root in roots:
         seen = root.points_mm @ side.axes.T
@@ -111,7 +114,10 @@ def _draw_roots(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: fi
 
 
 def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, dataset: Dataset) -> None:
-    """Show the picture of the camera nearest to a viewing direction, cropped to the magnified roots."""
+    """Show the picture whose camera is nearest to a viewing direction.
+
+    The picture is cropped to the roots, which are magnified by refraction.
+    """
     axes.set_xticks([])
     axes.set_yticks([])
     used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None]

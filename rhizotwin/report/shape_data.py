@@ -16,14 +16,14 @@ from rhizotwin.root_colours import Key
 from rhizotwin.scenes.rsml import Root
 
 _LEVELS = 65535
-"""Largest 16-bit integer, to which coordinates are scaled."""
+"""Largest unsigned 16-bit integer. Coordinates are scaled to the range from 0 to this value."""
 
 
 def pack_shape(surface: Mesh, roots: Sequence[Root]) -> dict[str, Any]:
     """Return a surface with centre lines and colours as JSON values that ``page.js`` reads.
 
-    Coordinates are stored in units of 1/65535 of the largest extent, a few micrometres. Diameters are stored in
-    micrometres. Each vertex refers to the nearest centre-line point and has the colour of this point.
+    Coordinates are integers in units of 1/65535 of the largest extent, which are a few micrometres. Diameters are
+    stored in micrometres. Each vertex refers to the nearest centre-line point and has the colour of this point.
 
     Parameters
     ----------
@@ -51,7 +51,10 @@ def _pack_lines(roots: Sequence[Root], points: NDArray[np.float64], diameters: N
 
 
 def _pack_colours(roots: Sequence[Root]) -> dict[str, Any]:
-    """Return the colours of all centre-line points and the colour key, for each property that may be shown."""
+    """Return the colours of all centre-line points and the colour keys.
+
+    Each property that can be displayed has its own colours and its own key.
+    """
     lines = as_lines(roots)
     choices = ["order", "diameter", "depth"] + ["uncertainty"] * all(line.sigma_mm is not None for line in lines.values())
     colours, keys = {}, {}

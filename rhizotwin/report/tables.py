@@ -22,7 +22,7 @@ def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: S
 
 
 def verdict_cells(summary: Json) -> str:
-    """Return the HTML cells with verdict and volume (with 90 % interval) of a result."""
+    """Return HTML table cells with the verdict on a result, and with its volume and 90 % interval."""
     state = words.traffic_light(summary)[0]
     verdict = "not reliable" if state == "bad" else "usable"
     found, interval = words.volume_text(summary)
@@ -30,7 +30,10 @@ def verdict_cells(summary: Json) -> str:
 
 
 def calibration(summary: Json) -> str:
-    """Return HTML tables of calibrated parameters, residuals and camera poses. Empty if the poses were given."""
+    """Return HTML tables of calibrated parameters, residuals and camera poses.
+
+    The text is empty if the camera poses were given instead of calibrated.
+    """
     rig = summary.get("rig") or {}
     rows = [
         (
@@ -48,7 +51,11 @@ def calibration(summary: Json) -> str:
 
 
 def _pose_rows(ring: Json) -> list[list[str]]:
-    """Return the table rows for the camera of a ring: position, tilt and movement, with standard deviations."""
+    """Return table rows with the pose of the camera of a ring.
+
+    These are the distance from the table's axis, the height and the tilt, with standard deviations, and the movement
+    between views.
+    """
     name = f"Camera of ring {ring['ring']}" + (f", placement {ring['placement'] + 1}" if ring.get("placement") else "")
     pose = frames.invert(np.array(ring["cam_from_rig"], np.float64))
     spread = np.sqrt(np.maximum(np.diag(np.array(ring["covariance"], np.float64)), 0.0))

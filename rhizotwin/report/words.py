@@ -14,7 +14,7 @@ from rhizotwin.scenes.trait_table import DEFINITIONS, Definition
 Light = Literal["good", "fair", "bad"]
 
 SMALLEST_SHARE = 0.05
-"""Minimum size of a listed cause of uncertainty, as a fraction of the largest cause."""
+"""Threshold above which a cause of uncertainty is listed in a report, as a fraction of the largest cause."""
 LABELS = {
     "total_length_mm": "Total root length",
     "volume_mm3": "Volume",
@@ -38,13 +38,13 @@ LABELS = {
     "specific_root_length_m_per_g": "Specific root length",
     "tissue_density_g_per_ml": "Tissue density",
 }
-"""Label of each trait, by its field in `scenes.traits.Traits`."""
+"""Labels of the traits in reports, keyed by field name of `scenes.traits.Traits`."""
 COUNTS = ("max_root_count", "median_root_count", "roots", "tips", "branch_points")
-"""Fields of traits that are shown as integers."""
+"""Field names of the traits that are displayed as integers."""
 IN_ML = ("volume_mm3", "convex_hull_mm3")
-"""Fields of traits that are shown in ml."""
+"""Field names of the traits that are displayed in ml."""
 UNITS = {"mm2": "mm²", "mm3": "ml", "deg": "degrees"}
-"""Units in reports, where they differ from the units in files."""
+"""Units in reports, keyed by the unit in files. Units that are the same in both are omitted."""
 _METHOD = (
     "{made} of roots in a round canister of nutrient solution in front of a diffuse backlight: {pictures} images around one rotation. "
     "Camera poses were estimated from a strip of printed markers{by}. Rays were traced through air, acrylic and water in closed form. "
@@ -63,7 +63,7 @@ def volume_text(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def headline(summary: dict[str, Any]) -> tuple[str, str]:
-    """Return the headline of a report, which states the volume, and the line below the headline."""
+    """Return a headline that states the volume, and a line to print below it."""
     found, interval = volume_text(summary)
     if summary["volume_trusted"]:
         return f"volume {found}", f"90 % interval {interval}"
@@ -71,7 +71,7 @@ def headline(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
-    """Return state, meaning and recommendations for a result."""
+    """Return the state of the traffic light (good, fair or bad), a sentence with its meaning, and recommendations."""
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]
     bad = [check for check in checks if check.get("state") == "bad"]
     fair = [check for check in checks if check.get("state") == "fair"]
@@ -87,7 +87,7 @@ def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
 
 
 def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
-    """Return the causes of the volume's uncertainty as sentences, sorted by decreasing size."""
+    """Return sentences about the causes of the volume's uncertainty, largest cause first."""
     terms = sorted(summary["volume_budget"], key=lambda term: -max(term["less_mm3"], term["more_mm3"]))
     largest = max((max(term["less_mm3"], term["more_mm3"]) for term in terms), default=0.0)
     listed = [term for term in terms if max(term["less_mm3"], term["more_mm3"]) >= SMALLEST_SHARE * largest > 0.0]
@@ -100,9 +100,10 @@ def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
 
 
 def trait_text(definition: Definition, value: float | int | None, assessed: Assessment) -> tuple[str, str, str, str]:
-    """Return the label of a trait, its value with unit, its 90 % interval or verdict, and its definition, as text.
+    """Describe a trait in four texts: label, value with unit, 90 % interval or verdict, and definition.
 
-    Value and interval have the digits that the interval supports. Without an interval the value has three digits.
+    Value and interval are rounded to the digits that the interval supports. Without an interval the value has three
+    digits.
     """
     label = LABELS.get(definition.field, definition.name.replace("_", " ").capitalize())
     meaning = re.sub(r"\w+_\w+", lambda word: _FIELD_LABELS.get(word[0], word[0]), definition.meaning)
@@ -125,7 +126,7 @@ def _with_unit(definition: Definition, value: float | int | None, half: float | 
 
 
 def _number(definition: Definition, value: float, half: float | None) -> str:
-    """Format a value of a trait in the unit that reports use.
+    """Format a value of a trait in the unit that is used in reports.
 
     Parameters
     ----------
@@ -139,7 +140,11 @@ def _number(definition: Definition, value: float, half: float | None) -> str:
 
 
 def root_summary(summary: dict[str, Any]) -> list[str]:
-    """Return a line with length, tips and mean diameter, and a line with the reason if a value is not reliable."""
+    """Return lines of text that summarise the roots.
+
+    The first line states total length, number of tips and mean diameter. If the volume is reliable but one of these
+    values is not, a second line states the reason.
+    """
     estimates = summary.get("estimates") or []
     if not estimates:
         return []
@@ -155,7 +160,7 @@ def root_summary(summary: dict[str, Any]) -> list[str]:
 
 
 _AROUND = {"total_length_mm": ("length ", " mm"), "tips": ("", " tips"), "mean_diameter_mm": ("mean diameter ", " mm")}
-"""Text before and after the value of a trait in a summary line."""
+"""Text before and after the value of a trait in the summary of the roots, keyed by field name."""
 
 
 def is_simulated(dataset: Dataset | None) -> bool:
@@ -189,7 +194,7 @@ def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) 
 
 
 def _deviation(less_mm3: float, more_mm3: float) -> str:
-    """Return the possible deviations of the volume to both sides, ml, as text."""
+    """Describe by how much the volume may be smaller or larger, in ml."""
     less, more = round_digits(less_mm3 / 1000.0, 2), round_digits(more_mm3 / 1000.0, 2)
     if less_mm3 < SMALLEST_SHARE * more_mm3:
         return f"{more} ml larger"

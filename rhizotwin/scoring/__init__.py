@@ -1,1 +1,4 @@
-"""Comparison of results with the ground truth of simulated datasets, which the reconstruction never reads."""
+"""Comparison of results with the ground truth of simulated datasets.
+
+The reconstruction never reads the ground truth.
+"""

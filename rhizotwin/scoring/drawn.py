@@ -20,11 +20,12 @@ Array = NDArray[np.float64]
 _FINE = 8
 """Number of subsamples per pixel in each direction."""
 _SHIFT = 4
-"""Number of fractional bits of vertex coordinates in OpenCV, which rounds them to sixteenths of a subsample."""
+"""Number of fractional bits of the vertex coordinates passed to OpenCV. Vertices are rounded to sixteenths of a
+subsample."""
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-"""Structuring element for the correction of OpenCV's polygon fill, which includes the outline. Filled areas extend 0.48
-subsamples too far (discs with 40 vertices), and 0.42 subsamples too little after erosion with this element. The mean of
-both is accurate to 0.03 subsamples."""
+"""Structuring element of an erosion that corrects OpenCV's polygon fill, which also fills the pixels on the outline.
+Filled discs (polygons with 40 vertices) extend 0.48 subsamples too far before the erosion, and 0.42 subsamples too
+little after it. The mean of both is accurate to 0.03 subsamples."""
 
 
 def coverage(view: View, optics: Optics, mesh: Mesh, roots: Sequence[Root]) -> Image:
@@ -63,9 +64,9 @@ def pixels(view: View, optics: Optics, points_mm: Array) -> Array:
 
 
 def _project_segments(view: View, optics: Optics, root: Root) -> Array:
-    """Return a quadrangle (N - 1, 4, 2), pixels, for each segment of a root.
+    """Return the projection of each segment of a root as a quadrangle (N - 1, 4, 2), in pixels.
 
-    The long sides of a quadrangle are the projected axis, shifted by the radius perpendicular to the line of sight.
+    Its long sides are the projected axis, shifted to both sides by the radius, perpendicular to the line of sight.
     """
     points = root.points_mm
     across = np.cross(np.gradient(points, axis=0), points - view.centre_mm)

@@ -32,9 +32,9 @@ POINTS = (".ply", ".xyz")
 MOST_MIB = 1024
 """Maximum size of a file of voxels or points, MiB."""
 MOST_OCCUPIED = 50_000_000
-"""Maximum number of occupied voxels, equivalent to a solid of 50 ml in voxels of 0.1 mm."""
+"""Maximum number of occupied voxels. A solid of 50 ml consists of this number of voxels with an edge of 0.1 mm."""
 _UNREADABLE = (nrrd.NRRDError, KeyError, IndexError, ValueError, TypeError, OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-"""Exceptions that NumPy, pynrrd and zlib raise for damaged files."""
+"""Exceptions that NumPy, pynrrd and zlib raise if a file is damaged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +44,13 @@ class Stated:
     value: float
     """Value that the method reports, in the unit of the trait."""
     interval: tuple[float, float] | None = None
-    """90 % interval that the method reports, None if not reported."""
+    """90 % interval that the method reports. It is None if the method reports no interval."""
 
 
 def read_shape(path: Path) -> Mesh:
-    """Read a triangle mesh: PLY, STL or OBJ in mm with z up, or GLB in metres with y up according to its standard.
+    """Read a triangle mesh from a PLY, STL, OBJ or GLB file.
+
+    PLY, STL and OBJ files are in mm with z up. GLB files are in metres with y up, as required by the standard.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def read_voxels(path: Path) -> Leaves:
 
 
 def read_points(path: Path) -> Floats:
-    """Read points (N, 3), mm, from the vertices of a PLY file, or from text lines with x y z.
+    """Read points (N, 3), mm, from the vertices of a PLY file, or from a text file with x, y and z in each line.
 
     Raises
     ------
@@ -133,14 +135,16 @@ def read_points(path: Path) -> Floats:
 
 
 def read_traits(path: Path) -> dict[str, Stated]:
-    """Read a table of traits with the columns ``trait`` and ``value``, and ``low`` and ``high`` for a 90 % interval.
+    """Read a table of traits that another method measured.
 
-    Names and units are those of ``rhizotwin traits``, with or without the unit in the name. Other rows are ignored.
+    The columns are ``trait`` and ``value``, and optionally ``low`` and ``high``, which are the limits of a 90 %
+    interval. Traits have the names and units of ``rhizotwin traits``, and the unit may be omitted from the name. Other
+    rows are ignored.
 
     Raises
     ------
     UserError
-        If the file or one of these columns is missing, or a number is invalid.
+        If the file, the column ``trait`` or the column ``value`` is missing, or a number is invalid.
     """
     names = {column: name for one in DEFINITIONS for column, name in ((one.name, one.name), (one.column, one.name))}
     text = read_file(path).decode("utf-8", errors="replace")

@@ -21,22 +21,24 @@ from rhizotwin.scenes import frames
 Floats = NDArray[np.float64]
 
 COARSE, MIDDLE, FINE = 500, 3_000, 20_000
-"""Number of points on each surface in the three stages: selection among all starting poses, selection among the best
-poses, and final registration. With 20 000 points, a scatter of 0.1 mm causes a position error of 0.001 mm."""
+"""Number of points on each surface in the three stages of the registration, which compare all starting poses, compare
+the best poses, and refine the final pose. With 20 000 points, a scatter of 0.1 mm in the points causes a position error
+of 0.001 mm."""
 TURNS = 12
-"""Number of starting poses per vertical direction, at equal angles of 30 degrees. The algorithm converges from half
-this angle."""
+"""Number of starting poses that differ only by a rotation about the vertical, in steps of 30 degrees. The algorithm
+converges if the nearest starting pose is at most 15 degrees off."""
 KEPT = 4
 """Number of starting poses that are refined with more points."""
 ROUNDS = 25
-"""Maximum number of iterations per starting pose. Ten to twenty are usually sufficient."""
+"""Maximum number of iterations from one starting pose. Ten to twenty are usually sufficient."""
 SETTLED_MM = 1e-5
-"""Motion of the solid in an iteration below which the algorithm has converged, mm."""
+"""Motion of the solid per iteration below which the iteration stops, mm."""
 CAUCHY = 2.385
-"""Scale of the Cauchy weight function, in standard deviations, for 95 % efficiency with normal errors (Holland and
-Welsch 1977)."""
+"""Scale of the Cauchy weight function, as a multiple of the standard deviation of the distances. With this scale, the
+estimate has 95 % efficiency for normally distributed distances (Holland and Welsch 1977)."""
 LEAST_SPREAD = 1e-4
-"""Minimum of the distance scale, as a fraction of the solid's size, to avoid division by zero."""
+"""Lower limit for the scale of the weight function, as a fraction of the solid's size. It avoids a division by zero if
+the surfaces coincide."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,7 @@ class Registration:
     """Result of a registration."""
 
     to_from_solid: Floats
-    """Rigid transform (4, 4) from the frame of the solid to the frame of the other surface, mm."""
+    """Rigid transform (4, 4) from the frame of the solid to the frame of the reference surface, mm."""
     moved: Mesh
     """Mesh of the solid after registration."""
 
@@ -84,7 +86,10 @@ def register(solid: Mesh, to: Mesh) -> Registration:
 
 
 def _sample_cloud(mesh: Mesh, count: int) -> _Cloud:
-    """Sample points on a mesh, with the same random numbers in each call."""
+    """Sample random points on a mesh.
+
+    The random seed is fixed, so that the points of a mesh are the same in each call.
+    """
     points, face = surface_sample.sample(mesh.vertices_mm, mesh.faces, count=count, rng=np.random.default_rng(0))
     a, b, c = mesh.corners_mm[:, face]
     across = np.cross(b - a, c - a)
@@ -92,10 +97,10 @@ def _sample_cloud(mesh: Mesh, count: int) -> _Cloud:
 
 
 def _starting_poses(cloud: _Cloud, to: _Cloud) -> list[Floats]:
-    """Return the starting poses (4, 4) for a registration.
+    """Return the poses (4, 4) from which the registration starts.
 
-    Principal axes are aligned in all combinations that are rotations. Further poses are rotations about the vertical,
-    upright and upside down.
+    Some align the principal axes of both surfaces, in all combinations of signs that are rotations. Further poses are
+    rotations about the vertical, upright and upside down.
     """
     middle, middle_to = cloud.points.mean(axis=0), to.points.mean(axis=0)
     axes, axes_to = (np.linalg.svd(one.points - one.points.mean(axis=0), full_matrices=False)[2].T for one in (cloud, to))
@@ -116,10 +121,10 @@ def _starting_poses(cloud: _Cloud, to: _Cloud) -> list[Floats]:
 
 
 def _iterate_closest_points(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tuple[Floats, float]:
-    """Run the iterative closest point algorithm and return the pose (4, 4) and the mean point-to-point distance, mm.
+    """Refine a pose with the iterative closest point algorithm.
 
-    Poses are ranked by the mean distance. The median distance of a plant with misplaced laterals would depend on the
-    taproot only.
+    Return the pose (4, 4), and the mean point-to-point distance, mm, by which poses are ranked. The median distance of
+    a plant with misplaced laterals would depend on the taproot only.
     """
     tree, tree_to, least_mm, mean_mm = cKDTree(cloud.points), cKDTree(to.points), LEAST_SPREAD * size_mm, np.inf
     for _ in range(ROUNDS):

@@ -41,12 +41,12 @@ from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
 
 SHOWN_LINES = 19
-"""Maximum number of lines in the `repr` of a score, not counting the line with the number of omitted lines."""
+"""Maximum number of lines that `repr` prints of a score. A further line states the number of omitted lines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score(VolumeScore):
-    """Agreement of a result with the ground truth, in total and by stage.
+    """Agreement of a result with the ground truth, for the whole shape and for each stage of the reconstruction.
 
     Relative errors are (found / true - 1).
     """
@@ -66,27 +66,27 @@ class Score(VolumeScore):
     surface: SurfaceScore
     """Distances between the surface of the result and the true surface."""
     poses: PoseScore | None
-    """Errors of the camera poses. None if no view was used."""
+    """Errors of the camera poses. It is None if no view was used."""
     rig: tuple[RigError, ...]
-    """Errors of the calibrated rig parameters whose true values are known."""
+    """Errors of the calibrated rig parameters. Parameters whose true values are unknown are omitted."""
     masks: MaskScore | None
-    """Errors of the silhouettes. None if the result contains no silhouettes."""
+    """Errors of the silhouettes. It is None if the result contains no silhouettes."""
     hull: HullScore
     """Agreement of the visual hull with the true solid."""
     roots: RootScore | None
-    """Agreement of the centre lines with the true centre lines. None if the truth or the result has no roots."""
+    """Agreement of the centre lines with the true centre lines. It is None if the truth or the result has no roots."""
     plants: tuple[PlantScore, ...]
-    """Scores of the plants if the canister contains several. Empty for a single plant."""
+    """Scores of the plants, if the canister contains several. The tuple is empty for a single plant."""
     shoot: ShootScore | None
-    """Agreement of the shoot with the true shoot. None if the truth or the result has no shoot."""
+    """Agreement of the shoot with the true shoot. It is None if the truth or the result has no shoot."""
     traits: dict[str, TraitScore]
-    """Errors of the traits by the names of `scenes.trait_table`."""
+    """Errors of the traits, keyed by trait name (see `scenes.trait_table`)."""
     blind_mm3: float
     """Volume of the water that is visible in too few views to be reconstructed, mm3."""
     timings_s: dict[str, float]
     """Duration of each stage of the reconstruction, s."""
     peak_memory_mib: float | None
-    """Maximum memory of the reconstruction, MiB. None if unknown."""
+    """Maximum memory of the reconstruction, MiB. It is None if the memory was not measured."""
     warnings: tuple[str, ...]
     """Warnings of the reconstruction."""
 
@@ -245,5 +245,8 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
 
 
 def _true_traits(roots: Sequence[Root], solid: Mesh, volume_mm3: float) -> Traits:
-    """Measure the traits of the ground truth with the current definitions instead of those stored in the dataset."""
+    """Measure the traits of the ground truth.
+
+    They are measured anew, because the definitions may have changed since the dataset was simulated.
+    """
     return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=float(solid.areas_mm2.sum()))

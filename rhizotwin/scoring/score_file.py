@@ -47,12 +47,12 @@ OF_CENTRE_LINES = (
     "angle_to_gravity",
     "angle_to_parent",
 )
-"""Traits that can be computed from centre lines with diameters."""
+"""Names of the traits that can be computed from centre lines with diameters."""
 ALPHA = 0.1
-"""Significance level of the 90 % intervals."""
+"""Probability, according to the method, that a 90 % interval does not contain the true value."""
 _MOST_SIDE = 200
-"""Number of voxels along the longest side of the bounding box for the comparison of surfaces that intersect
-themselves."""
+"""Number of voxels along the longest side of the bounding box. Meshes that intersect themselves are compared with the
+true solid on this grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,14 +64,15 @@ class StatedScore:
     true: float
     """True value in the trait's unit."""
     error: float
-    """Relative error (found / true - 1), or the difference in degrees for an angle."""
+    """Relative error (found / true - 1). For an angle it is the difference in degrees."""
     interval: tuple[float, float] | None = None
-    """90 % interval that the method reports, None if not reported."""
+    """90 % interval that the method reports. It is None if the method reports no interval."""
     holds: bool | None = None
-    """Whether the interval contains the true value. None without an interval."""
+    """Whether the interval contains the true value. It is None if there is no interval."""
     interval_score: float | None = None
-    """Interval score of the 90 % interval (Gneiting and Raftery 2007), relative to the true value: width plus a penalty
-    if the interval does not contain the true value. Smaller is better."""
+    """Interval score of the 90 % interval (Gneiting and Raftery 2007), divided by the true value. It is the width of
+    the interval, plus a penalty if the interval does not contain the true value. A smaller score is better. It is None
+    if there is no interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,24 +84,24 @@ class FileScore:
     scene: str
     """Name of the scene."""
     volume_mm3: float | None = None
-    """Volume of the output, mm3. None if unknown."""
+    """Volume of the output, mm3. It is None if the output has no defined volume."""
     volume_true_mm3: float
     """True volume of the specimen, mm3."""
     volume_error: float | None = None
-    """Relative error of the volume. None if unknown."""
+    """Relative error of the volume. It is None if the output has no defined volume."""
     extents_error: tuple[float, float, float] | None = None
-    """Relative errors of the bounding box along x, y and z. None if unknown."""
+    """Relative errors of the bounding box along x, y and z. They are None for centre lines and for tables of traits."""
     iou: float | None = None
-    """Volume of the intersection divided by volume of the union, exact for meshes that bound a solid, computed from
-    occupancies for voxels. None if unknown."""
+    """Intersection over union of the volumes. It is exact for a mesh that bounds a solid. For other closed meshes and
+    for voxel arrays it is computed from voxels. Otherwise it is None."""
     surface: SurfaceScore | None = None
-    """Distances between the surface of the output and the true surface. None if the output has no surface."""
+    """Distances between the surface of the output and the true surface. It is None if the output has no surface."""
     roots: RootScore | None = None
-    """Agreement of the centre lines with the true centre lines. None if the output has no centre lines."""
+    """Agreement of the centre lines with the true centre lines. It is None if the output has no centre lines."""
     topology: TopologyScore | None = None
-    """Agreement of the branching with the true branching. None if the output has no centre lines."""
+    """Agreement of the branching with the true branching. It is None if the output has no centre lines."""
     traits: dict[str, StatedScore]
-    """Errors of the traits by name."""
+    """Errors of the traits, keyed by trait name."""
     notes: tuple[str, ...] = ()
     """Sentences about values that could not be computed."""
 
@@ -177,7 +178,10 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
 
 
 def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score voxel occupancies (NRRD or NPZ, see `foreign_files.read_voxels`) with the measures of `score_mesh`."""
+    """Score voxel occupancies in an NRRD or NPZ file.
+
+    The file is read with `foreign_files.read_voxels`. The measures are those of `score_mesh`.
+    """
     known = _Known.of(dataset)
     leaves = foreign_files.read_voxels(Path(file))
     volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
@@ -198,7 +202,10 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score surface points (PLY, or text lines with x y z) by their distances to the true surface, and vice versa."""
+    """Score surface points by their distances to the true surface, and the true surface by its distances to the points.
+
+    The points are read from a PLY file, or from a text file with x, y and z in each line.
+    """
     known = _Known.of(dataset)
     points = foreign_files.read_points(Path(file))
     vertices, faces = known.solid.vertices_mm, known.solid.faces
@@ -216,7 +223,7 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score centre lines (RSML): length, recall, precision, tips, parents, orders and derived traits.
+    """Score centre lines in an RSML file: length, recall, precision, tips, parents, orders and derived traits.
 
     Raises
     ------
@@ -246,7 +253,10 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score the values and 90 % intervals in a table of traits (CSV, see `foreign_files.read_traits`)."""
+    """Score a table of traits in a CSV file by its values and 90 % intervals.
+
+    The file is read with `foreign_files.read_traits`.
+    """
     known, stated = _Known.of(dataset), foreign_files.read_traits(Path(file))
     true = known.traits()
     traits = {name: _score_stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
@@ -262,7 +272,7 @@ def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def interval_score(interval: tuple[float, float], true: float) -> float:
-    """Return the interval score of a 90 % interval (Gneiting and Raftery 2007, eq. 43), relative to the true value."""
+    """Return the interval score of a 90 % interval, divided by the true value (Gneiting and Raftery 2007, eq. 43)."""
     low, high = interval
     return ((high - low) + 2.0 / ALPHA * (max(low - true, 0.0) + max(true - high, 0.0))) / abs(true)
 
@@ -291,12 +301,15 @@ class _Known:
         )
 
     def extents_error(self, points_mm: Floats) -> tuple[float, float, float]:
-        """Return the relative errors of the bounding box of points (N, 3), mm, along x, y and z."""
+        """Return the relative errors of the size of a bounding box along x, y and z.
+
+        The box encloses points (N, 3), mm.
+        """
         size = np.ptp(points_mm, axis=0) / np.ptp(self.solid.vertices_mm, axis=0) - 1.0
         return float(size[0]), float(size[1]), float(size[2])
 
     def traits(self) -> dict[str, float | None]:
-        """Return the true values of the scalar traits by the names of `scenes.trait_table`."""
+        """Return the true values of the scalar traits, keyed by trait name (see `scenes.trait_table`)."""
         volume_mm3, surface_mm2 = self.truth.volume_mm3, float(self.solid.areas_mm2.sum())
         measured = measure_traits(self.roots, self.solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)
         return {name: one.true for name, one in compare_traits(measured, measured).items() if not isinstance(one.true, list)}
@@ -330,11 +343,9 @@ def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
 
 
 def _compare_with_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """Compute volume, mm3, and intersection over union of a self-intersecting mesh from voxels, and notes.
+    """Compute volume, mm3, and intersection over union of a self-intersecting mesh from voxels.
 
-    Volume and intersection over union are None if the mesh is not closed.
-
-    None for an open mesh.
+    Return both values, and notes for the user. Both values are None if the mesh is not closed.
     """
     points = np.concatenate([mesh.vertices_mm[np.unique(mesh.faces)], known.solid.vertices_mm])
     low, size = points.min(axis=0), np.ptp(points, axis=0)
@@ -352,7 +363,10 @@ def _compare_with_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float
 
 
 def _traits_of(roots: Sequence[Root]) -> Traits:
-    """Measure the traits of centre lines. Volume and surface area, which are unknown, are set to 1."""
+    """Measure the traits of centre lines.
+
+    Volume and surface area are unknown. They are set to 1, and traits that depend on them are not used.
+    """
     return measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=1.0, surface_mm2=1.0)
 
 

@@ -28,7 +28,8 @@ from rhizotwin.scoring.score_solid import table_of
 from rhizotwin.stored.load import load_result
 
 NEAR_PX = 2.0
-"""Maximum distance between centre lines that match, pixels: the width of the blur on either side of a root."""
+"""Maximum distance, in pixels, at which a point of a centre line matches a root. Centre lines of the pictures are
+matched with projected roots, and vice versa. Blur widens a root by this distance on either side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,19 +45,23 @@ class PictureScore:
     iou: float
     """Intersection over union of the covered areas in all compared pictures."""
     edge_median_px: float
-    """Median distance between the outlines in both directions, pixels."""
+    """Median distance between the outlines of the projected result and of the roots in the pictures, px. Distances are
+    measured at points on both outlines."""
     edge_p95_px: float
     """95th percentile of the distance between the outlines, pixels."""
     line_median_px: float
-    """Median distance between the centre lines in both directions, pixels."""
+    """Median distance between the centre lines of the projected result and of the roots in the pictures, px. Distances
+    are measured at points on both centre lines."""
     line_p95_px: float
     """95th percentile of the distance between the centre lines, pixels."""
     explained: float
-    """Fraction of the centre lines in the pictures within `NEAR_PX` of the projected result."""
+    """Fraction of the centre-line length in the pictures that lies within `NEAR_PX` of the projected result
+    (recall)."""
     seen: float
-    """Fraction of the projected centre lines within `NEAR_PX` of a root in the pictures."""
+    """Fraction of the centre-line length of the projected result that lies within `NEAR_PX` of a root in the pictures
+    (precision)."""
     per_view: dict[str, float]
-    """Intersection over union of the covered areas by picture."""
+    """Intersection over union of the covered areas in each picture, keyed by file name."""
 
     def to_dict(self) -> Json:
         """Convert the score to values that the json module can write."""
@@ -79,7 +84,8 @@ class PictureScore:
 def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *, monitor: Monitor) -> PictureScore:
     """Compare a result with the pictures of a dataset that were not used in its reconstruction.
 
-    Cameras and coverage of the pictures are estimated as in a reconstruction, independently of the result.
+    The cameras of these pictures and the coverage of their pixels are estimated with the methods of a reconstruction,
+    but independently of the result.
 
     Parameters
     ----------
@@ -123,10 +129,10 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
 
 
 def _to_result_frame(found: Result, cameras: Cameras, same: dict[int, Camera], *, bare: bool) -> Cameras:
-    """Return the cameras in the canister frame of the result, with the result's refractive index of the water.
+    """Transform cameras to the canister frame of the result, and use its refractive index of the water.
 
-    The markers define the frame. Without markers the azimuth of the frame is that of the first picture, and the angle
-    between both frames is computed from pictures that both scans contain.
+    Markers define the canister frame. Without markers the azimuth of the frame is that of the first picture, and the
+    angle between both frames is computed from pictures that both scans contain.
     """
     n_water = found.rig.get("n_water")
     optics = cameras.optics if n_water is None else replace(cameras.optics, n_water=float(n_water))
@@ -158,17 +164,20 @@ class Compared:
     either_px2: float
     """Area of the union of both silhouettes, square pixels."""
     edges_px: NDArray[np.float32]
-    """Distances between the outlines, sampled on both outlines (N,), pixels."""
+    """Distances (N,) between the outlines, px, measured at points on both outlines."""
     lines_px: NDArray[np.float32]
-    """Distances between the centre lines, sampled where a centre line is near the other silhouette (N,), pixels."""
+    """Distances (N,) between the centre lines, px. Points of a centre line that match no root are excluded (see
+    `NEAR_PX`)."""
     explained: tuple[float, float]
-    """Length of the picture's centre lines near the projected result, and their total length, pixels."""
+    """Length of the picture's centre lines that lie near the projected result, and total length of the picture's centre
+    lines, px."""
     seen: tuple[float, float]
-    """Length of the projected centre lines near a root in the picture, and their total length, pixels."""
+    """Length of the projected centre lines that lie near a root in the picture, and total length of the projected
+    centre lines, px."""
 
 
 def compare(shape: Image, picture: Silhouette) -> Compared:
-    """Compare the projected coverage (H, W) with the usable pixels of a picture."""
+    """Compare the projected coverage (H, W) of a result with a picture, in the usable pixels of the picture."""
     shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.usable))
     told = shown < UNSEEN_PX
     root, own = (shown > 0.0) & told, (made > 0.0) & told
@@ -186,15 +195,15 @@ def compare(shape: Image, picture: Silhouette) -> Compared:
 
 
 def _outline_samples(inside: Mask) -> Mask:
-    """Return the samples next to the outline of an area (H, W), inside the area."""
+    """Return which pixels inside an area (H, W) are next to its outline."""
     return inside & ~ndimage.binary_erosion(inside, border_value=1)
 
 
 def _compare_centre_lines(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.float32]]:
-    """Compare the centre lines of one area with another area, both (H, W).
+    """Compare the centre lines of an area (H, W) with a second area (H, W).
 
-    Returns the length of the centre lines near the other area and their total length, pixels, and the distances (N,) of
-    the near part from the centre lines of the other area, pixels.
+    Return the length of the centre lines that lie near the second area, their total length, and the distances (N,) of
+    the near part from the centre lines of the second area, all in pixels.
     """
     line, line_of_other = skeletonize(one), skeletonize(other)
     if not line.any() or not line_of_other.any():

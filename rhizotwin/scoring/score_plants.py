@@ -14,7 +14,8 @@ from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.1
-"""Spacing of the sample points along roots, mm, a fifth of the tolerance of a centre line."""
+"""Spacing of the sample points along roots, mm. It is a fifth of the maximum distance between centre lines that
+match."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +39,8 @@ class PlantScore:
     length_error: float
     """Relative error of the length."""
     rightly_given: float
-    """Fraction of the root length assigned to this plant that is correctly assigned, excluding roots that match no true
-    root."""
+    """Fraction of the root length assigned to this plant that belongs to this plant. Roots that match no true root are
+    excluded."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows (name, text) of the score's text table."""
@@ -62,7 +63,7 @@ def compare_plants(
     roots, true : sequence of Root
         Found and true roots with the names of their plants.
     truth : mapping
-        True values by name of the plant, see `scenes.truth.Truth.plants`.
+        True values, keyed by plant name, see `scenes.truth.Truth.plants`.
     """
     told = [one for one in found if one.subject.plant in truth]
     if not told:
@@ -94,7 +95,10 @@ def compare_plants(
 
 
 def _sample_roots(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
-    """Sample points (N, 3), mm, along roots, and return them with the name (N,) of the plant at each point."""
+    """Sample points along roots.
+
+    Return the points (N, 3), mm, and the name (N,) of the plant to which each point belongs.
+    """
     points, plants = [], []
     for root in roots:
         way = polyline.arc_length_mm(root.points_mm)

@@ -12,7 +12,8 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.calibration_table import Row, rows
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
-"""Index of each tilt and offset in the vector of the canister's pose parameters."""
+"""Index of each tilt and offset in the vector of the canister's pose parameters, keyed by the name in the calibration
+table."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +27,9 @@ class RigError:
     true: float
     """True value of the parameter."""
     sigma: float | None
-    """Standard deviation reported by the result. None if not reported."""
+    """Standard deviation in the result. It is None if the result contains no standard deviation."""
     unit: str
-    """Unit of the parameter. Empty for a dimensionless parameter."""
+    """Unit of the parameter. It is empty for a dimensionless parameter."""
 
     @property
     def error(self) -> float:
@@ -54,7 +55,7 @@ def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[Rig
 
 
 def _true_value(row: Row, truth: Truth) -> float | None:
-    """Return the true value of a calibrated parameter, None if unknown."""
+    """Return the true value of a calibrated parameter. It is None if the ground truth does not contain it."""
     if row.quantity == "refractive index of the water":
         return truth.n_water
     if row.quantity == "focal length relative to the given value":
@@ -72,9 +73,10 @@ def _true_value(row: Row, truth: Truth) -> float | None:
 
 
 def _table_angles(cameras: Sequence[Camera], truth: Truth) -> RigError | None:
-    """Return the RMS error of the table angles, deg, after subtraction of the mean error of each ring.
+    """Return the root mean square error of the table angles, deg.
 
-    The mean error is equivalent to a change of the camera's azimuth.
+    The mean error of each ring is subtracted, because it is equivalent to a change of the camera's azimuth. Return None
+    if no table angle is known.
     """
     true = {view.file: view.table_deg for view in truth.views}
     off: dict[int, list[float]] = {}

@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 NEAR_MM = 0.5
 """Maximum distance between centre lines that match, mm."""
 TIP_MM = 1.0
-"""Maximum distance between tips that match, mm, two to five root diameters."""
+"""Maximum distance between tips that match, mm. It corresponds to two to five root diameters."""
 _STEP_MM = 0.1
-"""Spacing of the sample points along centre lines, mm, a fifth of `NEAR_MM`."""
+"""Spacing of the sample points along centre lines, mm. It is a fifth of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +35,9 @@ class RootScore:
     precision: float
     """Fraction of the found length within `NEAR_MM` of a true centre line."""
     distance_median_mm: float
-    """Median distance from the found to the true centre lines, mm."""
+    """Median distance from points on the found centre lines to the nearest true centre line, mm."""
     radius_error_median: float
-    """Median relative error of the radius along matched centre lines."""
+    """Median relative error of the radius at points where found and true centre lines match."""
     tips: int
     """Number of found tips."""
     tips_true: int
@@ -73,5 +73,8 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
 
 
 def _near_fraction(these: Array, others: Array) -> float:
-    """Return the fraction of tips (A, 3) within `TIP_MM` of one of the other tips (B, 3), zero without tips."""
+    """Return the fraction of tips (A, 3) that lie within `TIP_MM` of a tip in a second set (B, 3).
+
+    It is zero if either set is empty.
+    """
     return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0

@@ -14,67 +14,75 @@ from rhizotwin.scoring import surface_distance, voxelise
 Array = NDArray[np.float64]
 
 SURFACE_SAMPLES = 20_000
-"""Number of sample points on each surface. The sampling error of the median distance is below 1 % of the spread."""
+"""Number of sample points on each surface. The sampling error of the median distance is below 1 % of the spread of the
+distances."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelScore:
-    """Overlap of the occupied voxels with the true solid. A leaf is occupied from an occupancy of one half."""
+    """Overlap of the occupied voxels with the true solid.
+
+    The voxels of a leaf of the octree count as occupied if its occupancy is at least one half.
+    """
 
     recall: float
-    """Fraction of the voxel centres in the true solid that are occupied."""
+    """Of the voxels with their centres in the true solid, the fraction that is occupied."""
     precision: float
-    """Fraction of the occupied voxels whose centre is in the true solid."""
+    """Of the occupied voxels, the fraction with their centres in the true solid."""
     iou: float
-    """Number of voxels in the intersection divided by number of voxels in the union."""
+    """Intersection over union of the occupied voxels and the voxels whose centres are in the true solid."""
     recall_weighted: float
-    """Recall of the volume, with each leaf weighted by its occupancy and the true solid sampled with 2^3 points per
-    voxel."""
+    """Fraction of the true volume that is contained in the reconstructed volume. Leaves are weighted with their
+    occupancies, and the true solid is sampled with 2^3 points per voxel."""
     precision_weighted: float
-    """Precision of the volume with the same weights."""
+    """Fraction of the reconstructed volume that is contained in the true volume, computed with the same weights and
+    samples."""
     iou_weighted: float
-    """Intersection over union of the volumes with the same weights."""
+    """Intersection over union of the reconstructed and the true volume, computed with the same weights and samples."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HullScore:
-    """Agreement of the visual hull before trimming with the true solid."""
+    """Agreement of the visual hull, before it was trimmed, with the true solid."""
 
     recall: float
-    """Fraction of the voxel centres in the true solid that lie in leaves of the hull. The rest was carved by
+    """Fraction of the voxel centres in the true solid that the hull contains. The remaining voxels were carved by
     mistake."""
     volume_mm3: float
     """Volume of the hull, mm3."""
     volume_error: float
-    """Relative error of the hull's volume. Silhouettes do not determine the excess volume."""
+    """Relative error of the hull's volume. It is usually positive, because the hull contains all points that are
+    consistent with the silhouettes."""
     kept_recall: float
-    """Fraction of the voxel centres in the true solid that lie in leaves of the trimmed shape. The difference from the
-    recall of the hull was trimmed by mistake."""
+    """Fraction of the voxel centres in the true solid that the trimmed shape contains. If it is smaller than the recall
+    of the hull, parts of the solid were trimmed by mistake."""
     leaf_count_volume_mm3: float
-    """Volume of the leaves that are at least half occupied, counted as full, mm3. This is the volume measure of the
+    """Volume of the leaves with an occupancy of at least one half, mm3. These leaves are counted as full, as in the
     thesis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceScore:
-    """Distances between the reconstructed and the true surface at uniformly distributed points, mm."""
+    """Distances between the reconstructed and the true surface, measured at uniformly distributed points."""
 
     median_mm: float
-    """Median distance of the points on both surfaces, mm."""
+    """Median distance between the surfaces, measured at points on both surfaces, mm."""
     p95_mm: float
-    """95th percentile of the distance of the points on both surfaces, mm."""
+    """95th percentile of the distance between the surfaces, measured at points on both surfaces, mm."""
     result_to_truth_median_mm: float
-    """Median distance of points on the reconstructed surface, mm. Artefacts and thickening increase it."""
+    """Median distance from points on the reconstructed surface to the true surface, mm. It increases if there are
+    artefacts or if roots are too thick."""
     result_to_truth_p95_mm: float
-    """95th percentile of the distance of points on the reconstructed surface, mm."""
+    """95th percentile of the distance from points on the reconstructed surface to the true surface, mm."""
     truth_to_result_median_mm: float
-    """Median distance of points on the true surface, mm. Missing parts increase it."""
+    """Median distance from points on the true surface to the reconstructed surface, mm. It increases if parts are
+    missing."""
     truth_to_result_p95_mm: float
-    """95th percentile of the distance of points on the true surface, mm."""
+    """95th percentile of the distance from points on the true surface to the reconstructed surface, mm."""
 
     @staticmethod
     def of(to_truth: Array, to_result: Array) -> SurfaceScore:
-        """Compute the statistics of the distances from result to truth (A,) and from truth to result (B,), mm."""
+        """Compute the statistics of the distances (A,) from result to truth and (B,) from truth to result, mm."""
         both = np.concatenate([to_truth, to_result])
         return SurfaceScore(
             median_mm=float(np.median(both)),
@@ -91,7 +99,7 @@ def _ratio(part: float, whole: float) -> float:
 
 
 def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
-    """Compare the leaves of the trimmed shape and of the hull with a closed mesh, on the grid of the leaves.
+    """Compare the trimmed shape and the visual hull with a closed mesh, on the voxel grid of the shape.
 
     Raises
     ------
@@ -131,7 +139,10 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
 
 
 def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
-    """Compare two surfaces by the distances of sample points, which are identical in each call."""
+    """Compare two surfaces by the distances of random sample points.
+
+    The random seed is fixed, so that the points are the same in each call.
+    """
     rng = np.random.default_rng(0)
     on_shape = surface_sample.sample(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)[0]
     on_truth = surface_sample.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]

@@ -27,29 +27,30 @@ class ShootScore:
     surface_area_error: float
     """Relative error of the surface area."""
     leaf_area_mm2: float | None
-    """One-sided area of the blades, mm2. None if leaves enclose a space that is not visible in any picture."""
+    """One-sided area of the blades, mm2. It is None if leaves enclose a space that is not visible in any picture."""
     leaf_area_true_mm2: float
     """True one-sided area of the blades, mm2."""
     leaf_area_error: float | None
-    """Relative error of the leaf area. None if the leaf area is unknown."""
+    """Relative error of the leaf area. It is None if the leaf area was not determined."""
     leaves: int
     """Number of leaves."""
     leaves_true: int
     """True number of leaves."""
     projected_error: float
-    """Median relative error of the projected area over the pictures."""
+    """Relative error of the projected area of the shoot, as the median over the pictures."""
     projected_error_max: float
-    """Maximum absolute value of the relative error of the projected area."""
+    """Relative error of the projected area of the shoot, as the maximum absolute value over the pictures."""
     hull_mm3: float
-    """Volume of the shoot's hull, mm3."""
+    """Volume of the visual hull of the shoot, mm3."""
     volume_mm3: float | None
-    """Volume of the shoot, mm3. None if the leaf thickness was not measured."""
+    """Volume of the shoot, mm3. It is None if the leaf thickness was not measured."""
     volume_true_mm3: float
     """True volume of the shoot, mm3."""
     volume_error: float | None
-    """Relative error of the volume. None if the volume is unknown."""
+    """Relative error of the volume. It is None if the volume was not determined."""
     colour: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """NDVI and NDRE as (found, true). Empty if the shoot was imaged in a single band."""
+    """Found and true values of the vegetation indices NDVI and NDRE, keyed by index name. It is empty if the shoot was
+    imaged in a single band."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows (name, text) of the score's text table."""
@@ -82,7 +83,7 @@ class ShootScore:
 
 
 def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) -> ShootScore | None:
-    """Compare a shoot with the ``truth`` folder of a dataset. None if the result or the truth has no shoot."""
+    """Compare a shoot with the ``truth`` folder of a dataset. Return None if the result or the truth has no shoot."""
     if found is None or not truth:
         return None
     half_mm2 = 0.5 * float(result_files.read_mesh(folder / "shoot.ply").areas_mm2.sum())

@@ -34,7 +34,7 @@ class VolumeScore:
     volume_trusted: bool
     """Whether the volume is reliable according to the result."""
     volume_verdict: str
-    """Reliability of the volume in one sentence."""
+    """Sentence that states whether the volume is reliable."""
 
     def to_dict(self) -> Json:
         """Convert the score to values that the json module can write."""
@@ -47,7 +47,7 @@ class VolumeScore:
 
 @dataclass(frozen=True, kw_only=True)
 class SolidScore(VolumeScore):
-    """Agreement of a result with the scanned solid after registration."""
+    """Agreement of a result with a scanned solid that was registered to the result."""
 
     extents_mm: Triple
     """Size of the result's bounding box along x, y and z of the canister frame, mm."""
@@ -58,7 +58,7 @@ class SolidScore(VolumeScore):
     surface: SurfaceScore
     """Distances between the surface of the result and the true surface."""
     result_from_solid: tuple[tuple[float, ...], ...]
-    """Rigid transform (4, 4) that registers the solid to the result, mm."""
+    """Rigid transform (4, 4) from the frame of the solid to the frame of the result, mm."""
 
     def table(self) -> str:
         """Return the score as a text table."""
@@ -81,7 +81,7 @@ def score_volume(result: Result | Path | str, volume_mm3: float) -> VolumeScore:
 
 
 def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) -> SolidScore:
-    """Compare a result with the scanned solid, which is first registered to the result.
+    """Compare a result with a scanned solid, which is first registered to the result.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) 
 
 
 def volume_fields(found: Result, volume_mm3: float) -> Json:
-    """Return the fields of a `VolumeScore` by name."""
+    """Return the values of the fields of a `VolumeScore`, keyed by field name."""
     low, high = found.interval_mm3
     return {
         "scene": found.scene,
@@ -128,7 +128,7 @@ def volume_fields(found: Result, volume_mm3: float) -> Json:
 
 
 def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
-    """Return the rows (name, text) of a score's text table that show the volume."""
+    """Return the table rows (name, text) that show the volume."""
     low, high = score.volume_interval_mm3
     verdict = "contains" if score.interval_holds_truth else "does not contain"
     found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (score.volume_mm3, score.volume_true_mm3))
@@ -140,13 +140,13 @@ def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
 
 
 def extent_rows(found_mm: Triple, true_mm: Triple, errors: Triple) -> list[tuple[str, str]]:
-    """Return the rows (name, text) of a score's text table that show the bounding box."""
+    """Return the table rows (name, text) that show the size of the bounding box."""
     each = zip("xyz", found_mm, true_mm, errors, strict=True)
     return [(f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {percent(error)}") for axis, found, true, error in each]
 
 
 def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
-    """Return the rows (name, text) of a score's text table that show the surface distances."""
+    """Return the table rows (name, text) that show the distances between the surfaces."""
     return [
         ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
         ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),

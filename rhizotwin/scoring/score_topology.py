@@ -10,16 +10,14 @@ from rhizotwin.scenes.rsml import Root, sample_centre_lines
 from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.25
-"""Spacing of the sample points for matching roots, mm, half of `NEAR_MM`."""
+"""Spacing of the sample points at which roots are matched, mm. It is half of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopologyScore:
     """Agreement of the branching with the true branching.
 
-    Roots are matched by the length over which they lie within `NEAR_MM` of each other.
-
-    Roots are matched by the length over which they lie within `NEAR_MM` of each other.
+    A true root is matched with the found root that lies within `NEAR_MM` of it over the largest length.
     """
 
     roots: int
@@ -27,10 +25,11 @@ class TopologyScore:
     roots_true: int
     """Number of true roots."""
     matched: float
-    """Fraction of the true roots that are matched, because at least half of their length lies on a single found
-    root."""
+    """Fraction of the true roots that are matched. A true root is matched if at least half of its length lies on a
+    single found root."""
     parents: float
-    """Fraction of the matched true roots whose found parent is the match of the true parent."""
+    """Fraction of the matched true roots with the correct parent. Roots whose true parent is not matched are
+    excluded."""
     orders: float
     """Fraction of the matched true roots with the correct order."""
 
@@ -55,9 +54,9 @@ def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologySco
 
 
 def _matches(found: Sequence[Root], true: Sequence[Root]) -> list[int]:
-    """Return the index of the found root that matches each true root, because it covers at least half of the true root.
+    """Return for each true root the index of the matching found root.
 
-    -1 without a match.
+    The found root must cover at least half of the true root. The index is -1 if no found root does.
     """
     on_found = sample_centre_lines(found, _STEP_MM)
     tree = cKDTree(on_found.points_mm)

@@ -18,10 +18,10 @@ class TraitScore:
     unit: str
     """Unit of both values."""
     error: float | None
-    """Relative error (found / true - 1), difference in degrees for an angle, or fraction of the true length in wrong
-    bins for a histogram. None if unknown."""
+    """Relative error (found / true - 1). For an angle it is the difference in degrees, and for a histogram the fraction
+    of the length in wrong bins. It is None if the trait is unknown in the result or in the truth."""
     error_unit: str
-    """Unit of the error, ``1`` or ``deg``."""
+    """Unit of the error: ``deg`` for an angle, otherwise ``1``."""
 
     def text(self) -> str:
         """Format the error with its unit."""
@@ -31,7 +31,7 @@ class TraitScore:
 
 
 def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
-    """Return the errors of all traits by name, except for traits that need a mass."""
+    """Return the errors of all traits that do not need the mass of the roots, keyed by trait name."""
     scores = {}
     for d in DEFINITIONS:
         a, b = getattr(found, d.field), getattr(true, d.field)
@@ -47,7 +47,7 @@ def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
 
 
 def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
-    """Return the rows (name, text) of a score's text table for traits known in both result and truth."""
+    """Return the table rows (name, text) for all traits that are known in both the result and the truth."""
     lines = []
     for name, score in scores.items():
         if score.error is None:
@@ -61,9 +61,10 @@ def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
 
 
 def _wrong_bin_fraction(found: list[float], true: list[float]) -> float | None:
-    """Return the fraction of a histogram's length in wrong bins.
+    """Return the fraction of the length in a histogram that is in wrong bins.
 
-    The fraction is half the sum of the bins' absolute differences divided by the true length.
+    It is half the sum of the absolute differences between found and true bins, divided by the true length. It is None
+    if a histogram is empty.
     """
     if not found or not true:
         return None

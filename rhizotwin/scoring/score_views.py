@@ -16,13 +16,13 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.result_files import read_grey
 
 HALF = 0.49
-"""Coverage from which a pixel counts as covered, slightly below one half, because sampled coverage is often exactly one
-half and must not depend on rounding."""
+"""Minimum coverage of a pixel that counts as covered. It is slightly below one half, because sampled coverages are
+often exactly one half, and rounding errors must not decide about these pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseScore:
-    """Errors of the camera poses of the used views in the canister frame."""
+    """Errors of the camera poses in the canister frame, for the views that the reconstruction used."""
 
     used: int
     """Number of used views."""
@@ -37,19 +37,20 @@ class PoseScore:
     max_deg: float
     """Maximum angle between found and true camera orientations, deg."""
     common_mm: float
-    """Shift that is common to all views at the centre of the specimen, mm, equivalent to an error of the canister
-    frame."""
+    """Mean shift of all views, evaluated at the centre of the specimen, mm. It is equivalent to an error of the
+    canister frame."""
     common_deg: float
-    """Rotation that is common to all views, deg, equivalent to an error of the canister frame."""
+    """Mean rotation of all views, deg. It is equivalent to an error of the canister frame."""
     own_mm: float
-    """Median shift of a view at the centre of the specimen after subtraction of the common shift, mm."""
+    """Median of the views' shifts at the centre of the specimen, mm, after subtraction of the mean shift of all
+    views."""
     per_view: dict[str, tuple[float, float]]
-    """Errors of position (mm) and orientation (deg) by file name."""
+    """Position error (mm) and orientation error (deg) of each view, keyed by file name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaskScore:
-    """Errors of the silhouettes in the usable pixels of each picture, as medians over the used views."""
+    """Errors of the silhouettes in the usable pixels of each picture. Each value is the median over the used views."""
 
     mean_abs: float
     """Mean absolute error of the coverage, divided by the mean true coverage."""
@@ -58,13 +59,13 @@ class MaskScore:
     area_error: float
     """Relative error of the covered area (found / true - 1)."""
     unseen: float
-    """Fraction of the true covered area in unusable pixels."""
+    """Fraction of the true covered area that lies in unusable pixels."""
     per_view: dict[str, tuple[float, float, float, float]]
-    """Values of ``mean_abs``, ``iou``, ``area_error`` and ``unseen`` by file name."""
+    """Values of ``mean_abs``, ``iou``, ``area_error`` and ``unseen`` of each view, keyed by file name."""
 
 
 def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *, centre_mm: frames.Array) -> PoseScore | None:
-    """Compute the pose errors of the used views of a result, None if no view was used.
+    """Compute the pose errors of the used views of a result. Return None if no view was used.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *
 
 
 def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, image_wh: tuple[int, int]) -> MaskScore | None:
-    """Compute the silhouette errors of the used views, None if the result contains no silhouettes."""
+    """Compute the silhouette errors of the used views. Return None if the result contains no silhouettes."""
     errors: dict[str, tuple[float, float, float, float]] = {}
     for file, found in silhouettes.items():
         true = read_grey(picture_path(masks_folder, file), image_wh=image_wh)
@@ -126,7 +127,7 @@ def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, 
 def mask_errors(found: Image, true: Image, seen: Mask) -> tuple[float, float, float, float]:
     """Compare found and true coverage (H, W), 0 to 1, in the usable pixels ``seen`` (H, W) of a view.
 
-    Return the values of `MaskScore`: mean_abs, iou, area_error and unseen.
+    Return four measures, which are described in `MaskScore`: mean_abs, iou, area_error and unseen.
     """
     area = float(true[seen].sum(dtype=np.float64))
     total = float(true.sum(dtype=np.float64))

@@ -9,14 +9,15 @@ Floats = NDArray[np.float64]
 PAIRS_AT_ONCE = 1_000_000
 """Maximum number of point-triangle pairs in memory at once."""
 _SMALL_CLASS = 0.02
-"""Minimum fraction of all triangles in a size class. Smaller classes are merged with the next larger class."""
+"""Minimum number of triangles in a size class, as a fraction of all triangles. A smaller class is merged with the class
+of the next larger triangles."""
 
 
 def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Compute the distance of each point to the triangle of the same row.
+    """Compute the distance from each point to the triangle in the same row.
 
-    Ericson, Real-Time Collision Detection (2005), 5.1.5. The distance is the minimum of the distances to the three
-    edges, and of the distance to the plane if the foot of the perpendicular lies inside the triangle.
+    See Ericson, Real-Time Collision Detection (2005), section 5.1.5. The distance is the minimum of the distances to
+    the three edges, and of the distance to the plane if the foot of the perpendicular lies inside the triangle.
 
     Parameters
     ----------
@@ -51,12 +52,12 @@ def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Float
 
 
 def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]) -> Floats:
-    """Compute the distance (N,), mm, of each point (N, 3) to a mesh with vertices (V, 3), mm, and faces (F, 3).
+    """Compute the distance (N,), mm, from each point (N, 3) to a mesh.
 
-    Triangles are grouped into classes of similar size, sorted by decreasing number of triangles. In each class the
-    candidates are the triangles with the nearest centroids. The search for a point ends when the distance to the next
-    centroid exceeds the current minimum distance plus the largest circumradius of the class, because no triangle
-    farther away can be nearer.
+    The mesh has vertices (V, 3), mm, and faces (F, 3). Triangles are grouped into classes of similar size, and classes
+    with many triangles are processed first. In each class the candidates are the triangles with the nearest centroids.
+    The search for a point ends when the distance to the next centroid exceeds the current minimum distance plus the
+    largest circumradius of the class, because no triangle farther away can be nearer.
     """
     points_mm = np.asarray(points_mm, np.float64)
     if not len(faces):
@@ -73,9 +74,10 @@ def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]
 
 
 def _group_by_size(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Group triangles by size class, and return the indices (M,) of each group, largest group first.
+    """Group triangles by size class.
 
-    Classes with few triangles are merged with the class of the next larger size.
+    Return the indices (M,) of the triangles in each group, largest group first. A class with few triangles is merged
+    with the class of the next larger triangles.
     """
     groups: list[NDArray[np.int64]] = []
     waiting = np.zeros(0, np.int64)
@@ -89,7 +91,10 @@ def _group_by_size(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _update_distances(best: Floats, points_mm: Floats, corners: Floats, tree: cKDTree, radius_mm: float) -> None:
-    """Update the minimum distances ``best`` (N,) in place with triangles (M, 3, 3) of limited circumradius."""
+    """Update the minimum distances ``best`` (N,) in place with a group of triangles (M, 3, 3).
+
+    The circumradius of these triangles is at most ``radius_mm``.
+    """
     open_points = np.arange(len(points_mm))
     k = 1 if np.isfinite(best).all() else min(8, len(corners))  # a few nearest centroids are sufficient for most points
     while len(open_points):

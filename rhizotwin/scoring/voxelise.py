@@ -1,6 +1,6 @@
 """Find the voxel centres that lie inside a closed triangle mesh.
 
-Vertical rays through the columns of the grid are intersected with the mesh, and the crossings are counted with sign.
+Vertical rays through the columns of the grid are intersected with the mesh, and their entries and exits are counted.
 
 A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Each triangle is assigned to the columns
 (x, y) whose centre lies in the triangle's projection. The crossings of a column are sorted by height. Each crossing
@@ -23,11 +23,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PAIRS_AT_ONCE = 3_000_000
-"""Maximum number of triangle-column pairs in memory at once, about 100 bytes each."""
+"""Maximum number of triangle-column pairs in memory at once. A pair needs about 100 bytes."""
 
 NUDGES_VOXEL = ((0.0, 0.0), (1.1e-7, 1.7e-7), (-2.3e-7, 1.3e-7), (3.1e-6, -2.9e-6))
-"""Offsets (x, y) of a column, in voxels, with which the intersection is repeated if rounding makes its crossings
-unbalanced."""
+"""Offsets (x, y) of a column, in voxels. If rounding errors cause unequal numbers of entries and exits in a column, the
+column is shifted by the next offset and intersected again."""
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,18 @@ class Crossings:
     """Sorted crossings of a closed surface with the grid columns ``x_range[0] <= i_x < x_range[1]``."""
 
     low: Ints
-    """Lowest voxel index of the surface's bounding box (3,)."""
+    """Index (3,) of the lowest voxel of the surface's bounding box."""
     shape: Ints
-    """Size of the bounding box in voxels (3,), increased by one along z so that the topmost crossing of a column has an
-    index."""
+    """Size (3,) of the bounding box in voxels. It is one larger along z, so that the first voxel centre above the
+    topmost crossing has an index."""
     x_range: tuple[int, int]
     """Range of column indices along x (first, last + 1)."""
     keys: Ints
-    """Flat index of the first voxel centre above each crossing (M,), in ascending order."""
+    """Flat indices (M,) of the first voxel centre above each crossing, in ascending order."""
     inside: NDArray[np.bool_]
-    """Whether the voxel centres between this crossing and the next crossing are inside (M,)."""
+    """Whether the voxel centres between each crossing and the next one lie inside the surface (M,)."""
     below: Ints
-    """Number of voxel centres inside the surface with a flat index below ``keys`` (M,)."""
+    """Number of voxel centres inside the surface whose flat index is smaller than the index in ``keys`` (M,)."""
 
     @property
     def count(self) -> int:
@@ -65,7 +65,10 @@ class Crossings:
         return np.where(at < 0, 0, found)
 
     def count_in_columns(self, indices_xy: Ints, z_low: Ints, z_high: Ints) -> Ints:
-        """Count the voxel centres inside the surface with ``z_low <= i_z < z_high`` (N,) in columns (N, 2)."""
+        """Count the voxel centres inside the surface in parts of columns.
+
+        A part consists of the voxels ``z_low <= i_z < z_high`` (N,) in a column (N, 2).
+        """
         x, y = indices_xy[:, 0] - self.low[0], indices_xy[:, 1] - self.low[1]
         known = (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
         known &= (indices_xy[:, 0] >= self.x_range[0]) & (indices_xy[:, 0] < self.x_range[1])
@@ -82,10 +85,10 @@ def _concatenated_ranges(lengths: Ints) -> Ints:
 
 
 def _edge_side(p_xy: Floats, a_xy: Floats, b_xy: Floats) -> NDArray[np.int8]:
-    """Return +1 if the point p lies left of the edge a -> b, and -1 if right.
+    """Return +1 if the point p lies on the left of the edge from a to b, and -1 if it lies on the right.
 
-    Ties are resolved as if p were moved by (eps, eps^2). The edge is evaluated from its lexicographically smaller end,
-    so that both adjacent triangles have exactly opposite results.
+    A point on the edge is treated as if it were moved by (eps, eps^2). The edge is evaluated from its lexicographically
+    smaller end, so that both adjacent triangles have exactly opposite results.
     """
     swap = (b_xy[:, 0] < a_xy[:, 0]) | ((b_xy[:, 0] == a_xy[:, 0]) & (b_xy[:, 1] < a_xy[:, 1]))
     first = np.where(swap[:, None], b_xy, a_xy)
@@ -97,7 +100,10 @@ def _edge_side(p_xy: Floats, a_xy: Floats, b_xy: Floats) -> NDArray[np.int8]:
 
 
 def _chunks(cost: Ints) -> Iterator[slice]:
-    """Yield consecutive slices with a total cost below `PAIRS_AT_ONCE`, or with a single item."""
+    """Yield consecutive slices of items, each with a total cost of about `PAIRS_AT_ONCE` or less.
+
+    An item with a higher cost has a slice to itself.
+    """
     block = (np.cumsum(cost) - 1) // PAIRS_AT_ONCE
     edges = np.concatenate([[0], np.flatnonzero(np.diff(block)) + 1, [len(cost)]])
     for start, stop in pairwise(edges):
@@ -107,9 +113,9 @@ def _chunks(cost: Ints) -> Iterator[slice]:
 def _find_crossings(
     corners: Floats, low: Ints, shape: Ints, x_range: tuple[int, int], nudge: tuple[float, float]
 ) -> tuple[Ints, Ints, Ints]:
-    """Return (column, i_z, sign) of every crossing.
+    """Return the column (M,), the height index (M,) and the sign (M,) of every crossing.
 
-    The corners (F, 3, 3) are in voxels, with voxel centres at integers.
+    The corners (F, 3, 3) of the triangles are in units of voxels. Voxel centres have integer coordinates.
     """
     x_low, y_low = (np.ceil(corners[:, :, i].min(axis=1) - nudge[i]).astype(np.int64) for i in (0, 1))
     x_high, y_high = (np.floor(corners[:, :, i].max(axis=1) - nudge[i]).astype(np.int64) + 1 for i in (0, 1))
@@ -140,7 +146,7 @@ def _find_crossings(
 
 
 def _are_balanced(columns: Ints, signs: Ints, size: int) -> NDArray[np.bool_]:
-    """Return for each column whether its crossings contain as many entries as exits."""
+    """Return for each column whether it has as many entries as exits."""
     return np.bincount(columns, weights=signs, minlength=size) == 0.0
 
 
@@ -204,7 +210,7 @@ def cross_columns(
 
 
 def _near_columns(corners: Floats, bad: NDArray[np.bool_], low: Ints, shape: Ints) -> NDArray[np.bool_]:
-    """Return which triangles (F,) may cross an unbalanced column, according to their bounding boxes."""
+    """Return which triangles (F,) may cross an unbalanced column. They are selected by their bounding boxes."""
     table = np.zeros((int(shape[0]) + 1, int(shape[1]) + 1), np.int64)
     table[1:, 1:] = bad.reshape(int(shape[0]), int(shape[1])).cumsum(axis=0).cumsum(axis=1)
     x0, y0 = (np.clip(np.floor(corners[:, :, i].min(axis=1)).astype(np.int64) - 1 - low[i], 0, shape[i]) for i in (0, 1))
@@ -295,7 +301,9 @@ def fraction(
     voxel_mm: float,
     samples: int = 2,
 ) -> NDArray[np.float32]:
-    """Compute the fraction of each cubic box of voxels inside a closed mesh from ``samples``^3 points per voxel.
+    """Compute the fraction of each cubic box of voxels that lies inside a closed mesh.
+
+    The fraction is sampled at ``samples``^3 points per voxel.
 
     Parameters
     ----------

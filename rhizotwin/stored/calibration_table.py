@@ -20,9 +20,9 @@ class Row:
     found: float
     """Calibrated value of the parameter."""
     sigma: float | None
-    """Standard deviation of the calibrated value. None if unknown."""
+    """Standard deviation of the calibrated value. It is None if it was not estimated."""
     unit: str
-    """Unit of the parameter. Empty for a dimensionless parameter."""
+    """Unit of the parameter. It is empty for a dimensionless parameter."""
     taken: bool
     """Whether the reconstruction used the calibrated value."""
 
@@ -34,7 +34,10 @@ class Row:
 
 
 def rows(rig: Json) -> list[Row]:
-    """Return the calibrated parameters in the entry ``rig`` of a result. Empty if the cameras were given."""
+    """Return the calibrated parameters in the entry ``rig`` of a result.
+
+    The list is empty if the camera poses were given instead of calibrated.
+    """
     found: list[Row] = []
     if rig.get("n_water_found") is not None:
         taken = rig["n_water"] != rig["n_water_given"]
@@ -63,7 +66,10 @@ def rows(rig: Json) -> list[Row]:
 
 
 def reprojection(rig: Json) -> list[tuple[str, float, float, str]]:
-    """Return the residuals before and after calibration as (name, before, after, unit)."""
+    """Return the residuals of the calibration.
+
+    Each has a name, a value before calibration, a value after calibration, and a unit.
+    """
     edges, roots = rig.get("canister_edges"), rig.get("roots")
     found = []
     if rig.get("reprojection_before_px") is not None and rig.get("reprojection_after_px") is not None:

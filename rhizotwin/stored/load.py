@@ -95,7 +95,7 @@ def _solid(folder: Path, summary: Json) -> Solid:
 
 
 def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
-    """Read the shoot, None if the result has no shoot."""
+    """Read the shoot. Return None if the result has no shoot."""
     if summary is None:
         return None
     mesh = result_files.read_mesh(folder / "shoot.ply")
@@ -142,7 +142,9 @@ def _term(term: Json) -> Term:
 
 
 def read_silhouette(folder: Path, file: str) -> Silhouette:
-    """Read the silhouette of a picture from a result folder. All pixels are usable if no mask is stored.
+    """Read the silhouette of a picture from a result folder.
+
+    All pixels are usable if the folder contains no mask of the usable pixels.
 
     Raises
     ------
@@ -157,7 +159,10 @@ def read_silhouette(folder: Path, file: str) -> Silhouette:
 
 @dataclass(frozen=True)
 class _Stored(Mapping[str, Silhouette]):
-    """Silhouettes in a result folder by file name of the picture. A silhouette is read from its file on access."""
+    """Silhouettes in a result folder, keyed by file name of the picture.
+
+    A silhouette is read from its file on access.
+    """
 
     folder: Path
     """Result folder."""

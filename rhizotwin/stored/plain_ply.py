@@ -21,7 +21,10 @@ _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
 
 
 def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Return vertices (V, 3) and triangles (F, 3), None if the file has another header or size."""
+    """Return vertices (V, 3) and triangles (F, 3) of a PLY file.
+
+    Return None if the header or the size of the file differs from that of a result.
+    """
     with path.open("rb") as stream:
         header = _HEADER.match(stream.read(_LONGEST))
         if header is None:

@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from rhizotwin.scenes.neighbours import Neighbours
 
 MOST_SHAPE_MIB = 512
-"""Maximum size of an unpacked shape (40 bytes per leaf, including the hull) and of a surface file (25 bytes per
-triangle), MiB. A shape of this size has 13 million leaves, which need 2 GiB of memory."""
+"""Maximum size, MiB, of an unpacked shape (40 bytes per leaf, including the hull) and of a surface file (25 bytes per
+triangle). A shape of this size has 13 million leaves and needs 2 GiB of memory."""
 RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
 )
-"""Names of files and folders in a result folder that a new result may replace. A folder with a log of corrections
-(edits.json) is not replaced."""
+"""Names of the files and folders that a new result may replace in an existing result folder. A folder with a log of
+corrections (``edits.json``) is not replaced."""
 
 
 def read_summary(folder: Path) -> Json:
@@ -61,7 +61,7 @@ def read_summary(folder: Path) -> Json:
 
 
 def results_in(folders: Sequence[Path]) -> list[Path]:
-    """Return all results among the folders and in their subfolders, such as the results of a batch.
+    """Return all results among some folders and their subfolders, for example the results of a batch.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def results_in(folders: Sequence[Path]) -> list[Path]:
 
 
 def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:
-    """Read the figure of a result's shape (H, W, 3), BGR. None if the figure is missing or cannot be decoded."""
+    """Read the figure of a result's shape (H, W, 3), BGR. Return None if the figure is missing or cannot be decoded."""
     import cv2  # loaded on first use
 
     file = folder / "pictures" / "shape.png"
@@ -94,7 +94,7 @@ def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:
 def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
     """Read the marker strip of a result.
 
-    None in results of earlier versions. Raise `UserError` if the entry is damaged.
+    It is None in results of earlier versions, which do not contain it. Raise `UserError` if the entry is damaged.
     """
     strip = summary.get("strip")
     return None if strip is None else from_plain(MarkerStrip, strip, Place(str(Path(folder) / "result.json")).at("strip"))
@@ -134,7 +134,10 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
 
 
 def check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
-    """Raise `UserError` if an archive is too large for the memory. The archive is not unpacked."""
+    """Raise `UserError` if an archive would be too large for the memory after unpacking.
+
+    The size is read from the archive's list of files, without unpacking.
+    """
     size_mib = sum(part.file_size for part in parts) / 2**20
     if size_mib > MOST_SHAPE_MIB:
         raise UserError(f"the unpacked size of {path} is {size_mib:.0f} MiB, but must be at most {MOST_SHAPE_MIB} MiB; use larger voxels.")
@@ -190,18 +193,21 @@ def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
 
 
 def read_roots(folder: Path) -> tuple[Root, ...]:
-    """Read the roots of a result. Empty for a solid without roots."""
+    """Read the roots of a result. The tuple is empty if the result is a solid without roots."""
     file = folder / "roots.rsml"
     return rsml.read_rsml(file) if file.is_file() else ()
 
 
 def finest_mm(summary: Json) -> float:
-    """Return the edge length, mm, of the voxels from which the surface of a result was extracted."""
+    """Return the edge, mm, of the smallest voxels, from which the surface of a result was extracted."""
     return float(summary.get("settings", {}).get("finest_mm", summary["voxel_mm"]))
 
 
 def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":
-    """Return the distances between the plants of a result. Empty for a single plant or without roots."""
+    """Return the distances between the plants of a result.
+
+    The tuple is empty if the result has only one plant or no roots.
+    """
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
     return find_neighbours(read_roots(folder))
@@ -222,9 +228,9 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
 
 
 def find_dataset(folder: Path, summary: Json, given: Dataset | Path | None) -> Dataset | None:
-    """Return the given dataset, or else the dataset recorded in the result.
+    """Return the given dataset. If none is given, return the dataset recorded in the result.
 
-    None if the recorded dataset no longer exists.
+    Return None if the recorded dataset no longer exists or has changed.
 
     Parameters
     ----------
@@ -249,7 +255,9 @@ def find_dataset(folder: Path, summary: Json, given: Dataset | Path | None) -> D
 
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
-    """Raise `UserError` if a result was not made from a dataset, judged by the hash of the dataset's manifest.
+    """Raise `UserError` if a result was not reconstructed from the present content of a dataset.
+
+    The hash of the dataset's manifest is compared with the hash in the result.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
 
 
 def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
-    """Measure the traits from ``result.json``, surface and roots of a result.
+    """Measure the traits of a result from its ``result.json``, its surface and its roots.
 
     Parameters
     ----------
@@ -93,6 +93,6 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
 def of_shoot(summary: Json) -> Json | None:
     """Return the entry ``shoot`` of ``result.json``.
 
-    None without a shoot, or if the shoots of several plants are not separated.
+    Return None if there is no shoot, or if the result contains several plants, whose shoots are not separated.
     """
     return None if summary.get("plants") else summary.get("shoot")

@@ -10,13 +10,14 @@ from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import trait_table
 
 Fits: TypeAlias = Callable[[Any], bool]
-"""Type of a function that returns whether a value is valid."""
+"""Type of a validator: a function that returns whether a value is valid."""
 LARGEST = 1e15
-"""Maximum absolute value of any number in a result (mm3, s, MiB)."""
+"""Limit for the absolute value of every number in ``result.json``, in any unit. Larger numbers are regarded as
+invalid."""
 
 
 def find_fault(summary: Json) -> str:
-    """Return a description of the first error in ``result.json``, empty if the content is valid."""
+    """Return a description of the first error in ``result.json``. It is empty if the content is valid."""
     missing = [key for key in _REQUIRED if key not in summary]
     if missing:
         return f"contains no value of {missing[0]!r}"
@@ -49,7 +50,7 @@ def _list(fits: Fits, count: int | None = None) -> Fits:
 
 
 def _with(there: dict[str, Fits], maybe: dict[str, Fits] | None = None) -> Fits:
-    """Return a function that validates an object with required and optional keys."""
+    """Return a validator for an object with the required keys ``there`` and the optional keys ``maybe``."""
 
     def fits(value: Any) -> bool:
         if not isinstance(value, dict) or any(key not in value for key in there):
@@ -68,9 +69,9 @@ def _numbers(count: int) -> Fits:
 
 
 _POSE = _list(_numbers(4), 4)
-"""Validator of a 4x4 matrix."""
+"""Validator for a pose, which is a 4x4 matrix."""
 _TERM = _with({"why": _text, "less_mm3": _number, "more_mm3": _number})
-"""Validator of a cause of uncertainty."""
+"""Validator for one entry of the list of causes of uncertainty."""
 _VIEW = _with(
     {"file": _text, "used": _truth},
     {
@@ -80,7 +81,7 @@ _VIEW = _with(
         ),
     },
 )
-"""Validator of a view."""
+"""Validator for one entry of the list of views."""
 _RING = _with(
     {
         "ring": _number,
@@ -91,11 +92,11 @@ _RING = _with(
     },
     {"placement": _or_none(_number)},
 )
-"""Validator of the pose of a ring's camera."""
+"""Validator for the pose of the camera of one ring."""
 _EDGES = _with({}, dict.fromkeys(("count", "before_mm", "after_mm", "radius_excess_mm", "oval_mm", "oval_deg"), _or_none(_number)))
-"""Validator of the calibration from the canister's edges."""
+"""Validator for the results of the calibration from the edges of the canister."""
 _ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
-"""Validator of the calibration from the roots."""
+"""Validator for the results of the calibration from the roots."""
 _RIG = _with(
     {},
     {
@@ -115,7 +116,7 @@ _RIG = _with(
         ),
     },
 )
-"""Validator of the self-calibration (`recon.results.calibration_summary`)."""
+"""Validator for the results of the self-calibration (see `recon.results.calibration_summary`)."""
 _CHECK = _only(
     _with(
         {"name": _text, "state": _text, "unit": _text, "found": _text, "advice": _text},
@@ -123,12 +124,12 @@ _CHECK = _only(
     ),
     {field.name for field in fields(Check)},
 )
-"""Validator of a check of the scan."""
+"""Validator for one entry of the list of scan quality checks."""
 _ESTIMATE = _only(
     _with({"name": _text, "value": _number, "interval": _numbers(2), "trusted": _truth, "verdict": _text}),
     {field.name for field in fields(Estimate)},
 )
-"""Validator of an estimate with its interval."""
+"""Validator for one entry of the list of estimates, each with its interval."""
 _REQUIRED: dict[str, Fits] = {
     "scene": _text,
     "dataset_sha256": _text,
@@ -148,7 +149,7 @@ _REQUIRED: dict[str, Fits] = {
     "warnings": lambda value: isinstance(value, list),
     "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
 }
-"""Validators of the required keys."""
+"""Validators for the values of the required keys."""
 _OPTIONAL: dict[str, Fits] = {
     "rig": _or_none(_RIG),
     "settings": _with({}, {"finest_mm": _positive}),
@@ -174,4 +175,4 @@ _OPTIONAL: dict[str, Fits] = {
     "mass_g": _or_none(_positive),
     **dict.fromkeys(("root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
 }
-"""Validators of the optional keys."""
+"""Validators for the values of the optional keys."""

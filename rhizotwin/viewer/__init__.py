@@ -1,1 +1,1 @@
-"""Viewer of results and live page of scans, for browsers that know the address with its token."""
+"""Viewer of results, and live page of scans. Only browsers that know the address with its token can open them."""

@@ -25,8 +25,8 @@ from rhizotwin.viewer.picking import Ray, Screen
 Array = NDArray[np.float64]
 
 _PREPARE_AFTER_S = 3.0
-"""Delay between the connection of the first browser and the preparation of corrections, s. A day-30 plant is drawn
-within this time."""
+"""Time between the connection of the first browser and the preparation of corrections, s. The browser needs this time
+to draw a plant of day 30, and the preparation must not delay it."""
 
 
 class Viewer(Drawing):
@@ -71,7 +71,11 @@ class Viewer(Drawing):
             self.show_selection()
 
     def _click_background(self, ray: Ray, *, more: bool) -> None:
-        """Handle a click next to all roots: measure on the shape itself, or clear the selection."""
+        """Handle a click that hits no root.
+
+        In the click mode for distances, a voxel that is hit is used as a point of the measurement. Otherwise the
+        selection is cleared.
+        """
         hit = self._voxel_at(ray) if self.look.click == CLICKS[2] else None
         if hit is not None:
             self._measure_at(hit[1])
@@ -83,7 +87,10 @@ class Viewer(Drawing):
         self.measured = [*self.measured, point_mm] if len(self.measured) < 2 else [point_mm]
 
     def _voxel_at(self, ray: Ray) -> tuple[int, Array] | None:
-        """Return the row of the first voxel on a ray and the entry point (3,), mm, None if no voxel is hit."""
+        """Return the index of the first voxel on a ray, and the point (3,), mm, at which the ray enters it.
+
+        Return None if the ray hits no voxel.
+        """
         solid, rows = self.shown.session.measure().solid, self.voxel_rows()
         hit = picking.voxel_at(solid.centre_mm[rows], np.asarray(0.5 * solid.size[rows] * solid.voxel_mm), ray)
         return None if hit is None else (int(rows[hit[0]]), hit[1])
@@ -113,7 +120,7 @@ class Viewer(Drawing):
             self.show_selection()
 
     def select_box(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> None:
-        """Select the voxels whose centres lie in a box, mm, canister frame."""
+        """Select the voxels whose centres lie in a box. The corners of the box are in the canister frame, mm."""
         with self.lock:
             measured = self.shown.session.measure()
             rows = measured.solid.leaves_in(low_mm, high_mm)
@@ -168,14 +175,14 @@ class Viewer(Drawing):
                 self.correct("delete voxels", runs=logs.runs(rows))
 
     def pair(self, kind: str) -> None:
-        """Apply a correction to two selected roots in the order of their selection."""
+        """Apply a correction to exactly two selected roots, in the order in which they were selected."""
         if len(self.roots) != 2:
             self.notify("two roots must be selected; click the first root, then hold Shift and click the second root")
             return
         self.correct(kind, roots=self.roots)
 
     def restore(self) -> None:
-        """Restore the roots or voxels of the last deletion that are still deleted."""
+        """Restore those roots or voxels of the last deletion that have not been restored yet."""
         with self.lock:
             roots, rows = self.shown.session.last_deleted()
             if not roots and not len(rows):
@@ -237,7 +244,7 @@ class Viewer(Drawing):
 
 
 def ray_of(origin: Sequence[float], direction: Sequence[float]) -> Ray:
-    """Return a ray with a normalized direction."""
+    """Return a ray from an origin along a direction, which is normalized."""
     way = np.asarray(direction, np.float64)
     return Ray(np.asarray(origin, np.float64), way / np.linalg.norm(way))
 

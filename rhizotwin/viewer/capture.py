@@ -19,7 +19,7 @@ TIMEOUT_S = 60.0
 
 
 def screenshot(client: viser.ClientHandle) -> bytes:
-    """Render the current view of a browser as a PNG image with transparent background."""
+    """Render the current view of a browser as a PNG image with a transparent background."""
     camera = client.camera
     image = client.get_render(camera.image_height, camera.image_width, transport_format="png", timeout=TIMEOUT_S)
     return _encode(Image.fromarray(image), "PNG")
@@ -51,7 +51,10 @@ def turntable(client: viser.ClientHandle, *, frames: int = FRAMES, progress: Cal
 def orbit(
     wxyz: NDArray[np.float64], position: NDArray[np.float64], centre: NDArray[np.float64], frames: int
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield camera orientations (w, x, y, z) and positions (3,) of one revolution about a vertical axis."""
+    """Yield the poses of a camera during one revolution about a vertical axis.
+
+    A pose consists of an orientation, as a quaternion (w, x, y, z), and a position (3,).
+    """
     start = viser.transforms.SO3(wxyz)
     for angle in np.arange(frames) * 2.0 * np.pi / frames:
         turn = viser.transforms.SO3.from_z_radians(angle)

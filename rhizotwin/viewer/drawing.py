@@ -40,10 +40,10 @@ TRUTH = ("overlaid", "beside", "as colours of distance")
 _ASIDE_MM = 60.0
 """Distance between the reconstructed and the true shape if they are displayed side by side, mm."""
 _APART_S = 0.02
-"""Delay that separates two messages to browsers, s, longer than the interval in which viser collects messages (1/60
-s)."""
+"""Time between two messages that browsers must receive separately, s. It is longer than the interval in which viser
+collects messages (1/60 s)."""
 _FAR_MM = 1e9
-"""Coordinate of a clipping plane that clips nothing, mm."""
+"""Coordinate of a limit of the clipping box that clips nothing, mm."""
 
 
 @dataclass
@@ -53,7 +53,7 @@ class Look:
     layers: set[str] = field(default_factory=lambda: {"surface", "canister", "scale bar"})
     """Displayed layers. Cameras are not displayed by default, because their pictures would delay every frame."""
     colour: str = "order"
-    """Root property that is shown by the colour."""
+    """Property of the roots that determines their colour, one of `root_colours.CHOICES`."""
     truth: str = TRUTH[0]
     """Display mode of the true shape, one of `TRUTH`."""
     low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
@@ -74,7 +74,7 @@ class Look:
 
 
 class Drawing:
-    """Display of results in browsers according to the viewer's state."""
+    """State of the viewer, and methods that display this state in browsers."""
 
     def __init__(self, served: Served, folders: Sequence[Path], dataset: Path | None = None) -> None:
         self.served, self.look = served, Look()
@@ -86,21 +86,22 @@ class Drawing:
         self.roots: list[int] = []
         """Numbers of the selected roots in the order of selection."""
         self.voxels: set[int] = set()
-        """Rows of the selected voxels."""
+        """Indices of the selected voxels in the arrays of the shape."""
         self.measured: list[Array] = []
         """Points (3,) of the distance measurement, mm."""
         self.picture: int | None = None
-        """Index of the displayed picture. None: 3D view."""
+        """Index of the displayed picture. It is None while the 3D view is displayed."""
         self._visible: tuple[object, Parts] | None = None
         self._nodes: tuple[Parts, Nodes] | None = None
         self._keys: dict[str, object] = {}
-        """State in which each layer was last drawn."""
+        """State of each layer when it was last drawn, keyed by layer name. A layer is drawn again only if its state has
+        changed."""
         self.on_change: list[Callable[[], None]] = []
-        """Functions that are called when the panels may have to be updated."""
+        """Functions to call after a change that the panels may have to show."""
         self.on_measured: list[Callable[[], None]] = []
-        """Functions that are called in the background when traits may have changed."""
+        """Functions to call when traits may have changed. They run in the background."""
         self._background = ThreadPoolExecutor(max_workers=1, thread_name_prefix="surface")
-        """Executor that draws surfaces in the background, so that corrections need not wait for them."""
+        """Executor with one background thread that draws surfaces. Corrections do not wait for this thread."""
         self.message = ""
         """Last message to the user."""
         self.load(0)
@@ -135,7 +136,10 @@ class Drawing:
 
     @property
     def has_gaps(self) -> bool:
-        """Return whether most roots are so thin that the surface has gaps, which must be filled by centre lines."""
+        """Return whether most roots are so thin that their surface has gaps.
+
+        The gaps are filled by displaying centre lines.
+        """
         lines = self.shown.session.state.lines.values()
         return bool(lines) and float(np.median(np.concatenate([line.diameters_mm for line in lines]))) < THIN_MM
 
@@ -162,7 +166,7 @@ class Drawing:
             self._draw_selection()
 
     def _update_panels(self) -> None:
-        """Update the panels in a separate message, which browsers apply before they draw the next frame."""
+        """Update the panels with a separate message. Browsers apply this message before they draw the next frame."""
         lines = self.shown.session.state.lines
         self.roots = [number for number in self.roots if number in lines]
         self.changed()
@@ -177,7 +181,7 @@ class Drawing:
         self._background.submit(self._finish)
 
     def _finish(self) -> None:
-        """Draw surfaces and measure traits in the background. Errors are shown as messages."""
+        """Draw surfaces and update traits. This method runs in the background and shows errors as messages."""
         try:
             self._draw_surface()
             for follow in self.on_measured:
@@ -194,7 +198,7 @@ class Drawing:
         return id(self.shown), self.shown.session.log.edits
 
     def _draw(self) -> None:
-        """Draw everything except surfaces. Tubes replace a surface until it is drawn."""
+        """Draw everything except surfaces. Until a surface is up to date, tubes are displayed in its place."""
         with self.served.server.atomic():
             session, look, shown = self.shown.session, self.look, self.shown
             here = self.picture is None
@@ -220,14 +224,14 @@ class Drawing:
             self._draw_selection()
 
     def _is_new(self, layer: str, state: object) -> bool:
-        """Remember the state of a layer and return whether the state differs from that of the last drawing."""
+        """Return whether the state of a layer has changed since it was last drawn, and store the new state."""
         if self._keys.get(layer) == state:
             return False
         self._keys[layer] = state
         return True
 
     def clip(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
-        """Clip the display to a range of coordinates along an axis, mm. None: no limit."""
+        """Limit the display to a range of coordinates along an axis, mm. None stands for no limit."""
         for name, value, none in (("low_mm", low_mm, -_FAR_MM), ("high_mm", high_mm, _FAR_MM)):
             corner = list(getattr(self.look, name))
             corner[axis] = none if value is None else value
@@ -235,7 +239,7 @@ class Drawing:
         self.refresh()
 
     def visible(self) -> Parts:
-        """Return the parts of each root inside the clipping box."""
+        """Return the parts of each root that lie inside the clipping box, keyed by root number."""
         lines, look = self.shown.session.state.lines, self.look
         key = (id(lines), look.low_mm, look.high_mm)
         if self._visible is None or self._visible[0] != key:
@@ -246,7 +250,7 @@ class Drawing:
         return self._visible[1]
 
     def nodes(self) -> Nodes:
-        """Return the nodes of the visible roots for picking."""
+        """Return the nodes of the visible roots, among which a clicked root is found."""
         parts = self.visible()
         if self._nodes is None or self._nodes[0] is not parts:
             self._nodes = parts, Nodes.of((number, line) for number, lines in parts.items() for line in lines)
@@ -273,13 +277,16 @@ class Drawing:
             self.scene.show_truth(truth, aside_mm=_ASIDE_MM if look.truth == TRUTH[1] else 0.0)
 
     def _surface_colours(self, mesh: Mesh) -> Bytes | None:
-        """Return the colour of each vertex (V, 3) from the nearest point of a centre line. None without roots."""
+        """Return the colours (V, 3) of the vertices of a surface.
+
+        Each vertex has the colour of the nearest point of a centre line. Return None if there are no roots.
+        """
         lines = self.shown.session.state.lines
         shade, _ = root_colours.colour_roots(self.look.colour, lines)
         return root_colours.colour_surface(mesh.vertices_mm, lines, shade) if lines else None
 
     def _clip_mesh(self, mesh: Mesh) -> Mesh | None:
-        """Return the part of a mesh inside the clipping box, None if no face is inside."""
+        """Return the part of a mesh that lies inside the clipping box. Return None if no face does."""
         if self.look.is_unclipped:
             return mesh
         faces = mesh.faces[self.look.inside(mesh.vertices_mm)[mesh.faces].all(axis=1)]
@@ -297,7 +304,7 @@ class Drawing:
         self.scene.show_voxels(solid.centre_mm[rows], measured.volumes_mm3[rows] / room, solid.voxel_mm)
 
     def voxel_rows(self) -> NDArray[np.int64]:
-        """Return the rows of the occupied voxels inside the clipping box."""
+        """Return the indices of the occupied voxels inside the clipping box."""
         measured, look = self.shown.session.measure(), self.look
         there = measured.volumes_mm3 > 1e-9
         if not look.is_unclipped:
@@ -316,9 +323,9 @@ class Drawing:
     # pictures
 
     def enter_picture(self, place: int | None, client: viser.ClientHandle | None = None) -> None:
-        """Display a picture with the outline of the reconstruction, as seen by its camera.
+        """Display a picture with the outline of the reconstruction, as seen by the camera of the picture.
 
-        None: return to the 3D view.
+        If ``place`` is None, return to the 3D view.
         """
         pictures, server = self.shown.pictures, self.served.server
         with self.lock:
@@ -359,5 +366,5 @@ def _clip_line(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
 
 
 def set_value(handle: Any, value: object) -> None:
-    """Set the value of a panel element, which viser annotates as read-only."""
+    """Set the value of a panel element. The attribute is read-only according to viser's type annotations."""
     handle.value = value

@@ -40,7 +40,7 @@ class _Button:
     hint: str = ""
     """Tooltip of the button."""
     red: bool = False
-    """Whether the button is red, because it deletes something."""
+    """Whether the button is red. Buttons that delete something are red."""
     key: Literal["delete", "escape", "Z", "Y", "S"] | None = None
     """Key of the keyboard shortcut."""
     modifier: Literal["cmd/ctrl"] | None = None
@@ -120,7 +120,7 @@ def _add_box(viewer: Viewer) -> None:
 
 
 def _add_history(viewer: Viewer) -> None:
-    """Add undo, redo, save and the list of corrections."""
+    """Add the buttons that undo, redo and save corrections, and the list of corrections."""
     gui = viewer.served.server.gui
 
     _add_all(

@@ -30,7 +30,8 @@ _VERTICES, _FACES = 34962, 34963
 _MATTE = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
 _TRANSLUCENT = _MATTE | {"alphaMode": "BLEND"}
 _UNLIT = {"alphaMode": "BLEND", "extensions": {"KHR_materials_unlit": {}}}
-"""Material of large transparent surfaces. Software renders unlit surfaces in a fifth of the time of lit surfaces."""
+"""Material of large transparent surfaces. It is not lit, because software renders it in a fifth of the time of a lit
+material."""
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,9 @@ LOCAL = "127.0.0.1"
 REFUSED = b"This page can only be opened with the complete address that rhizotwin printed, including the token.\n"
 """Response to requests without a valid token."""
 _LOOK_S = 0.01
-"""Polling interval of waiting websockets for `Served.open`, s."""
+"""Interval at which a waiting websocket checks whether `Served.open` is set, s."""
 Answer = Callable[[Any, Request], Response | None]
-"""Type of a function that returns the response to a request, None for a websocket."""
+"""Type of a function that returns the response to a request. It returns None if the request opens a websocket."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def serve(*, host: str = LOCAL, port: int = 8080, title: str = "rhizotwin") -> S
 
 @contextmanager
 def _token_check(token: str, is_open: threading.Event) -> Iterator[None]:
-    """Add the token check to servers that start in this context, which viser does not support itself."""
+    """Add the token check to all servers that are started in this context. Viser itself cannot check tokens."""
     started = websockets.asyncio.server.serve
 
     def start_guarded(*arguments: Any, process_request: Answer, **more: Any) -> Any:
@@ -123,7 +123,7 @@ def answer(token: str, inner: Answer, connection: Any, request: Request) -> Resp
 
 
 def _single_header(request: Request, name: str) -> str:
-    """Return the value of a header, empty if the header is missing or occurs several times."""
+    """Return the value of a header. It is empty if the header is missing or occurs several times."""
     values = request.headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 

@@ -14,13 +14,13 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _REACH = 0.006
-"""Maximum ratio between the distance of a picked root from the clicked ray and its distance from the eye (4 of 900
-pixels)."""
+"""Maximum distance between the clicked ray and the surface of a picked root, divided by the distance of the root from
+the eye. It corresponds to 4 pixels in a view with a height of 500 pixels."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of all roots, concatenated for picking."""
+    """Nodes of all roots in common arrays, among which a clicked root is found."""
 
     point_mm: Array
     """Positions of the nodes (N, 3), mm."""
@@ -31,7 +31,10 @@ class Nodes:
 
     @classmethod
     def of(cls, lines: Iterable[tuple[int, Line]]) -> Nodes:
-        """Collect the nodes of roots, or parts of roots, with their numbers."""
+        """Collect the nodes of roots.
+
+        Each item of ``lines`` consists of the number of a root, and of the root or a part of it.
+        """
         none = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
         parts = [_add_midpoints(number, line.points_mm, line.diameters_mm) for number, line in lines]
         return cls(*(np.concatenate(part) for part in zip(none, *parts, strict=True)))
@@ -47,7 +50,7 @@ class Ray:
     """Unit direction (3,)."""
 
     def nearness(self, point_mm: Array) -> tuple[Array, Array]:
-        """Return the distances (N,), mm, of points (N, 3) along the ray and perpendicular to the ray."""
+        """Return the distances (N,), mm, of points (N, 3) from the eye along the ray, and perpendicular to the ray."""
         away = point_mm - self.origin_mm
         along = away @ self.direction
         return along, np.sqrt(np.maximum(np.einsum("ij,ij->i", away, away) - along**2, 0.0))
@@ -65,7 +68,10 @@ class Screen:
     """Ratio of the picture's width to its height."""
 
     def inside(self, point_mm: Array, low: tuple[float, float], high: tuple[float, float]) -> NDArray[np.bool_]:
-        """Return which points (N, 3) lie inside a screen rectangle, whose corners are 0 to 1 from the upper left."""
+        """Return which points (N, 3) lie inside a rectangle on the screen.
+
+        The coordinates of its corners are fractions of the width and height of the screen, from the upper left.
+        """
         seen = point_mm @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             half = np.tan(self.fov / 2.0) * seen[:, 2]
@@ -74,9 +80,10 @@ class Screen:
 
 
 def root_at(nodes: Nodes, ray: Ray) -> tuple[int, Array] | None:
-    """Return the number of the first root on a ray and the point there, otherwise of the root nearest to the ray.
+    """Return the number of the clicked root, and the position (3,), mm, of the clicked node.
 
-    None if no root is near.
+    The clicked root is the first root that the ray hits. If the ray hits no root, it is the root nearest to the ray.
+    Return None if no root is near.
     """
     along, beside = ray.nearness(nodes.point_mm)
     gap = beside - nodes.radius_mm
@@ -92,9 +99,9 @@ def root_at(nodes: Nodes, ray: Ray) -> tuple[int, Array] | None:
 
 
 def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> tuple[int, Array] | None:
-    """Return the row of the first voxel on a ray and the entry point (3,), mm, found with the slab test.
+    """Return the index of the first voxel on a ray, and the point (3,), mm, at which the ray enters it.
 
-    None if no voxel is hit.
+    The point is computed with the slab test. Return None if the ray hits no voxel.
     """
     along, beside = ray.nearness(centre_mm)
     near = np.flatnonzero((along > 0.0) & (beside < np.sqrt(3.0) * half_mm))

@@ -24,9 +24,10 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 CHUNK = 64
-"""Maximum number of roots per mesh. After a correction only the meshes that changed are sent to browsers."""
+"""Maximum number of roots in one mesh. Roots are divided among several meshes, so that only the meshes that a
+correction changed must be sent to browsers."""
 MOST_TRIANGLES = 400_000
-"""Maximum number of triangles of all tubes. The number of corners around a tube is reduced to stay below it."""
+"""Maximum total number of triangles of all tubes. Tubes have fewer corners if there are many roots."""
 CANISTER = "/rig/canister"
 """Name of the canister in the scene."""
 _CORNERS = (tubes.MOST, 8, 6, 5, 4, 3)
@@ -36,18 +37,18 @@ _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
 _AMBIENT = 1.6
-"""Intensity of the ambient light, added to viser's lights (3.0 from above, 0.4 from below) so that the sides of roots
-keep their colours."""
+"""Intensity of the ambient light. It is added to the lights of viser (3.0 from above, 0.4 from below), so that colours
+can be recognized on the sides of roots."""
 _LIGHT = np.array([0.5, -0.45, 0.74])
 _OPACITY = 110
-"""Opacity of a surface with centre lines inside, 0 to 255."""
+"""Opacity, 0 to 255, of a surface through which centre lines are visible."""
 VIEWS: dict[str, tuple[float, float, float]] = {
     "Reset": (1.15, -0.75, 0.35),
     "Front": (1.0, 0.0, 0.0),
     "Side": (0.0, -1.0, 0.0),
     "Top": (1e-3, 0.0, 1.0),
 }
-"""Preset views, each with the direction from the shape to the camera."""
+"""Direction from the shape to the camera in each preset view, keyed by name of the view."""
 
 
 class Scene3d:
@@ -75,7 +76,7 @@ class Scene3d:
         start.look_at, start.position = self.home[0], self.camera_position("Reset")
 
     def camera_position(self, view: str, *, aspect: float = 1.0) -> Array:
-        """Return the camera position (3,), mm, of a preset view in which the whole shape is visible."""
+        """Return the camera position (3,), mm, of a preset view. The whole shape is visible from there."""
         middle, half = self.home
         toward = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
         right = np.cross([0.0, 0.0, 1.0], toward)
@@ -124,7 +125,7 @@ class Scene3d:
             self._keep("/selected/voxels", self._points("/selected/voxels", voxels_mm, np.array(_SELECTED_RGB, np.uint8), 1.1 * voxel_mm))
 
     def show_voxels(self, centre_mm: Array, share: Array, voxel_mm: float) -> None:
-        """Draw voxels as shaded squares with a saturation that increases with occupancy."""
+        """Draw voxels as shaded squares, whose colours are more saturated for higher occupancies."""
         self.drop("/voxels")
         if len(centre_mm):
             light = 0.45 + 0.55 * np.maximum(_outward_directions(centre_mm, share) @ _LIGHT, 0.0)
@@ -132,7 +133,7 @@ class Scene3d:
             self._keep("/voxels", self._points("/voxels", centre_mm, colours, voxel_mm))
 
     def show_surface(self, mesh: Mesh | None, colours: Bytes | None = None, *, name: str = "/surface", translucent: bool = False) -> None:
-        """Draw a surface with the colours of its vertices (V, 3). None: remove the surface."""
+        """Draw a surface with the given colours (V, 3) of its vertices. If ``mesh`` is None, the surface is removed."""
         self.drop(name)
         if mesh is None or not len(mesh.faces):
             return
@@ -142,14 +143,14 @@ class Scene3d:
         self._add_triangles(name, Triangles(mesh.vertices_mm, shading.unit_normals(mesh), mesh.faces, shades))
 
     def show_truth(self, mesh: Mesh | None, *, aside_mm: float) -> None:
-        """Draw the true surface, translucent and shifted along y. None: remove the true surface."""
+        """Draw the true surface, translucent and shifted along y. If ``mesh`` is None, the true surface is removed."""
         if mesh is not None:
             mesh = Mesh(vertices_mm=mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), faces=mesh.faces)
         colours = None if mesh is None else np.tile(np.array(_TRUTH_RGB, np.uint8), (len(mesh.vertices_mm), 1))
         self.show_surface(mesh, colours, name="/truth", translucent=True)
 
     def show_centre_lines(self, lines: Mapping[int, Sequence[Line]], colours: Colouring) -> None:
-        """Draw centre lines two pixels wide and darker than the surface. An empty mapping removes them."""
+        """Draw centre lines with a width of two pixels, darker than the surface. An empty mapping removes them."""
         self.drop("/lines")
         parts = [(number, line) for number, several in lines.items() for line in several]
         if parts:
@@ -159,7 +160,7 @@ class Scene3d:
             self._keep("/lines", self._server.scene.add_line_segments("/lines", points, dark, thickness=2.0, thickness_units="screen"))
 
     def show_scale_bar(self, *, visible: bool) -> None:
-        """Draw a vertical scale bar of 1, 2 or 5 times a power of ten next to the shape."""
+        """Draw a vertical scale bar next to the shape. Its length is 1, 2 or 5 times a power of ten."""
         self.drop("/scale/bar")
         self.drop("/scale/label")
         if not visible:
@@ -283,7 +284,10 @@ def quaternion(rotation: Array) -> Array:
 
 
 def _outward_directions(centre_mm: Array, share: Array, *, neighbours: int = 24) -> Array:
-    """Return unit directions (N, 3) that point outwards from the shape, away from the mass of neighbouring voxels."""
+    """Return the direction (N, 3) in which the surface of the shape faces at each voxel.
+
+    It is a unit vector that points away from the occupied neighbours of the voxel.
+    """
     from scipy.spatial import cKDTree  # loaded on first use
 
     count = min(neighbours, len(centre_mm))
@@ -302,7 +306,10 @@ def _wall(
     end: float = 2.0 * np.pi,
     steps: int = 72,
 ) -> Triangles:
-    """Return part of a cylinder wall about z, visible from inside only so that its near half hides no roots."""
+    """Return part of the wall of a cylinder about the z axis.
+
+    The wall is visible from the inside only, so that its near half hides no roots.
+    """
     angle = np.linspace(begin, end, steps + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = np.concatenate([np.column_stack([radius * ring, np.full(len(ring), z)]) for z in (low, high)])

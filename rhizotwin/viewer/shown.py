@@ -1,4 +1,4 @@
-"""Result in the viewer with corrections, pictures, surface and truth, which are loaded on first use."""
+"""Result in the viewer, with its corrections, pictures, surface and true surface. They are loaded on first use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rhizotwin.through_water import Pictures
 TRIANGLES = 100_000
 """Maximum number of triangles of a displayed surface."""
 FARTHEST_MM = 1.0
-"""Distance to the truth at the end of the colour scale, mm."""
+"""Distance to the true surface at the upper end of the colour scale, mm."""
 
 
 class Shown:
@@ -42,26 +42,29 @@ class Shown:
 
     @cached_property
     def dataset(self) -> Dataset | None:
-        """Return the given dataset, or else the dataset recorded in the result.
+        """Return the given dataset. If none is given, return the dataset recorded in the result.
 
-        None if the recorded dataset no longer exists.
+        Return None if the recorded dataset no longer exists or has changed.
         """
         return result_files.find_dataset(self.session.folder, self.session.summary, self._given)
 
     @cached_property
     def pictures(self) -> Pictures | None:
-        """Return the pictures with calibrated cameras. None without the dataset."""
+        """Return the pictures with their calibrated cameras. Return None if the dataset is not available."""
         return None if self.dataset is None else Pictures.of(self.dataset, self.session.summary)
 
     @property
     def truth_file(self) -> Path | None:
-        """Return the mesh file of the true solid, None unless the dataset was simulated."""
+        """Return the mesh file of the true solid. Return None if the dataset is not available or was not simulated."""
         file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
         return file if file is not None and file.is_file() else None
 
     @cached_property
     def truth(self) -> Mesh | None:
-        """Return the true solid of a simulated dataset, closed and simplified. None if unknown."""
+        """Return the true solid, closed and simplified.
+
+        Return None if the dataset is not available or was not simulated.
+        """
         return None if self.truth_file is None else _simplify_for_display(result_files.read_mesh(self.truth_file))
 
     def surface(self) -> Mesh:
@@ -73,7 +76,7 @@ class Shown:
             return self._surface[1]
 
     def traits(self) -> Traits:
-        """Measure the traits after corrections, in the same way as for the report of a corrected result."""
+        """Measure the traits after corrections. They are the same as in the report of the corrected result."""
         from rhizotwin.corrections import corrected
         from rhizotwin.stored import stored_traits
 
@@ -95,7 +98,10 @@ class Shown:
         return self._mesh[1]
 
     def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
-        """Return vertex colours (V, 3) by distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
+        """Return colours (V, 3) that show the distances of vertices to the true surface.
+
+        The colour scale extends from 0 (violet) to `FARTHEST_MM` (yellow).
+        """
         from rhizotwin import root_colours
         from rhizotwin.scoring import surface_distance
 

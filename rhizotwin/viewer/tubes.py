@@ -1,4 +1,7 @@
-"""Meshes of roots as tubes for display, with the minimum number of nodes and corners that the screen resolves."""
+"""Meshes of roots as tubes for display.
+
+The tubes have no more nodes and corners than the resolution of the screen requires.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,15 @@ Bytes = NDArray[np.uint8]
 Index = NDArray[np.int64]
 
 OFF_MM, OFF_SHARE = 0.05, 0.08
-"""Maximum deviation of a displayed tube from the exact tube, mm and as a fraction of its radius. The larger of both
-applies. They are a third of a pixel for a plant of 130 mm on a screen of 1,000 pixels."""
+"""Maximum deviation of a displayed tube from the exact tube, as a distance in mm and as a fraction of the tube's
+radius. The larger limit applies. 0.05 mm is a third of a pixel if a plant of 130 mm fills a screen of 1,000 pixels."""
 FEWEST, MOST = 4, 10
 """Minimum and maximum number of corners around a tube."""
 _COLOUR_STEP = 24.0
-"""Maximum error of an interpolated colour between two displayed nodes, 0 to 255."""
+"""Maximum error of the colours that are interpolated between two displayed nodes, on a scale from 0 to 255."""
 _ROUNDS = 6
-"""Number of rounds, in each of which every other node may be dropped. At most 63 of 64 nodes are dropped."""
+"""Number of rounds in which nodes are dropped from the display. Each round can drop every other node, so that at least
+one of 64 nodes is kept."""
 
 
 def mesh_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOST) -> Triangles:
@@ -60,7 +64,9 @@ def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Triangles:
 
 
 def select_nodes(lines: Sequence[Line], colours: Bytes) -> NDArray[np.bool_]:
-    """Select the displayed points of roots, between which positions, radii and colours are interpolated.
+    """Select the points of roots that are displayed.
+
+    Positions, radii and colours are interpolated between these points.
 
     Parameters
     ----------
@@ -105,6 +111,6 @@ def _tolerance_mm(radius_mm: Array) -> Array:
 
 
 def corners(radius_mm: float) -> int:
-    """Return the number of corners around a tube at which its deviation from a circle is tolerable."""
+    """Return the smallest number of corners around a tube for which its deviation from a circle is tolerable."""
     inside = 1.0 - float(_tolerance_mm(np.array(radius_mm))) / max(radius_mm, OFF_MM)
     return int(np.clip(np.ceil(np.pi / np.arccos(inside)), FEWEST, MOST))

@@ -124,7 +124,7 @@ def _add_capture(viewer: Viewer) -> None:
 
 
 def _add_clipping(viewer: Viewer) -> None:
-    """Add a slider per axis that clips the display to a range of coordinates."""
+    """Add a slider for each axis, which clips the display to a range of coordinates."""
     gui = viewer.served.server.gui
     centre = viewer.shown.session.measure().solid.centre_mm
     low, high = np.floor(centre.min(axis=0)) - 1.0, np.ceil(centre.max(axis=0)) + 1.0

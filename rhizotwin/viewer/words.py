@@ -26,7 +26,10 @@ _PADDED = "<div style='padding:0.3em 0.8em'>"
 
 
 def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
-    """Return volume, interval and total root length, and the corrected volume if there are corrections."""
+    """Return a text with the volume, its interval and the total root length.
+
+    If there are corrections, the text also states the corrected volume.
+    """
     found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
     headline, beside = words.headline(summary)
     text = f"<b>{headline.removeprefix('volume ')}</b>, {beside}"
@@ -109,7 +112,7 @@ def colour_key(key: Key) -> str:
 
 
 def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
-    """Return the table of traits with 90 % intervals, which are not known after corrections."""
+    """Return the table of traits with their 90 % intervals. The intervals are not known after corrections."""
     rows = []
     assessed = assessments.assess(summary, found)
     for definition in DEFINITIONS:
@@ -152,13 +155,16 @@ def _to_vertical_deg(line: Line) -> float:
 
 
 def _mean_diameter_text(line: Line) -> str:
-    """Return the mean diameter with the half-width of its 90 % interval, for fully correlated errors along the root."""
+    """Return a text with the mean diameter of a root, and the half-width of its 90 % interval.
+
+    The errors of the diameter are assumed to be fully correlated along the root.
+    """
     half_mm = half_widths(line)
     text = f"{_weighted_mean(line, line.diameters_mm):.2f}"
     return f"{text} mm on average" if half_mm is None else f"{text} ± {_weighted_mean(line, half_mm):.2f} mm on average (90 %)"
 
 
 def _weighted_mean(line: Line, values: Array) -> float:
-    """Return the length-weighted mean of values (N,) at the points of a root."""
+    """Return the mean of values (N,) at the points of a root, weighted by the length between the points."""
     size = polyline.steps_mm(line.points_mm)
     return float((values[1:] + values[:-1]) / 2.0 @ size / max(size.sum(), 1e-12))
