@@ -26,8 +26,8 @@ from rhizotwin.scenes.frames import Array
 LINK_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the camera's frame to the frame of the last link, at roll angle 0."""
 _SERIES_BELOW_RAD = 1e-3
-"""Angle below which the closed form of the last factor of the SE(3) logarithm is inaccurate, rad, and a series is
-used."""
+"""Rotation angle below which a series replaces the closed form in the logarithm of SE(3), rad. The closed form of its
+last factor is inaccurate at small angles."""
 
 
 def rig_from_arm(part: ArmPart) -> Array:
@@ -95,7 +95,7 @@ def log_se3(a_from_b: Array) -> Array:
 
 
 def _heading(base_rad: Array) -> Array:
-    """Return the horizontal direction (..., 3) in which the arm leans at a positive pitch."""
+    """Return the horizontal direction (..., 3) in which the arm tilts if its pitch angles are positive."""
     return np.stack([np.cos(base_rad), np.sin(base_rad), np.zeros_like(base_rad)], axis=-1)
 
 

@@ -31,25 +31,25 @@ MULT_SERVO_UNLOAD = 20
 MULT_SERVO_POS_READ = 21
 
 _PATIENCE_S = (0.6, 0.6, 0.8, 1.0)
-"""Timeouts of successive attempts, s. Some boards take up to 450 ms to read all positions."""
+"""Timeouts of the successive attempts to get a reply, s. Some boards take up to 450 ms to read all positions."""
 _AGREE_TRIES = 8
 _REST = bytes(100)
-"""Zeros that are sent to a board that does not reply, because it may be waiting for the rest of a frame with a damaged
-length."""
+"""Zeros that are sent if the board does not reply. The board may have received a damaged length and may be waiting for
+the rest of that frame."""
 _AGREE_COUNTS = 1
 _AGREE_V = 0.2
 _HOLD_S = 1.0
 
 
 def frame(command: int, params: bytes = b"") -> bytes:
-    """Build a frame from a command and its parameters."""
+    """Build the frame of a command with its parameters."""
     return HEADER + bytes((len(params) + 2, command)) + params
 
 
 def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
     """Yield the parameters of every complete frame with this command, newest first.
 
-    Unsolicited frames and garbage are skipped.
+    Frames of other commands and invalid bytes are skipped.
     """
     at = heard.rfind(HEADER)
     while at >= 0:
@@ -60,9 +60,9 @@ def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
 
 
 def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
-    """Return the positions of the newest reading that contains exactly these servos, in counts by servo number.
+    """Return the positions in the newest reply that contains all of these servos and no others.
 
-    The board may omit a servo that does not reply to it.
+    They are in counts, keyed by servo number. The board may omit a servo that does not reply to it.
     """
     for params in find_frames(heard, MULT_SERVO_POS_READ):
         positions = _positions(params)
@@ -184,7 +184,10 @@ class LscBoard:
         return millivolts / 1000.0
 
     def _ask(self, request: bytes, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-        """Send a request repeatedly until a reply is found; return the reply, or None, and all received bytes."""
+        """Send a request repeatedly until a valid reply is found.
+
+        Return the result of ``find``, or None if all attempts have failed, and all received bytes.
+        """
         heard_all = b""
         for patience_s in _PATIENCE_S:
             self._wire.discard_input()
@@ -199,7 +202,10 @@ class LscBoard:
 
 
 def _positions(params: bytes) -> dict[int, int] | None:
-    """Parse the parameters ``n, n x (id, position)``; return None if they are inconsistent."""
+    """Parse parameters that consist of a number n and n pairs of a servo id and a position.
+
+    Return None if the length is inconsistent or an id is repeated.
+    """
     if not params or len(params) != 1 + 3 * params[0]:
         return None
     triples = [params[at : at + 3] for at in range(1, len(params), 3)]

@@ -121,8 +121,9 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
 
 
 def _intersection_distance(outside_mm: Array) -> Array:
-    """Return the signed distance (...,) from the intersection of perpendicular slabs.
+    """Return the signed distance (...,) to a convex body that is the intersection of perpendicular slabs.
 
-    The input is the signed distances (..., k) from the individual slabs.
+    A slab is the region between two parallel planes. The input contains the signed distances (..., k) to the individual
+    slabs.
     """
     return np.linalg.norm(np.maximum(outside_mm, 0.0), axis=-1) + np.minimum(outside_mm.max(axis=-1), 0.0)

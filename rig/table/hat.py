@@ -1,8 +1,8 @@
-"""Turntable and lights with the electronics of the thesis: a DRV8825 and NeoPixels on the pins of a Raspberry Pi.
+"""Turntable and lights with the electronics of the thesis.
 
-The electronics cannot report the table angle. The driver computes it from the number of steps that were sent. The angle
-is known from `declare` until the motor is switched off. After the start of a program it must be determined from the
-markers.
+A DRV8825 motor driver and NeoPixels are connected to the pins of a Raspberry Pi. The electronics cannot report the
+table angle. The driver computes it from the number of steps that were sent. The angle is known from `declare` until the
+motor is switched off. After the start of a program it must be determined from the markers.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ class HatTurntable:
         self._seated = False  # whether the last move arrived from the usual side
 
     def describe(self) -> str:
-        """Return a description of driver and position."""
+        """Return a description of the motor driver and the table angle."""
         where = "table angle unknown" if self._steps is None else f"table at {self.position_deg():.3f} deg"
         return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps per degree, {where}"
 
@@ -62,12 +62,14 @@ class HatTurntable:
     def position_deg(self) -> float:
         """Return the table angle computed from the number of steps, deg.
 
-        If it is unknown, the result is below any valid angle.
+        If the angle is unknown, the result is below the smallest valid angle.
         """
         return 10.0 * LEAST_DEG if self._steps is None else round(self._steps * self._step_deg, 6)
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this table angle, rounded to the nearest microstep.
+        """Declare that the table is at the given angle, without moving it.
+
+        The angle is rounded to the nearest microstep.
 
         Raises
         ------
@@ -88,7 +90,9 @@ class HatTurntable:
         self._acceleration = deg_per_s2
 
     def move_to(self, angle_deg: float) -> float:
-        """Rotate to an angle, always approached from below, and return the angle of the nearest microstep, deg.
+        """Rotate the table to an angle and return the angle of the nearest microstep, deg.
+
+        The final angle is always approached from below.
 
         Raises
         ------

@@ -21,10 +21,16 @@ class Pins(Protocol):
         """Configure a pin as an output, or change its level."""
 
     def read(self, pin: int) -> int:
-        """Read an input pin, whose pull-up sets the level to 1 unless the pin is pulled low."""
+        """Return the level of an input pin.
+
+        The pull-up resistor sets the level to 1 unless the pin is connected to ground.
+        """
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses, each followed by a pause. They are timed by a thread of the library."""
+        """Begin to send pulses, and wait for the given time after each pulse.
+
+        The pulses are sent by a thread of the library.
+        """
 
     def busy(self, pin: int) -> bool:
         """Return whether pulses are still being sent."""
@@ -66,7 +72,7 @@ class LgpioPins:
             self._outputs.add(pin)
 
     def read(self, pin: int) -> int:
-        """Read an input pin with a pull-up."""
+        """Return the level of an input pin with a pull-up resistor."""
         if pin not in self._inputs:
             self._call("gpio_claim_input", pin, self._library.SET_PULL_UP)
             self._inputs.add(pin)

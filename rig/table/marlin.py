@@ -17,13 +17,14 @@ from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kin
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
-"""Maximum time after which a board that resets on connection begins its greeting, s. Other boards send no greeting."""
+"""Maximum delay between the opening of the port and the first line of the board's greeting, s. Only boards that reset
+when the port is opened send a greeting."""
 STARTS = 3
 ASKS = 3
 
 
 class MarlinLink:
-    """Link to a Marlin board on a port, shared by turntable and lights."""
+    """Link to a Marlin board, shared by the turntable and the lights."""
 
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
@@ -35,7 +36,8 @@ class MarlinLink:
         """Firmware reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
         self.capabilities: frozenset[str] = frozenset()
         self.sessions = 0
-        """Number of times the link was started. Each start invalidates earlier knowledge of the board's state."""
+        """Number of times the link was started. The board may have been reset between two starts, so that its state has
+        to be read again."""
 
     @property
     def name(self) -> str:
@@ -44,7 +46,7 @@ class MarlinLink:
 
     @property
     def ready(self) -> bool:
-        """Return whether the link was started and the board has not been lost since."""
+        """Return whether the link was started and the connection was not lost afterwards."""
         return self._lost is None
 
     def start(self) -> None:
@@ -103,7 +105,8 @@ class MarlinLink:
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
         """Send a command, and return the match of a pattern in the board's reply.
 
-        Since the board executes commands in order, all previous commands are complete (moves only if followed by M400).
+        Since the board executes commands in order, all previous commands are complete. Moves are an exception, because
+        they are queued; they are complete only if M400 was sent after them.
 
         Parameters
         ----------
@@ -177,7 +180,10 @@ class MarlinLink:
         self.ask("M114", POSITION)
 
     def _listen_to_greeting(self) -> None:
-        """Wait for the end of the greeting of a starting board, or for the timeout if the board is already running."""
+        """Wait until a starting board has sent its greeting.
+
+        If the board is already running, wait for the timeout.
+        """
         clock = self._wire.clock
         self._wire.fresh()
         until_s = clock.now_s() + BOOT_S
@@ -213,9 +219,9 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Resynchronise after an interrupted command.
+        """Request the position, so that all replies to an interrupted command are received.
 
-        Late replies are then not attributed to the next command.
+        Otherwise late replies could be attributed to the next command.
         """
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 

@@ -47,7 +47,7 @@ class MarlinWire:
         return self._lines.popleft()
 
     def fresh(self) -> None:
-        """Reset the count of received bytes."""
+        """Reset the count of received bytes, which is limited in `next`."""
         self._heard = 0
 
     def forget(self) -> None:
@@ -76,7 +76,7 @@ class MarlinWire:
             raise LostError(f'{self.name}: the board has halted ("{line.text}"); find the cause, then switch the board off and on')
 
     def was_reset(self, why: str) -> LostError:
-        """Return the error for a board that was reset."""
+        """Return the error to be raised if the board was reset."""
         return LostError(
             f"{self.name}: the board was reset ({why}), so that the table angle is lost; check supply and cable, and determine the angle "
             "again"

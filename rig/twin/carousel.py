@@ -31,7 +31,7 @@ class TwinCarousel:
         self._at = 1
         self._loaded = 0
         self.blocked = False
-        """Whether the carousel is blocked, and raises an error when it is rotated."""
+        """Whether the carousel is blocked. A blocked carousel raises an error when it has to rotate."""
 
     def describe(self) -> str:
         """Return a short description with the number of places."""

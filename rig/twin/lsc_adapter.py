@@ -1,7 +1,7 @@
 """Protocol of the LSC controller board, without checksums and acknowledgements.
 
-The module is independent of physics. The board may send unsolicited frames. Source: Hiwonder, "Communication Protocol"
-of the servo controllers. Frame: ``55 55 | length | command | parameters``, without an id.
+The module does not model the physics of the servos. The board may send unsolicited frames. Source: Hiwonder,
+"Communication Protocol" of the servo controllers. Frame: ``55 55 | length | command | parameters``, without an id.
 """
 
 import math
@@ -15,7 +15,7 @@ PER_SERVO_S = 0.004
 """Time that the board takes to query one servo on its bus, s."""
 MAX_LENGTH = 100
 COMPLETED = bytes((0x55, 0x55, 0x05, 0x08, 0x01, 0x01, 0x00))
-"""Frame 8, which reports the end of an action group, and which boards send unsolicited."""
+"""Frame with command 8, which reports the end of an action group. Boards also send it unsolicited."""
 
 
 class LscAdapter:
@@ -27,7 +27,10 @@ class LscAdapter:
         self._buffer = bytearray()
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Receive bytes from the host, and return the replies. Invalid data are ignored (a real board beeps)."""
+        """Receive bytes from the host, and return the replies.
+
+        Invalid data are ignored. A real board would beep.
+        """
         if not self._supply.up:
             self._buffer.clear()
             return []

@@ -74,7 +74,7 @@ class MarlinAdapter:
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
         """Receive bytes from the host, and return the replies.
 
-        Bytes are lost while the board starts, or after it was killed.
+        Bytes are lost while the board starts and after it was killed.
         """
         if self._boot_s is not None or self.halted:
             return []
@@ -100,7 +100,7 @@ class MarlinAdapter:
         return min(math.inf if self._done_s is None else self._done_s, self._next_busy_s, self.commands.next_s())
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Return banner, busy lines and late replies that are due, and release the motor after its idle time."""
+        """Return the greeting, busy lines and late replies that are due, and switch off a motor that was idle."""
         if self.halted or now_s < self.next_s():
             return []
         if self._boot_s is not None:
@@ -114,7 +114,7 @@ class MarlinAdapter:
         return replies
 
     def _work(self, now_s: float) -> list[Reply]:
-        """Execute waiting lines, up to a command that blocks."""
+        """Execute waiting lines until a command blocks the following lines."""
         replies: list[Reply] = []
         while not self.halted:
             if self._done_s is not None:

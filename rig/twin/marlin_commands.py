@@ -107,11 +107,11 @@ class MarlinCommands:
         self._motor.release()
 
     def next_s(self) -> float:
-        """Return the time at which the idle motor is released, s."""
+        """Return the time at which the motor will be switched off because it is idle, s."""
         return self._used_s + self._idle_s
 
     def poll(self, now_s: float) -> None:
-        """Release the motor when its idle time has passed."""
+        """Switch the motor off when its idle time has passed."""
         if now_s < self.next_s():
             return
         if self._motor.moving:

@@ -88,7 +88,10 @@ class Record:
                 file.write(_line(shot))
 
     def shot_of(self, image: Grey) -> TakenShot | None:
-        """Return the recorded entry of a picture; None if the picture was not taken by this twin."""
+        """Return the record of a picture.
+
+        The result is None if the picture was not taken by this twin.
+        """
         return self._known.get(picture_digest(image))
 
 
@@ -98,7 +101,10 @@ def _line(shot: TakenShot) -> str:
 
 
 def _parse_line(line: str) -> TakenShot | None:
-    """Parse a line; return None if a killed run has left it incomplete."""
+    """Parse a line of the file.
+
+    Return None if the line is incomplete because the program was killed.
+    """
     try:
         plain: dict[str, Any] = json.loads(line)
         sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}

@@ -28,7 +28,7 @@ HELP = "faults (list the faults), where (show the true state), help, quit, or a 
 
 
 class TwinServer:
-    """Twin in real time with its ports and camera server.
+    """Twin that runs in real time, with its ports and camera server.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class TwinServer:
         self._ports.wake()
 
     def where(self) -> str:
-        """Return a text with the true state of the devices."""
+        """Return a text that describes the true state of the devices."""
         with self._ports.lock:
             self._ports.catch_up()
             world = self.twin.world
@@ -96,7 +96,7 @@ class TwinServer:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:
-        """Return a picture of the present state of the world, rendered without blocking the ports."""
+        """Render a picture of the present state of the world, while the ports remain in operation."""
         with self._ports.lock:
             self._ports.catch_up()
             sight = self.twin.world.sight(exposure=exposure)
@@ -158,7 +158,10 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
 
 
 def _console_descriptor() -> int | None:
-    """Return the descriptor of stdin; None if there is no stdin, or another program in the foreground uses it."""
+    """Return the file descriptor of stdin.
+
+    The result is None if there is no stdin, or if another program in the foreground uses it.
+    """
     try:
         descriptor = sys.stdin.fileno()
         behind = os.isatty(descriptor) and os.tcgetpgrp(descriptor) != os.getpgrp()

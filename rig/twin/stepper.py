@@ -86,12 +86,15 @@ class Stepper:
 
     @property
     def steps(self) -> int:
-        """Number of microsteps since power-up."""
+        """Number of microsteps that were sent since power-up.
+
+        Backward steps are counted as negative.
+        """
         return round(self._steps)
 
     @property
     def goal_steps(self) -> int:
-        """Number of microsteps at the end of the queue."""
+        """Number of microsteps since power-up after all queued moves."""
         return self._moves[-1].goal_steps if self._moves else self.steps
 
     @property
@@ -115,7 +118,10 @@ class Stepper:
         return max(sum(move.duration_s for move in left) - self._into_s, 0.0) if left else 0.0
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
-        """Add a move to a table angle (deg) relative to power-up, and switch the motor on."""
+        """Add a move to the queue and switch the motor on.
+
+        The target is a table angle in degrees, relative to that at power-up.
+        """
         self.energise()
         start, goal = self.goal_steps, round(goal_deg * self.steps_per_deg)
         if start == goal:
@@ -127,7 +133,11 @@ class Stepper:
         self._moves.append(_Move(start, goal, speed, speed / gain, way / speed + speed / gain))
 
     def energise(self) -> None:
-        """Switch the coils on. The first time after power-up, the rotor jumps to the phase of the driver."""
+        """Switch the coils on.
+
+        When they are switched on for the first time after power-up, the rotor jumps to the position that corresponds to
+        the driver's currents.
+        """
         if self.energised:
             return
         self.energised = True
@@ -151,7 +161,10 @@ class Stepper:
         self._turn_output()
 
     def power_up(self) -> None:
-        """Reset to the state after power-up: count 0 and coils off, without moving the table."""
+        """Reset the state to that after power-up.
+
+        The count of steps is 0 and the coils are off, but the table does not move.
+        """
         stood_deg = self._output_deg
         self.stop()
         self._steps = 0.0
@@ -180,7 +193,10 @@ class Stepper:
         self._turn_output()
 
     def motion(self, dt_s: float) -> Iterator[tuple[float, float, float]]:
-        """Yield the future motion of the table: duration (s), initial speed (deg/s) and acceleration (deg/s2)."""
+        """Yield the motion of the table in the next ``dt_s`` as intervals of constant acceleration.
+
+        Each has a duration (s), an initial speed (deg/s) and an acceleration (deg/s2).
+        """
         into_s, left_s = self._into_s, dt_s
         for move in self._moves:
             for begin_s, end_s, speed, gain in move.pieces():
@@ -194,7 +210,10 @@ class Stepper:
             yield left_s, 0.0, 0.0
 
     def _motor_deg(self) -> float:
-        """Return the rotor's angle, deg, whose error has the electrical period of four full steps."""
+        """Return the angle of the rotor, deg.
+
+        Its error is periodic, with the electrical period of four full steps.
+        """
         steps = self._steps
         if not self.energised:
             steps = round(steps / MICROSTEPS) * MICROSTEPS
@@ -202,6 +221,6 @@ class Stepper:
         return self._shift_deg + steps / self.steps_per_deg + self._wrong.table_microstep_deg * math.sin(electrical_rad)
 
     def _turn_output(self) -> None:
-        """Make the table follow the rotor with backlash."""
+        """Update the table angle from the angle of the rotor, taking the backlash into account."""
         motor_deg, half_deg = self._motor_deg(), self._wrong.table_play_deg / 2.0
         self._output_deg = min(max(self._output_deg, motor_deg - half_deg), motor_deg + half_deg)
