@@ -22,7 +22,7 @@ class Patch:
     opacity: float
     """Opacity in the middle of the film, 0 to 1."""
     lobes_rad: tuple[float, ...]
-    """Phases of the harmonics 2, 3, 4, ... of the outline, rad."""
+    """Phases of the sinusoidal variations of the outline, rad. They have 2, 3, 4, ... periods around the film."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +63,13 @@ class OuterDirt:
 
 
 SPECK_MM = 0.05, 0.25
-"""Range of the radii of dust specks, mm: settled airborne dust that is not wiped off. Household dust has sizes of up to
-about 0.5 mm."""
+"""Minimum and maximum radius of dust specks, mm. They represent settled airborne dust that is not wiped off. Household
+dust has sizes of up to about 0.5 mm."""
 SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
-"""Range of lengths (mm), width (mm) and opacity of scratches (assumed): fine scratches from wiping, half a pixel
-wide."""
+"""Range of lengths (mm), width (mm) and opacity of scratches, in this order. The values are assumed for fine scratches
+from wiping, which are half a pixel wide."""
 SEAM_WIDE_MM = 1.0
-"""Width of the seam, mm, as documented for the scene key."""
+"""Width of the seam, mm. It is part of the definition of the scene key ``seam_opacity``."""
 
 
 def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
@@ -89,7 +89,9 @@ def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
 def outer_opacity(
     dirt: OuterDirt, *, seam_rad: float, seam_opacity: float, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
 ) -> NDArray[np.float32]:
-    """Paint dust, scratches and the seam on an unrolled wall with the layout of `opacity_map`.
+    """Paint dust, scratches and the seam on an unrolled wall.
+
+    The layout is that of `opacity_map`.
 
     Parameters
     ----------
@@ -130,7 +132,11 @@ def outer_opacity(
 
 
 def dilate_opacity(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
-    """Dilate a painted picture: return 1 for texels (rows, columns) with paint in a surrounding square, otherwise 0."""
+    """Dilate the painted texels of an opacity map (rows, columns).
+
+    A texel of the result is 1 if a texel within ``reach_texels`` of it along rows and columns is painted, and 0
+    otherwise.
+    """
     side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
     painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
     return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
@@ -218,7 +224,7 @@ def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_
 def opacity_map(
     patches: tuple[Patch, ...], *, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
 ) -> NDArray[np.float32]:
-    """Paint algae films on an unrolled wall.
+    """Paint the opacity of algae films on an unrolled wall.
 
     Parameters
     ----------

@@ -11,10 +11,11 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
-"""Full-well capacity, electrons, of profiles with read noise but without photon noise, similar to that of the Pi HQ
-camera's pixels."""
+"""Full-well capacity for profiles with read noise but without photon noise, electrons. It is similar to that of the
+pixels of the Pi HQ camera."""
 MANY_E = 25.0
-"""Mean number of electrons from which quantiles are computed with an expansion."""
+"""Mean number of electrons above which the quantiles in `photons` are computed with the Cornish-Fisher expansion. Below
+it they are found by summation."""
 
 
 def expose(
@@ -67,15 +68,19 @@ def stored_camera(camera: Camera, disturbances: Disturbances) -> Camera:
 
 
 def _falloff(shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
-    """Return the relative transmission of the lens (H, W), 1 in the centre and 1 - ``share`` in the corners."""
+    """Return the relative transmission of the lens (H, W).
+
+    It decreases from 1 in the centre to 1 - ``share`` in the corners.
+    """
     y, x = (np.linspace(-1.0, 1.0, size) for size in shape[:2])
     return np.asarray(1.0 - 0.5 * share * (x[None, :] ** 2 + y[:, None] ** 2))
 
 
 def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Draw Poisson numbers (H, W) with given means, as quantiles at normal random values (H, W).
+    """Draw numbers (H, W) from Poisson distributions with the given means.
 
-    Random generators draw Poisson numbers by rejection. A rounding difference in one pixel may then consume an
+    Each number is the quantile at the probability of a standard normal random value, which is an element of ``chance``
+    (H, W). Random generators draw Poisson numbers by rejection. A rounding difference in one pixel may then consume an
     additional random value and change the noise of all subsequent pixels. Here a small change of a pixel's mean changes
     its value by at most one electron, and no other pixel.
 

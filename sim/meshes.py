@@ -83,7 +83,10 @@ def _read(path: Path) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: NDArray[np.int32]) -> int:
-    """Count the edges of triangles (F, 3) that are not used equally often in both directions."""
+    """Count the edges at which triangles (F, 3) do not form a closed surface with a consistent orientation.
+
+    In such a surface, each edge is used equally often in both directions.
+    """
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys, inverse = np.unique(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1), axis=0, return_inverse=True)
     balance = np.bincount(inverse.ravel(), weights=np.where(a < b, 1.0, -1.0), minlength=len(keys))
@@ -91,16 +94,19 @@ def open_edges(faces: NDArray[np.int32]) -> int:
 
 
 def _single_edges(faces: NDArray[np.int32]) -> int:
-    """Count the edges of triangles (F, 3) that are shared by an odd number of faces, ignoring orientation."""
+    """Count the edges that belong to an odd number of triangles (F, 3).
+
+    The orientation of the triangles is ignored.
+    """
     edges = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1), axis=1)
     counts = np.unique(edges, axis=0, return_counts=True)[1]
     return int(np.count_nonzero(counts % 2))
 
 
 def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
-    """Merge vertices so that faces share them.
+    """Merge vertices at the same position, so that neighbouring faces share them.
 
-    Vertices with equal coordinates are merged (STL, seams of OBJ) if necessary.
+    Merging is necessary for STL files, and at texture seams of OBJ files.
     """
     indexed = faces[_is_proper(faces)]
     if len(indexed) and open_edges(indexed) == 0 and to_manifold(vertices, indexed).status() == manifold3d.Error.NoError:
@@ -135,7 +141,10 @@ def _is_proper(faces: Faces) -> NDArray[np.bool_]:
 
 
 def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> manifold3d.Manifold:
-    """Unite overlapping shells, keep cavities, and invert shells whose normals point inwards."""
+    """Unite overlapping shells.
+
+    Cavities are kept, and shells whose normals point inwards are inverted.
+    """
     kinds: Counter[str] = Counter()
     bodies: list[manifold3d.Manifold] = []
     inverted: list[manifold3d.Manifold] = []

@@ -1,4 +1,7 @@
-"""Build a watertight solid from roots: the union of tubes around the centre lines (manifold3d), with exact volume."""
+"""Build a watertight solid from roots.
+
+The solid is the union of tubes around the centre lines, computed with manifold3d. Its volume is exact.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,10 +28,12 @@ KINK_RAD = 0.6
 than the tube's radius are also replaced."""
 
 MOST_AT_ONCE = 250
-"""Maximum number of tubes that are united in one call, which neither reports progress nor can be cancelled. Plants of
-the library have at most 207 tubes. Uniting 250 mutually crossing tubes takes 20 s. More tubes are united in pairs."""
+"""Maximum number of tubes that are united in one call. Such a call neither reports progress nor can be cancelled.
+Plants of the library have at most 207 tubes. Uniting 250 mutually crossing tubes takes 20 s. More tubes are united in
+pairs."""
 LEAST_MM = 1e-3
-"""Minimum diameter of tubes, mm, which has no effect on pictures or volume. Diameters in files may taper to zero."""
+"""Minimum diameter of a tube, mm. Smaller diameters are replaced by it, because diameters in files may taper to zero.
+It has no effect on pictures or volume."""
 
 
 def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces]:
@@ -95,7 +100,10 @@ def _transport_normals(points_mm: Array, tangents: Array) -> Array:
 
 
 def _tube_faces(rings: int, sides: int) -> Faces:
-    """Return triangles (F, 3) between consecutive rings, and between end rings and poles (last two vertices)."""
+    """Return the triangles (F, 3) of a tube.
+
+    They connect consecutive rings of vertices, and the two end rings with the poles, which are the last two vertices.
+    """
     corner = np.arange(sides)
     after = (corner + 1) % sides
     low = (np.arange(rings - 1) * sides)[:, None]
@@ -112,7 +120,10 @@ def _tube_faces(rings: int, sides: int) -> Faces:
 
 
 def pieces(root: Root) -> list[tuple[Array, Array]]:
-    """Divide a root into tubes without self-intersection, each with points (N, 3) and radii (N,), mm."""
+    """Divide a root into tubes that do not intersect themselves.
+
+    Each tube is a pair of points (N, 3) and radii (N,), mm.
+    """
     apart = np.concatenate([[True], np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) > 1e-6])
     points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.maximum(root.diameters_mm, LEAST_MM)[apart] / 2.0
     if len(points_mm) < 2:
@@ -135,7 +146,9 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
 
 
 def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
-    """Unite the tubes of roots, with all radii multiplied by ``scale``, to a solid.
+    """Unite the tubes of all roots to one solid.
+
+    All radii are multiplied by ``scale``.
 
     Parameters
     ----------

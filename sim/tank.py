@@ -17,7 +17,8 @@ Faces = NDArray[np.int64]
 OUTSIDE, INSIDE, SURFACE, OPAQUE = "tank_outside", "tank_inside", "tank_surface", "tank_opaque"
 """Names of the tank's meshes in the Mitsuba scene."""
 HOLE_SIDES = 720
-"""Number of corners of the canister's hole in the liquid's surface, which lie 1 um inside a circle of 76 mm."""
+"""Number of sides of the hole in the liquid's surface in which the canister stands. The sides deviate by at most 1 um
+from a circle with a radius of 76 mm."""
 
 
 def _wall_mesh(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
@@ -38,9 +39,9 @@ def _opaque_mesh(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
 
 
 def _surface_mesh(tank: Tank, hole: Array) -> tuple[Array, Faces]:
-    """Return vertices (V, 3), mm, and faces (F, 3) of the liquid's surface around the canister.
+    """Return the vertices (V, 3), mm, and faces (F, 3) of the liquid's surface around the canister.
 
-    The outline of the canister on this surface is ``hole`` (N, 2), mm, counter-clockwise from above.
+    The outline of the canister on this surface is ``hole`` (N, 2), mm, counter-clockwise as seen from above.
     """
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
     out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # extended radially from the axis to the walls
@@ -59,7 +60,10 @@ def _surface_mesh(tank: Tank, hole: Array) -> tuple[Array, Faces]:
 
 
 def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, Any]]]:
-    """Return vertices (V, 3), mm, tank frame, faces (F, 3) and material of the tank's meshes by name."""
+    """Return the meshes of the tank, keyed by name.
+
+    Each mesh consists of vertices (V, 3) in the tank frame, mm, faces (F, 3) and a Mitsuba material.
+    """
     low = -scene.canister.height_mm
     turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
     hole = scene.canister.outer_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
