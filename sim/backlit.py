@@ -213,7 +213,7 @@ class Backlit:
         return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * AMBIENT)
 
     def crosses_room(self, ray: Any, t: Any) -> Any:
-        """Return whether a ray segment passes through the region of fine structures for at least `LEAST_SPAN_MM`."""
+        """Return whether the length of a ray segment in the region of fine structures exceeds `LEAST_SPAN_MM`."""
         low, high, radius = self.bounds
         a = ray.d.x * ray.d.x + ray.d.y * ray.d.y
         b = ray.o.x * ray.d.x + ray.o.y * ray.d.y

@@ -1,4 +1,7 @@
-"""Simulate pictures of the calibration board in air with uniform illumination and the true lens."""
+"""Simulate pictures of the calibration board.
+
+The board is in air, uniformly illuminated, and seen through the true lens.
+"""
 
 from __future__ import annotations
 
@@ -31,31 +34,32 @@ BORDER_MM = 12.0
 TEXELS_PER_MM = 12.0
 """Number of texels per mm of the painted pattern. A texel is a third of a pixel of a camera with 800x600 pixels."""
 MOST_TEXELS = 6000
-"""Maximum length of the texture's longer side, texels. Larger boards are painted with a lower resolution."""
+"""Maximum number of texels along the longer side of the painted pattern. Larger boards are painted with a lower
+resolution."""
 SIDE = 7
 """Number of rays per pixel in each direction. The rays form a regular lattice. `_lens_positions` requires a prime
 number."""
 MAX_RAYS = 8_000_000
-"""Maximum number of rays per kernel launch, as in `sim.render`."""
+"""Maximum number of rays per kernel launch. It is the same as in `sim.render`."""
 LEAST_VISIBLE = 0.6
 """Minimum fraction of the board's corners that must be visible in a picture."""
 LEAST_SQUARE_PX = 20.0
 """Minimum edge of a square in the picture, pixels. A marker has 3/4 of this edge, and OpenCV needs 2 pixels for each of
 the marker's 6 modules."""
 ATTEMPTS = 300
-"""Maximum number of random poses that are drawn until a pose shows enough of the board. A few are usually
-sufficient."""
+"""Maximum number of random poses that are drawn for a picture. The first pose that shows enough of the board is used,
+and a few attempts are usually sufficient."""
 TRUTH = Path("truth") / "camera.json"
-"""Path of the true camera and poses, relative to the folder of the pictures."""
+"""Path of the file with the true camera and poses, relative to the folder of the pictures."""
 _POSE, _NOISE = 41, 42  # keys of the random streams
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoardPictures:
-    """True camera and poses of simulated pictures of a board."""
+    """True camera and true poses of the simulated pictures of a board."""
 
     camera: Camera
-    """True camera of the simulated pictures, including distortion."""
+    """True camera of the simulated pictures, with its distortion."""
     cam_from_board: dict[str, frames.Array]
     """Transforms (4, 4) from the board's frame to the camera frame, mm, keyed by file name."""
 
@@ -110,19 +114,22 @@ def simulate_board(
 def true_camera(scene: Scene) -> Camera:
     """Return the scene's camera with the true distortion of its lens.
 
-    The ``focal_error`` of a profile is not applied, because it arises after the calibration.
+    The ``focal_error`` of a profile is not applied, because the error arises after the calibration.
     """
     return replace(scene.camera, distortion=lens_distortion(scene))
 
 
 def working_distance_mm(scene: Scene) -> float:
-    """Return the distance from the camera to the table's axis along the optical axis in the first ring, mm."""
+    """Return the distance from the camera to the table's axis, mm.
+
+    It is measured along the optical axis in the first ring.
+    """
     ring = scene.plan.rings[0]
     return float(ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)))
 
 
 def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> frames.Array:
-    """Draw the random pose ``cam_from_board`` of a picture.
+    """Draw a random pose ``cam_from_board`` for a picture.
 
     The board is rotated by multiples of 90 degrees, tilted in all directions, and placed at any position in the
     picture.

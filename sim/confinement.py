@@ -14,7 +14,7 @@ from rhizotwin.scenes.specimens import GrownSpecimen
 Array = NDArray[np.float64]
 
 WALL_TURN_MM = 6.0
-"""Radius of the arc on which a root turns away from an obstacle, mm."""
+"""Radius of the arc on which a root turns away from a wall or another limit, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)

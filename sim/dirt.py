@@ -1,4 +1,7 @@
-"""Contamination of the canister, drawn at random: algae films, felt fibres, air bubbles, dust and scratches."""
+"""Contamination of the canister with algae films, felt fibres, air bubbles, dust and scratches.
+
+They are drawn at random.
+"""
 
 from dataclasses import dataclass
 
@@ -51,15 +54,15 @@ class Bubble:
 
 @dataclass(frozen=True, kw_only=True)
 class OuterDirt:
-    """Dust and scratches on the outside of the canister, which rotate with the canister.
+    """Dust and scratches on the outside of the canister, which rotate with it.
 
-    Positions are on the unrolled wall, as azimuth (rad) and height z (mm).
+    Positions are given on the unrolled wall, as azimuth (rad) and height z (mm).
     """
 
     specks: NDArray[np.float64]
     """Azimuth (rad), height (mm) and radius (mm) of each dust speck (N, 3)."""
     scratches: NDArray[np.float64]
-    """Azimuth (rad) and height (mm) of both ends of each scratch (M, 4)."""
+    """Azimuth (rad) and height (mm) of the two ends of each scratch (M, 4)."""
 
 
 SPECK_MM = 0.05, 0.25
@@ -73,7 +76,10 @@ SEAM_WIDE_MM = 1.0
 
 
 def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
-    """Draw dust specks and scratches at random positions on the outside, below the skirt of the net pot."""
+    """Draw dust specks and scratches.
+
+    They are at random positions on the outside of the canister, below the skirt of the net pot.
+    """
     wrong, canister = scene.disturbances, scene.canister
     low_mm, high_mm = canister.floor_z_mm, scene.net_pot.skirt_bottom_mm
     count = wrong.dust_specks
@@ -143,7 +149,10 @@ def dilate_opacity(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArra
 
 
 def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
-    """Draw algae films on the wetted wall, with radii of 2 to 8 mm and 50 to 100 % of the profile's opacity."""
+    """Draw algae films on the wetted wall.
+
+    Their radii are 2 to 8 mm, and their opacities are 50 to 100 % of the profile's opacity.
+    """
     wrong = scene.disturbances
     low_mm, high_mm = scene.canister.floor_z_mm, min(scene.net_pot.grid_z_mm, scene.water.level_mm)
     return tuple(
@@ -159,7 +168,9 @@ def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
 
 
 def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> tuple[Fibre, ...]:
-    """Draw felt fibres that hang from the grid, 20 to 60 um thick, 2 to 10 mm long and randomly bent.
+    """Draw felt fibres that hang from the grid.
+
+    They are 20 to 60 um thick, 2 to 10 mm long and randomly bent.
 
     Parameters
     ----------
@@ -190,7 +201,9 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
 
 
 def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
-    """Draw air bubbles with radii of 0.2 to 1 mm, separated from the wall by ``gap_mm`` of water.
+    """Draw air bubbles with radii of 0.2 to 1 mm.
+
+    A layer of water of thickness ``gap_mm`` separates them from the wall.
 
     Parameters
     ----------

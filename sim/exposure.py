@@ -1,4 +1,7 @@
-"""Convert linear light to pixel values: vignetting, noise, clipping, quantisation, transfer curve and white balance."""
+"""Convert linear light to pixel values.
+
+The conversion includes vignetting, noise, clipping, quantisation, the transfer curve and the white balance.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -21,7 +24,7 @@ it they are found by summation."""
 def expose(
     light: NDArray[np.float32], camera: Camera, disturbances: Disturbances, *, rng: np.random.Generator
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Convert a picture of linear light to the stored picture.
+    """Convert a picture of linear light to the pixel values that the camera stores.
 
     Parameters
     ----------
@@ -62,7 +65,7 @@ def expose(
 
 
 def stored_camera(camera: Camera, disturbances: Disturbances) -> Camera:
-    """Return the camera with the transfer curve and the bit depth of its stored pictures."""
+    """Return the camera with the transfer curve and the bit depth of the pictures that it stores."""
     curve = camera.transfer if disturbances.transfer == "linear" else disturbances.transfer
     return replace(camera, transfer=curve, bits=disturbances.stored_bits or camera.bits)
 
@@ -105,5 +108,5 @@ def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[n
 
 
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert coverage (H, W), 0 to 1, to 16-bit pixel values."""
+    """Convert a coverage (H, W) from 0 to 1 to 16-bit pixel values."""
     return np.asarray(np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0), dtype=np.uint16)

@@ -1,10 +1,10 @@
 """Grow a root system in the canister's water with an architectural root model.
 
-The model follows the literature (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant and Soil
-332:177). Roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and form laterals in
-acropetal order at random distances. All roots of an order grow together as arrays. The random values of a root come
-from a generator seeded with the root's path (child numbers from the taproot on), so that a root does not depend on the
-number of other roots.
+The model follows Pages et al. 2004 (Plant and Soil 258:103) and Leitner et al. 2010 (Plant and Soil 332:177). Roots
+elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and form laterals in acropetal order at
+random distances. All roots of an order grow together as arrays. The random values of a root come from a generator
+seeded with the root's path (child numbers from the taproot on), so that a root does not depend on the number of other
+roots.
 """
 
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
 Array = NDArray[np.float64]
 
 STEP_MM = 1.0
-"""Length of a growth step, and of a segment of the finished root, mm."""
+"""Length of a growth step, mm. It is also the length of a segment of the finished root."""
 BEND_LENGTH_MM = 4.0
 """Correlation length of the random curvature of a root, mm. It makes the growth direction vary smoothly."""
 MOST_ROOTS = 20_000
-"""Maximum number of roots. The mesh of more roots would need many minutes and several gigabytes."""
+"""Maximum number of roots. A mesh of more roots would need many minutes and several gigabytes."""
 HEADING_FAN_DEG = 137.5
 """Mean difference between the azimuths of successive laterals, deg. This golden angle distributes laterals evenly
 around the root."""
@@ -72,7 +72,7 @@ class _Bud:
 
 
 def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: NetPot | None = None) -> list[Root]:
-    """Grow a plant. The same specimen always yields the same plant, and a higher age continues the growth.
+    """Grow a plant. The same specimen always yields the same plant, which grows further if its age is increased.
 
     Parameters
     ----------
@@ -133,7 +133,9 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
 
 
 def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the length of a root at a given age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
+    """Return the length of a root at a given age.
+
+    It is k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
 
     Parameters
     ----------
@@ -153,7 +155,9 @@ def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: A
 
 
 def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the age at which a root has a given length, the inverse of `length_at`.
+    """Return the age at which a root has a given length.
+
+    The function is the inverse of `length_at`.
 
     Parameters
     ----------
@@ -186,7 +190,10 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
 
 
 def _generators(seed: int, path: tuple[int, ...]) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
-    """Return the random generators for a root's own traits, for its curvature and for its laterals."""
+    """Return three random generators.
+
+    They are for the traits of a root, for its curvature and for its laterals, in this order.
+    """
     shape, wobble, laterals = np.random.SeedSequence(entropy=seed, spawn_key=path).generate_state(3, np.uint64)
     return np.random.default_rng(int(shape)), np.random.default_rng(int(wobble)), np.random.default_rng(int(laterals))
 
@@ -229,7 +236,7 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
 
 
 def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
-    """Return the diameters of the taproot (N,), mm, including its thickened top."""
+    """Return the diameters of the taproot (N,), mm, to which the thickened top is added."""
     fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
     if specimen.hypocotyl_shape == "globe":  # ellipsoid of revolution
         return specimen.hypocotyl_diameter_mm * 2.0 * np.sqrt(fade * (1.0 - fade))
@@ -252,7 +259,10 @@ def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
 
 
 def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array) -> Array:
-    """Return the centre lines (N, S + 1, 3), mm, of all buds, each long enough for the longest root."""
+    """Return the centre lines (N, S + 1, 3) of all buds, mm.
+
+    Each has as many points as the longest root requires.
+    """
     steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
     bend = np.zeros((len(buds), steps, 3))
     for i, bud in enumerate(buds):

@@ -28,13 +28,13 @@ class HangingObject:
     vertices: NDArray[np.float64]
     """Vertices at rest (V, 3), mm."""
     share: NDArray[np.float64]
-    """Displacement of each vertex (V,), relative to the displacement of the lowest tip."""
+    """Displacement of each vertex (V,), as a fraction of the displacement of the lowest tip."""
 
     @staticmethod
     def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> HangingObject:
         """Create a hanging object that is fixed at the highest point of a solid.
 
-        The displacement of a vertex is proportional to its depth below the highest point.
+        The displacement of a vertex is proportional to its depth below this point.
 
         Parameters
         ----------

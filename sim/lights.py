@@ -1,4 +1,7 @@
-"""Backlight panel and front light: area emitters that are fixed in the rig while the canister rotates."""
+"""Backlight panel and front light.
+
+They are area emitters that are fixed in the rig while the canister rotates.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,9 @@ def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
 
 
 class Lamps:
-    """Analytic model of the two lights for `sim.backlit`, which can be moved without rebuilding the scene.
+    """Analytic model of the two lights for `sim.backlit`.
+
+    The lights can be moved without rebuilding the scene.
 
     Parameters
     ----------

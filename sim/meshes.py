@@ -15,14 +15,14 @@ from rhizotwin.sim.solids import Array, Faces, to_manifold
 SUFFIXES = (".ply", ".stl", ".obj")
 """Supported file name extensions."""
 MOST_FACES = 1_500_000
-"""Maximum number of faces. A mesh of 1.3 million faces took 1.1 GiB and 32 s without any progress report. The faces on
-a sphere of 20 mm then have edges of 0.04 mm."""
+"""Maximum number of faces. Reading a mesh of 1.3 million faces took 1.1 GiB and 32 s, during which no progress is
+reported. With so many faces, a sphere of 20 mm has edges of 0.04 mm."""
 LEAST_MM = 0.5
 """Minimum size of a specimen, mm. The unit of smaller meshes is probably not the millimetre."""
 
 
 def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
-    """Read a closed surface and return the solid that it bounds, with notes on repairs.
+    """Read a closed surface and return the solid that it bounds, together with notes on repairs.
 
     Overlapping shells are united. Inner shells with inward normals are cavities. A surface whose normals all point
     inwards is inverted, with a note.
@@ -60,7 +60,7 @@ def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
 
 
 def _read(path: Path) -> tuple[Array, Faces]:
-    """Read the vertices (V, 3), mm, and faces (F, 3) of a file."""
+    """Read the vertices (V, 3), mm, and the faces (F, 3) of a mesh file."""
     if path.suffix.lower() not in SUFFIXES:
         raise UserError(
             f"{path}: the extension '{path.suffix}' is not supported; must be a mesh (.ply, .stl, .obj) or traced roots (.rsml)."

@@ -41,11 +41,12 @@ DIRT_TEXEL_MM = 0.1
 """Edge of a texel of the map of dust and scratches, mm. It is half the width of a pixel on the wall at 800x600
 pixels."""
 OVAL_SIDES = 1440
-"""Number of facets of an oval wall. The facets deviate by at most 0.2 um from the oval. Their normals are exact."""
+"""Number of facets of an oval wall. The facets deviate from the oval by at most 0.2 um. Their normals are exact."""
 TURBID_ALBEDO = 0.7
 """Albedo of turbid water, which is the fraction of the extinction that is due to scattering. The value is assumed."""
 TURBID_FORWARD = 0.9
-"""Mean cosine of the scattering angle in turbid water. Particles larger than the wavelength scatter forward."""
+"""Mean cosine of the scattering angle in turbid water. The value is high, because particles larger than the wavelength
+scatter forward."""
 
 
 def build(
@@ -57,7 +58,9 @@ def build(
     lamps: bool = True,
     dirt_reach_mm: float | None = None,
 ) -> mi.Scene:
-    """Build the Mitsuba scene of a rig with its drawn disturbances, without a sensor.
+    """Build the Mitsuba scene of a rig with its drawn disturbances.
+
+    It contains no sensor.
 
     Parameters
     ----------
@@ -319,7 +322,10 @@ def _mesh(
 
 
 def _tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices (V, 3), mm, and faces (F, 3) of open tubes around the centre lines of fibres."""
+    """Return the vertices (V, 3), mm, and faces (F, 3) of tubes around the centre lines of fibres.
+
+    The tubes are open at both ends.
+    """
     vertices, faces, start = [], [], 0
     turn = np.arange(sides) * 2.0 * np.pi / sides
     for fibre in fibres:
@@ -362,7 +368,7 @@ def _disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any], seat: frames.Arra
 def _dielectric(n_inside: float, n_outside: float) -> dict[str, Any]:
     """Return a smooth dielectric interface.
 
-    ``n_outside`` is the refractive index on the side of the surface's normal.
+    ``n_outside`` is the refractive index on the side to which the surface's normal points.
     """
     return {"type": "dielectric", "int_ior": n_inside, "ext_ior": n_outside}
 

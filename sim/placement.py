@@ -91,7 +91,7 @@ def _is_flat(points_mm: Array) -> bool:
 
 
 def translation_below_grid(points_mm: Array, scene: Scene) -> Array:
-    """Return the translation (3,), mm, that moves points (N, 3) below the grid, centred on the axis."""
+    """Return the translation (3,), mm, that moves points (N, 3) below the grid and centres them on the axis."""
     (x, y), _ = _enclosing_circle(points_mm)
     return np.array([-x, -y, scene.net_pot.grid_z_mm - FREE_MM - float(points_mm[:, 2].max())])
 
@@ -151,7 +151,7 @@ def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
 
 
 def format_size(points_mm: Array) -> str:
-    """Return the size of points (N, 3) along x, y and z as text, mm."""
+    """Format the extent of points (N, 3) along x, y and z as text, mm."""
     return " x ".join(f"{value:.3g}" for value in np.ptp(points_mm, axis=0))
 
 

@@ -1,4 +1,7 @@
-"""Build a watertight solid of a shoot above the net pot, with exact volume and leaf area."""
+"""Build a watertight solid of a shoot above the net pot.
+
+Its volume and leaf area are exact.
+"""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def simulate(
     samples: int | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Dataset:
-    """Render every view of a scene's plan to a dataset folder.
+    """Render every view of a scene's scan plan to a dataset folder.
 
     Parameters
     ----------
@@ -163,7 +163,10 @@ def _render_frames(
 
 
 def _cameras(scene: Scene, world: World) -> list[TrueCamera]:
-    """Return the true camera of each picture. Pictures of a view in several bands have the same camera."""
+    """Return the true camera of each picture.
+
+    All pictures of a view have the same camera, even if they are taken in several bands.
+    """
     return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.ring_bands(scene, view.ring)]
 
 

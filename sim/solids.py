@@ -22,10 +22,10 @@ SIDES = 24
 """Number of sides of a tube. A prism with 24 sides and the cross-sectional area of a circle is 0.3 % wider than the
 circle. A prism with 16 sides is 0.6 % wider, with 8 sides 2.7 %."""
 SPLIT_TURN_RAD = 2.0
-"""Turning angle after which a tube is divided, rad, because longer tubes may intersect themselves."""
+"""Sum of the bend angles along a root at which a new tube begins, rad. Longer tubes could intersect themselves."""
 KINK_RAD = 0.6
-"""Bend angle, rad, from which a bend is replaced by a joint of two tubes with round ends. Bends with a radius smaller
-than the tube's radius are also replaced."""
+"""Bend angle at which a new tube begins, rad. The two tubes meet with round ends. A new tube also begins at a bend
+whose radius is smaller than that of the tube."""
 
 MOST_AT_ONCE = 250
 """Maximum number of tubes that are united in one call. Such a call neither reports progress nor can be cancelled.
@@ -78,9 +78,9 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
 
 
 def _transport_normals(points_mm: Array, tangents: Array) -> Array:
-    """Transport a normal along a curve without twist, by two reflections per step (Wang et al. 2008, table I).
+    """Transport a normal along a curve without twist.
 
-    Returns normals (N, 3).
+    Each step consists of two reflections (Wang et al. 2008, table I). Returns normals (N, 3).
     """
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     normals = np.empty_like(points_mm)
@@ -177,9 +177,9 @@ def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor |
 
 
 def to_manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
-    """Convert a closed surface with vertices (V, 3) and triangles (F, 3) to manifold3d.
+    """Convert a closed surface with vertices (V, 3) and triangles (F, 3) to a manifold3d solid.
 
-    The caller must check ``status()``.
+    The caller must check its ``status()``.
     """
     mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices, np.float64), tri_verts=np.ascontiguousarray(faces, np.uint64))
     return manifold3d.Manifold(mesh)

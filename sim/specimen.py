@@ -1,4 +1,7 @@
-"""Build a watertight solid of a specimen in the canister's water, with exact volume."""
+"""Build a watertight solid of a specimen in the canister's water.
+
+Its volume is exact.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,8 +27,8 @@ from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
-"""Number of subdivisions of the sphere. The 81920 faces deviate by 0.0024 % from the ball before scaling to its
-volume."""
+"""Number of subdivisions of the icosahedron that approximates a sphere. Before they are scaled to the volume of the
+ball, its 81920 faces deviate from the ball by 0.0024 %."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
 """Common resolutions of scanners and screens, dots per inch. A resolution in a file that equals one of them is probably
 in dots per inch."""
@@ -49,7 +52,7 @@ class SpecimenSolid:
     """Volume (``volume_mm3``) and ``traits`` of each plant, keyed by plant name. It is empty if there is a single
     plant."""
     notes: tuple[str, ...] = ()
-    """Sentences for the user about repairs and peculiarities of the specimen."""
+    """Sentences for the user about repairs and unusual properties of the specimen."""
     shoot: ShootSolid | None = None
     """Shoot above the net pot. It is None if the scene has no shoot."""
 
@@ -162,7 +165,7 @@ class _Part:
 
 
 def _build_plant(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
-    """Build one of several plants at its position in the net pot."""
+    """Build one of several plants, at its position in the net pot."""
     specimen = plant.placed()
     if specimen is None:
         raise UserError(
@@ -232,7 +235,10 @@ def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene
 
 
 def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
-    """Read and place traced roots, and return them with notes on their interpretation."""
+    """Read traced roots from a file and place them.
+
+    Return them with notes on how the file was interpreted.
+    """
     file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
     roots, closed = close_gaps(file)
     base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])

@@ -1,4 +1,7 @@
-"""Paint the marker strip: black markers on white paper, unrolled around the net pot."""
+"""Paint the marker strip.
+
+It consists of black markers on white paper and is unrolled from the net pot.
+"""
 
 from typing import Any
 
@@ -16,7 +19,9 @@ partly covered by a marker is painted with the covered fraction."""
 
 
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
-    """Paint the reflectance of the strip on the unrolled net pot, averaged over texels.
+    """Paint the reflectance of the marker strip, unrolled from the net pot.
+
+    Each value is an average over a texel.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
-"""Draw all disturbances of a scene, from which its pictures are rendered.
+"""Draw all disturbances of a scene, with which its pictures are rendered.
 
-Each effect has its own random stream, keyed by effect, ring and view, so that each picture is independent of all
-others.
+Each effect has its own random stream for each ring and view, so that each picture is independent of all others.
 """
 
 from dataclasses import dataclass, replace
@@ -53,11 +52,11 @@ class World:
     seed: int
     """Random seed."""
     cameras: tuple[TrueCamera, ...]
-    """True camera of each view, in the order of the scan plan."""
+    """True camera of each view of the scan plan, in order."""
     n_water: float
     """True refractive index of the water."""
     canister: Canister
-    """True canister with its manufacturing errors, in contrast to the nominal canister of the scene."""
+    """True canister with its manufacturing errors. The canister of ``scene`` is nominal."""
     oval_rad: float
     """Azimuth of the canister's largest radius, rad."""
     seam_rad: float
@@ -164,9 +163,9 @@ def _draw_sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float
 
 
 def _draw_highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a soft vertical streak of light (H, W) at a random position in front of the canister.
+    """Return the picture (H, W) of a soft vertical streak of light at a random position in front of the canister.
 
-    The streak is the reflection of a window, because a convex mirror images a window as a line along its axis.
+    The streak is the reflection of a window. A convex mirror images a window as a line along its axis.
     """
     width, height = scene.camera.image_wh
     x, y = np.arange(width) / width, np.arange(height)[:, None] / height
@@ -176,7 +175,10 @@ def _draw_highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float6
 
 
 def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
-    """Return the distortion coefficients k1, k2, p1, p2, k3 of the scene's lens, including the profile's distortion."""
+    """Return the distortion coefficients k1, k2, p1, p2, k3 of the true lens.
+
+    They are the sums of those of the scene's camera and of the disturbance profile.
+    """
     k1, k2, p1, p2, k3 = (a + b for a, b in zip(scene.camera.distortion, scene.disturbances.distortion, strict=True))
     return k1, k2, p1, p2, k3
 
@@ -216,7 +218,10 @@ def _draw_seat(offset_mm: float, tilt_deg: float, rng: np.random.Generator) -> f
 
 
 def _uneven_backlight(peak_to_peak: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a smooth random map (rows, columns) with values from ``1 - peak_to_peak`` to 1."""
+    """Return a smooth random map of the panel's relative radiance (rows, columns).
+
+    The values are from ``1 - peak_to_peak`` to 1.
+    """
     columns, rows = BACKLIGHT_MAP_WH
     y, x = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
     field = np.zeros((rows, columns))

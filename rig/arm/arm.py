@@ -1,9 +1,9 @@
-"""Driver of the robot arm: five joints with angles in degrees, for both servo protocols.
+"""Driver of the robot arm, which has five joints and can use either servo protocol.
 
-The driver implements limits, speed, verification, and stopping on errors. Servos report neither the end nor the failure
-of a move. Therefore the driver computes the duration of each move from its distance, waits for that time without
-communication, and then compares the position of every joint with the commanded position. This detects joints that are
-blocked, too warm, or without torque.
+Angles are in degrees. The driver enforces limits, controls the speed, verifies every move, and stops the arm on errors.
+Servos report neither the end nor the failure of a move. Therefore the driver computes the duration of each move from
+its distance, waits for that time without communication, and then compares the position of every joint with the
+commanded position. This detects joints that are blocked, too warm, or without torque.
 """
 
 import math
@@ -55,7 +55,9 @@ def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
 
 
 class ServoArm:
-    """Robot arm that positions the camera; implements `rig.devices.Arm`.
+    """Robot arm that positions the camera.
+
+    It implements `rig.devices.Arm`.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ class ServoArm:
         return words + f", warmest {self._name(warmest)} {temperatures_c[warmest]} °C"
 
     def prepare(self) -> None:
-        """Check that all servos reply and are within their limits, and switch the torque on in the present position.
+        """Check that all servos reply and are within their limits, and switch the torque on without moving the arm.
 
         Every servo is commanded to its measured position before its torque is switched on, so that the arm does not
         jump.
@@ -171,7 +173,7 @@ class ServoArm:
         return self._joints_deg(here)
 
     def turn_filter(self, angle_deg: float) -> None:
-        """Rotate the filter wheel in front of the lens and verify its angle.
+        """Rotate the filter wheel in front of the lens to an angle, and check that the angle was reached.
 
         Raises
         ------
@@ -223,7 +225,10 @@ class ServoArm:
         self._bus.close()
 
     def _move_one(self, start: Counts, to: Counts, duration_s: float) -> Counts:
-        """Execute a move that fits into one command, and return the servo positions at its end, in counts."""
+        """Execute a move that is short enough for one command.
+
+        Return the servo positions at its end, in counts.
+        """
         tries = 0
         while True:
             self._bus.move(to, duration_s)

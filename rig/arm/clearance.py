@@ -67,7 +67,7 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 
 
 def _tank(tank: Tank, floor_z_mm: float) -> Box:
-    """Return the bounding box of a tank in any orientation.
+    """Return the bounding box of a tank, which may be rotated about the vertical axis.
 
     It extends from the tank's rim to the floor, and thus includes the stand.
     """

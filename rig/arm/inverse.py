@@ -21,7 +21,7 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Length below which a distance is treated as a rounding error, mm."""
+"""Length below which a distance is treated as zero, because it may be a rounding error, mm."""
 NEAR_AXIS_MM = 1.0
 """Maximum distance between the camera and the base's axis, mm, at which the azimuth may be computed from the optical
 axis. So close to the axis, the azimuth of the camera's position is uncertain."""
@@ -30,8 +30,8 @@ CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
 """Thresholds of the position error, mm, and the orientation error, rad, at which Newton's method has converged. The
 method also stops when the step of every joint is below CLOSE_RAD."""
 DAMPING = 0.1
-"""Damping of the normal equations, relative to the squared norm of the remaining twist. It limits the steps far from
-the target, and vanishes near the target."""
+"""Damping of the normal equations, relative to the squared norm of the remaining twist. It limits the size of the steps
+far from the target, and becomes negligible near the target."""
 UNIT_MM = 100.0
 """Position error that has the same weight as an orientation error of one radian, mm. It is about the length of a link,
 so that neither of the two errors dominates."""
@@ -45,7 +45,7 @@ class Branches:
     """
 
     joints_rad: Array
-    """Joint angles between -pi and pi, shape (..., 4, 5); NaN if the target is out of reach."""
+    """Joint angles between -pi and pi, shape (..., 4, 5). They are NaN if the target is out of reach."""
     left_over_rad: Array
     """Minimum angle by which the camera's orientation deviates from the target, rad, shape (...,). It is 0 if five
     joints can reach the target orientation at the target position."""
@@ -64,7 +64,8 @@ class NewtonSolution:
     converged: NDArray[np.bool_]
     """Whether the method converged, shape (...,)."""
     left_over: Array
-    """Remaining twist between camera and target, shape (..., 6): translation in mm, then rotation in rad."""
+    """Remaining twist between the camera and the target, shape (..., 6). The translation in mm is followed by the
+    rotation in rad."""
     turned_rad: Array
     """Angle by which the target was rotated about ``arm_from_axis`` of `newton`, shape (...,). It is 0 if no axis was
     given."""

@@ -1,7 +1,8 @@
-"""Driver of the LSC servo controller board (as in the xArm 1S), with 9600 Bd, no checksums and no acknowledgements.
+"""Driver of the LSC servo controller board, which is part of the xArm 1S.
 
-Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The
-board may send unsolicited frames at any time.
+The serial line has 9600 Bd, and the protocol has no checksums and no acknowledgements. Frame: ``55 55 | length |
+command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The board may send unsolicited
+frames at any time.
 
 Because checksums are missing, a damaged reading may appear valid. Therefore a reading is accepted only if a second
 reading agrees, and if it contains exactly the requested servos.
@@ -72,9 +73,9 @@ def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
 
 
 class LscBoard:
-    """Driver of the servo controller board, connected to its TTL serial header.
+    """Driver of the servo controller board, which is connected through its TTL serial header.
 
-    Do not send requests while the arm moves, because they make the motion jerky.
+    No requests should be sent while the arm moves, because they make the motion jerky.
     """
 
     least_move_s = 2.0
@@ -83,9 +84,9 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start the moves of all given servos with one frame, without waiting for their end.
+        """Start the moves of all given servos with one frame, and return immediately.
 
-        The move cannot be verified before its end.
+        The move cannot be verified before it ends.
 
         Raises
         ------
@@ -127,15 +128,15 @@ class LscBoard:
         raise NoAnswerError("arm: repeated readings of the voltage differ; check the supply and the line to the board")
 
     def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None, because the board does not report temperatures."""
+        """Return None, because this board does not report temperatures."""
         return
 
     def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None, because the board does not report the torque."""
+        """Return None, because this board does not report the torque."""
         return
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch the torque off, or switch it on by a move to the present positions."""
+        """Switch the torque off, or switch it on by commanding a move to the measured positions."""
         if on:
             self.move(self.positions(ids), _HOLD_S)
             return

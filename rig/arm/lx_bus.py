@@ -31,7 +31,7 @@ _WRITE_TRIES = 4
 
 
 def frame(servo: int, command: int, params: bytes = b"") -> bytes:
-    """Build a frame from servo number, command and parameters.
+    """Build a frame from a servo number, a command and its parameters.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 class LxBus:
     """Driver of the servo bus.
 
-    An echo from the adapter does not affect the replies, see `find_reply`. Unless ``echo`` is "yes" or "no", the driver
-    detects from the first reply whether there is an echo. A missing echo distinguishes a dead adapter from a dead
-    servo.
+    The adapter may return an echo of each request, which does not affect the replies, see `find_reply`. Unless ``echo``
+    is "yes" or "no", the driver detects from the first reply whether there is an echo. A missing echo distinguishes a
+    dead adapter from a dead servo.
     """
 
     least_move_s = 0.2
@@ -99,12 +99,12 @@ class LxBus:
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start the moves of all given servos simultaneously, without waiting for their end.
+        """Start the moves of all given servos simultaneously, and return immediately.
 
-        Each servo receives its target as a waiting command, and all targets are read back, so that a servo that does
-        not reply is detected before any motion. One broadcast then starts every servo with a waiting command; therefore
-        ``targets`` should include all servos of the arm. Servos that do not report the new command afterwards are
-        started individually.
+        The target of each servo is first sent as a command that waits for a start signal. All targets are read back, so
+        that a servo that does not reply is detected before any motion. One broadcast then starts every servo with a
+        waiting command; therefore ``targets`` should include all servos of the arm. Servos that do not report the new
+        command afterwards are started individually.
 
         Raises
         ------
@@ -135,9 +135,9 @@ class LxBus:
         return {servo: int.from_bytes(self._ask(servo, POS_READ, 2), "little", signed=True) for servo in ids}
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Return the lowest supply voltage among these servos.
+        """Return the lowest supply voltage of these servos.
 
-        With a weak supply, the voltage drops first at the cable's end.
+        With a weak supply, the voltage drops first at the end of the cable.
         """
         return min(int.from_bytes(self._ask(servo, VIN_READ, 2), "little") for servo in ids) / 1000.0
 

@@ -96,7 +96,9 @@ def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
 
 
 def camera_pose_from_direction(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction in the rig frame.
+    """Return the transform ``cam_from_rig`` (4, 4) of an upright camera.
+
+    The camera has the given position and viewing direction in the rig frame.
 
     Raises
     ------
@@ -225,7 +227,10 @@ def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Arra
 
 
 def require_arm(rig: RigFile) -> ArmPart:
-    """Return the arm of the rig; raise an error if the rig file describes none."""
+    """Return the arm of the rig.
+
+    Raise an error if the rig file does not describe an arm.
+    """
     if rig.arm is None:
         raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
     return rig.arm
@@ -250,7 +255,7 @@ def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
 
 
 def check_limits(part: ArmPart, joints_deg: Joints) -> None:
-    """Raise an error if a joint angle is beyond its limits."""
+    """Raise an error if a joint angle is outside its limits."""
     for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
         if not joint.min_deg <= angle <= joint.max_deg:
             raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")

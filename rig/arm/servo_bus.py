@@ -27,9 +27,9 @@ class ServoBus(Protocol):
     """Minimum recommended duration of a move, s."""
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start the moves of all given servos at the same time, each at uniform speed, without waiting for their end.
+        """Start the moves of all given servos at the same time, and return immediately.
 
-        The torque is switched on if it was off.
+        Each servo moves at uniform speed. The torque is switched on if it was off.
 
         Raises
         ------
@@ -59,10 +59,16 @@ class ServoBus(Protocol):
         """
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch the torque on or off. An error is raised only after all servos have been tried."""
+        """Switch the torque of the servos on or off.
+
+        An error is raised only after all servos have been tried.
+        """
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop the servos in their present positions, with torque on."""
+        """Stop the servos in their present positions.
+
+        The torque remains on.
+        """
 
     def describe(self) -> str:
         """Return a short description of the bus."""

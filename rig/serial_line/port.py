@@ -1,4 +1,4 @@
-"""Serial port whose error messages state a remedy.
+"""Serial port whose error messages state how the user can solve the problem.
 
 The port can be a tty, a pseudo-terminal, ``socket://``, or any other URL supported by pyserial.
 """
@@ -27,7 +27,10 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 
 
 class Wire(Protocol):
-    """Interface of the port that drivers use: `Port`, or `rig.serial_line.recording.ReplayPort` for a replay."""
+    """Interface of the serial port that drivers use.
+
+    It is implemented by `Port`, and by `rig.serial_line.recording.ReplayPort` for a replay.
+    """
 
     @property
     def clock(self) -> Clock:
@@ -146,13 +149,19 @@ class Port:
         return data
 
     def discard_input(self) -> None:
-        """Discard all bytes received so far. They are nevertheless recorded, so that a replay contains them."""
+        """Discard all bytes received so far.
+
+        They are recorded all the same, so that a replay contains them.
+        """
         for _ in range(16):  # a limit, because a device may never stop sending
             if not self.read(0.0):
                 return
 
     def close(self) -> None:
-        """Close the port. There is no effect if it is already closed."""
+        """Close the port.
+
+        If it is already closed, nothing happens.
+        """
         self._is_open = False
         with suppress(OSError):
             self._serial.close()

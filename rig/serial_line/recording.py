@@ -50,7 +50,7 @@ class Recorder:
             raise
 
     def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Record the opening of a port with its settings.
+        """Record that a port was opened, with its settings.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class ReplayPort:
             pass
 
     def close(self) -> None:
-        """Do nothing. The end of a replay is checked by `finish`."""
+        """Do nothing, because the end of a replay is checked by `finish`."""
 
     def finish(self) -> None:
         """Check that the whole recording was replayed.

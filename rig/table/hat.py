@@ -17,18 +17,21 @@ from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
 
 SETUP_S = 1e-3
-"""Delay between a change of direction or current and the first step, s. The DRV8825 requires 650 ns, and 1.7 ms after
-sleep mode."""
+"""Delay between a change of direction or current and the first step, s. The DRV8825 requires only 650 ns, or 1.7 ms
+after its sleep mode."""
 WAKE_S = 0.05
-"""Delay after the current is switched on, s, during which the rotor jumps to its position."""
+"""Delay after the current was switched on, s. During this time the rotor jumps to its position."""
 LATE_S = 2.0
-"""Timeout of a move, s, added to its computed duration. The pulses are timed by a thread, which other programs can
-delay."""
+"""Time that is added to the computed duration of a move to obtain its timeout, s. The pulses are timed by a thread,
+which other programs can delay."""
 POLL_S = 0.01
 
 
 class HatTurntable:
-    """Turntable driven by a DRV8825; implements `rig.devices.Turntable`."""
+    """Turntable driven by a DRV8825.
+
+    It implements `rig.devices.Turntable`.
+    """
 
     def __init__(self, pins: Pins, hat: HatPart, part: TurntablePart, clock: Clock) -> None:
         self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
@@ -44,7 +47,9 @@ class HatTurntable:
         return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps per degree, {where}"
 
     def prepare(self) -> None:
-        """Switch the motor's current on. The rotor may jump, so that the table angle becomes unknown.
+        """Switch the current of the motor on.
+
+        The rotor may jump, so that the table angle is unknown afterwards.
 
         Raises
         ------
@@ -113,7 +118,10 @@ class HatTurntable:
         return self.position_deg()
 
     def release(self) -> None:
-        """Switch the motor off. The table angle becomes unknown."""
+        """Switch the motor off.
+
+        The table angle is unknown afterwards.
+        """
         self._steps, self._seated, self._on = None, False, False
         self._pins.output(self._hat.enable_pin, 1)
 
@@ -163,7 +171,10 @@ class HatTurntable:
 
 
 class HatLights:
-    """Lamps driven by the pins of a Raspberry Pi; implements `rig.devices.Lights`."""
+    """Lamps driven by the pins of a Raspberry Pi.
+
+    The class implements `rig.devices.Lights`.
+    """
 
     def __init__(self, pixels: Pixels, pins: Pins, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._pixels, self._pins, self._part, self._clock = pixels, pins, part, clock

@@ -1,4 +1,4 @@
-"""Lamps of a Marlin board: two NeoPixel strips, and lamps on its fan outputs."""
+"""Lamps of a Marlin board, which are two NeoPixel strips and lamps on its fan outputs."""
 
 from collections.abc import Sequence
 
@@ -13,9 +13,9 @@ _FULL = 255
 
 
 class MarlinLights:
-    """Lamps driven by a Marlin board; implements `rig.devices.Lights`.
+    """Lamps driven by a Marlin board.
 
-    The link to the board is shared with the turntable.
+    The class implements `rig.devices.Lights`. The link to the board is shared with the turntable.
     """
 
     def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:

@@ -74,8 +74,8 @@ class MarlinLink:
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
         """Send a command repeatedly until it is received, and return the lines printed by the board.
 
-        A received command is not necessarily executed: moves are only queued, and an ``ok`` may refer to an earlier
-        command. Use `ask` to verify the execution.
+        A received command has not necessarily been executed, because moves are only queued, and an ``ok`` may refer to
+        an earlier command. Use `ask` to verify the execution.
 
         Parameters
         ----------
@@ -133,16 +133,16 @@ class MarlinLink:
     def send_unheard(self, *texts: str) -> None:
         """Send commands to a board whose replies cannot be received.
 
-        The commands are sent three times without line numbers, so that lost lines have no effect.
+        Each command is sent three times without a line number, so that the loss of a line has no effect.
         """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move immediately if the firmware supports it (EMERGENCY_PARSER), and return whether it does.
+        """Stop a move immediately if the firmware supports it (EMERGENCY_PARSER).
 
-        The table angle becomes unknown.
+        Return whether it is supported. The table angle is unknown afterwards.
         """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
@@ -158,7 +158,10 @@ class MarlinLink:
         return True
 
     def close(self) -> None:
-        """Close the port. There is no effect if it is already closed."""
+        """Close the port.
+
+        If it is already closed, nothing happens.
+        """
         self._lost = f"{self._wire.name}: closed"
         self._wire.close()
 

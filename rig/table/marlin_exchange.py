@@ -56,7 +56,7 @@ class Journal:
     last: int = 0
     lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", encode_line(0, "M110 N0"))})
     optional: set[str] = field(default_factory=set)
-    """Commands that the firmware is permitted not to support."""
+    """Commands that the firmware may lack without an error."""
 
     def add(self, text: str, *, optional: bool) -> None:
         """Add a command with the next line number.
@@ -126,7 +126,7 @@ class Exchange:
         raise self._no_answer("the board kept sending unrelated lines")
 
     def check_known(self) -> None:
-        """Raise a `RigError` if the firmware does not support a command that was sent."""
+        """Raise a `RigError` if the firmware has reported that it does not know a command."""
         if self._unknown_text is not None:
             raise RigError(
                 f'{self._wire.name}: the firmware does not support "{self._unknown_text}"; '

@@ -1,6 +1,7 @@
-"""Lines of Marlin's serial protocol: encoding of commands, and interpretation of the board's lines.
+"""Lines of the serial protocol of Marlin.
 
-The formats are those of queue.cpp and language.h in Marlin 2.1.
+Commands are encoded as lines, and the board's lines are interpreted. The formats are those of queue.cpp and language.h
+in Marlin 2.1.
 """
 
 import re
@@ -65,7 +66,9 @@ _NOISE = "".join(map(chr, [*range(33), 127, 0xFFFD]))
 
 
 def encode_line(number: int, text: str) -> bytes:
-    """Encode a command as a line: number, command, and the XOR of all bytes before the asterisk.
+    """Encode a command as a line.
+
+    The line consists of a number, the command, an asterisk, and the XOR of all bytes before the asterisk.
 
     Raises
     ------
@@ -85,8 +88,8 @@ def encode_line(number: int, text: str) -> bytes:
 def read_line(raw: bytes) -> Line:
     """Decode a line from the board, and determine its meaning.
 
-    Noise at the ends of the line is removed. Noise inside is kept, because removing a damaged digit would change a
-    number.
+    Invalid bytes at both ends of the line are removed. Noise inside is kept, because removing a damaged digit would
+    change a number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
     if _HALTED.search(text):

@@ -10,7 +10,10 @@ MOST_BYTES = 65536
 
 
 class MarlinWire:
-    """Port of a Marlin board that sends bytes, returns lines, and detects the loss of the board."""
+    """Line-based connection to a Marlin board.
+
+    It detects if the board was reset or has halted.
+    """
 
     def __init__(self, port: Wire) -> None:
         self._port = port
@@ -26,7 +29,9 @@ class MarlinWire:
         self._port.write(data)
 
     def next(self, until_s: float) -> Line | None:
-        """Return the next line, or None if no line is received before the given time (s).
+        """Return the next line.
+
+        It is None if no line is received before the given time in seconds.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Turntable that is driven as axis X of a Marlin board, in degrees."""
+"""Turntable that is driven as the X axis of a Marlin board, whose unit is then the degree."""
 
 import math
 
@@ -16,7 +16,7 @@ corresponds to no permitted table angle. Thus the board itself stores whether it
 KNOWN_X_DEG = 200.0
 """Minimum value of X that shows that a table angle was declared after the last reset, deg."""
 _ROUNDED_DEG = 0.0051
-"""Maximum rounding error of a reported angle, deg. M114 prints two decimals of a single-precision number."""
+"""Maximum rounding error of a reported angle, deg. M114 prints a single-precision number with two decimals."""
 _START_S = 2.0
 """Time that is added to the computed duration of a move to obtain its timeout, s."""
 _LOOKS = 3
@@ -26,7 +26,10 @@ _READINGS = 6
 
 
 class MarlinTurntable:
-    """Turntable driven by a Marlin board; implements `rig.devices.Turntable`."""
+    """Turntable driven by a Marlin board.
+
+    It implements `rig.devices.Turntable`.
+    """
 
     def __init__(self, link: MarlinLink, part: TurntablePart, clock: Clock) -> None:
         self._link = link
@@ -85,7 +88,10 @@ class MarlinTurntable:
         return self._x_deg() >= KNOWN_X_DEG
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves, deg/s2, with M204 T (acceleration of moves without extrusion)."""
+        """Set the acceleration of subsequent moves, deg/s2.
+
+        It is sent with M204 T, which applies to moves without extrusion.
+        """
         self._acceleration = deg_per_s2
         self._link.command(f"M204 T{_plain(deg_per_s2)}")
 
@@ -120,7 +126,10 @@ class MarlinTurntable:
         return read_deg
 
     def release(self) -> None:
-        """Switch the motor off. The angle stored in the board is cleared first, because the rotor may then turn."""
+        """Switch the motor off.
+
+        The angle stored in the board is cleared first, because the rotor may turn when the motor is off.
+        """
         self._verified, self._seated = None, False
         if not self._link.ready:
             self._link.start()
@@ -134,7 +143,7 @@ class MarlinTurntable:
         self._link.close()
 
     def _feed(self) -> float:
-        """Return the speed in degrees per minute, the unit of G1."""
+        """Return the speed in degrees per minute, which is the unit of G1."""
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
@@ -197,5 +206,5 @@ def _table_deg(x_deg: float) -> float:
 
 
 def _plain(value: float) -> str:
-    """Format a number for G-code, without exponent and trailing zeros."""
+    """Format a number for G-code, without an exponent and without trailing zeros."""
     return f"{value:.4f}".rstrip("0").rstrip(".")

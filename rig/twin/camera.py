@@ -16,10 +16,10 @@ from rhizotwin.scenes.picture_codec import Grey
 
 READOUT_S = 0.03
 PATIENCE_S = 10.0
-"""Timeout for a picture, s, added to its exposure."""
+"""Timeout for a picture, s. The exposure time is added to it."""
 TRIES = 3
 NEAR = 0.01
-"""Relative tolerance of the reported exposure time and gain."""
+"""Maximum relative deviation of the reported exposure time and gain from their settings."""
 
 Look = Callable[[float], Grey]
 """Type of a function that returns a picture of the present state. The argument is the exposure relative to the nominal
@@ -37,7 +37,9 @@ class _Raw:
 
 
 class TwinCamera:
-    """Driver of the twin's camera; implements `rig.devices.Camera`.
+    """Driver of the twin's camera.
+
+    It implements `rig.devices.Camera`.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Emulated carousel, which moves in virtual time, and can be blocked or contain canisters in wrong places."""
+"""Emulated carousel, which moves in virtual time.
+
+It can be blocked, or contain canisters in wrong places.
+"""
 
 from collections.abc import Callable
 
@@ -12,7 +15,9 @@ STEP_S = 1.5
 
 
 class TwinCarousel:
-    """Emulated canister changer; implements `rig.devices.Carousel`.
+    """Emulated canister changer.
+
+    It implements `rig.devices.Carousel`.
 
     Parameters
     ----------
@@ -42,7 +47,7 @@ class TwinCarousel:
         self._turn(1)
 
     def load(self, place: int) -> None:
-        """Place the canister of a given place on the turntable.
+        """Move the canister from the given place to the turntable.
 
         Raises
         ------

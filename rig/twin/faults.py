@@ -1,4 +1,7 @@
-"""Descriptions of faults that the twin can simulate: in transmission, in a device, and in the camera."""
+"""Descriptions of the faults that the twin can simulate.
+
+They occur in the transmission, in a device, or in the camera.
+"""
 
 import threading
 from dataclasses import dataclass, replace
@@ -17,14 +20,14 @@ FOR_GOOD = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Fault to be simulated, with the time at which it occurs."""
+    """Fault to be simulated, with the message or the time at which it occurs."""
 
     kind: str
     """Name of a kind of fault in `MENU`."""
     device: Device
     at_message: int | None = None
-    """Number, starting at 1, of the device's message at which the fault occurs. Depending on the kind, replies,
-    requests or pictures are counted."""
+    """Number of the message at which the fault occurs, starting at 1. Depending on the kind of fault, the replies,
+    requests or pictures of the device are counted."""
     at_s: float | None = None
     """Virtual time from which the fault occurs, s. It affects the first message after this time. If neither
     ``at_message`` nor ``at_s`` is given, the fault occurs immediately."""
@@ -34,7 +37,7 @@ class Fault:
     count: int = 1
     """Number of successive messages that are affected."""
     joint: int = 1
-    """Index of the affected servo of the arm, beginning with the base."""
+    """Index of the arm's joint whose servo is affected. It is 0 for the base."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +46,7 @@ class FaultKind:
 
     name: str
     what: str
-    """Description of the fault, including the meaning of ``amount``."""
+    """Description of the fault, which states the meaning of ``amount``."""
     devices: tuple[Device, ...]
     where: Where
     amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -161,7 +164,9 @@ def fault_kind(name: str) -> FaultKind:
 def draw_faults(
     rng: np.random.Generator, kinds: tuple[str, ...], *, messages: int = 100, duration_s: float = 120.0, shots: int = 10
 ) -> tuple[Fault, ...]:
-    """Draw one fault of each kind at a random time of a scan.
+    """Draw one fault of each kind.
+
+    It occurs at a random time of a scan.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ class Imperfections:
     lamp_ramp_s: float = 0.0
     """Time in which a lamp changes from dark to full brightness, s."""
     lamp_level_error: float = 0.0
-    """Maximum relative error of a lamp's brightness, drawn once per lamp."""
+    """Maximum magnitude of the relative error of a lamp's brightness. One value is drawn for each lamp."""
 
 
 CLEAN = Imperfections()
@@ -59,7 +59,7 @@ BENCH = Imperfections(
     lamp_ramp_s=0.1,
     lamp_level_error=0.02,
 )
-"""Errors of a hobby arm with LX servos, and of a stepper motor with a DRV8825. The values' sources are listed in
+"""Errors of a hobby arm with LX servos, and of a stepper motor with a DRV8825. The sources of the values are listed in
 docs/twin.md."""
 
 REAL = replace(BENCH, swing_hz=0.86, swing_damping=1.4)

@@ -53,7 +53,10 @@ class Lamp:
         return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
-        """Set the colour of all LEDs, or of a single LED if it exists. Each component is from 0 to 255."""
+        """Set the colour of all LEDs, or of a single LED.
+
+        Each component of the colour is from 0 to 255. The number of a missing LED is ignored.
+        """
         if led is None:
             self._rgb = [rgb] * LEDS
         elif 0 <= led < LEDS:
@@ -69,7 +72,7 @@ class Lamp:
         self._settle()
 
     def power_up(self) -> None:
-        """Switch all LEDs off, as LEDs do when their board starts."""
+        """Switch all LEDs off, as when their board is switched on."""
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
         self._settle()

@@ -1,4 +1,7 @@
-"""Emulated serial line with transmission times in both directions, and faults."""
+"""Emulated serial line.
+
+It simulates the transmission times in both directions, and transmission faults.
+"""
 
 import math
 from bisect import insort

@@ -16,9 +16,9 @@ THINKING_S = 0.0015
 """Delay between the end of a request and its reply, s."""
 BROADCAST = 254
 ID_READ = 14
-"""Number of the only broadcast request that has a reply."""
+"""Number of the command that reads the id. It is the only broadcast command that has a reply."""
 MAX_LENGTH = 10
-"""Maximum length of a frame. Larger values are treated as noise."""
+"""Maximum length of a frame. A larger length is the result of noise."""
 
 
 class LxAdapter:

@@ -1,7 +1,8 @@
-"""Line protocol of Marlin 2.1: numbers, checksums, resends, sequential execution, busy lines, reset and kill.
+"""Line protocol of Marlin 2.1.
 
-The module is independent of physics, and follows queue.cpp, e_parser.h, language.h and setup() of Marlin. The commands
-are implemented in `rig.twin.marlin_commands`.
+The adapter implements line numbers, checksums, resends, sequential execution, busy lines, reset and kill. It does not
+model the physics, and follows queue.cpp, e_parser.h, language.h and setup() of Marlin. The commands are implemented in
+`rig.twin.marlin_commands`.
 """
 
 import math
@@ -14,7 +15,7 @@ from rhizotwin.rig.twin.marlin_commands import VERSION, MarlinCommands
 THINKING_S = 0.001
 """Delay between a line and its reply, s."""
 BOOT_S = 0.3
-"""Delay between a reset and the first line of the banner, s."""
+"""Delay between a reset and the first line of the greeting, s."""
 BUSY_EVERY_S = 2.0
 MAX_LINE = 96
 BANNER = (
@@ -66,7 +67,10 @@ class MarlinAdapter:
         self._boot_reason = ""
 
     def reset(self, now_s: float, *, reason: str = "External Reset") -> None:
-        """Reset the board as by the reset button. The state is lost, and the banner follows."""
+        """Reset the board as its reset button does.
+
+        The state is lost, and the greeting follows.
+        """
         self._start_anew()
         self.commands.power_up()
         self._boot_s, self._boot_reason = now_s + BOOT_S, reason
@@ -92,7 +96,10 @@ class MarlinAdapter:
         return replies + self._work(now_s)
 
     def next_s(self) -> float:
-        """Return the time of the board's next output or action, s; infinity if none is scheduled."""
+        """Return the time of the board's next output or action, s.
+
+        It is infinity if none is scheduled.
+        """
         if self.halted:
             return math.inf
         if self._boot_s is not None:
@@ -128,7 +135,7 @@ class MarlinAdapter:
         return replies
 
     def _line(self, line: str, now_s: float) -> list[str]:
-        """Check number and checksum, execute the command, and return the lines of the reply."""
+        """Check the number and the checksum of a line, execute its command, and return the lines of the reply."""
         if line.startswith("N"):
             renumber = line.find("M110")
             second = line.find("N", renumber) if renumber >= 0 else -1  # the last N in the line counts
@@ -173,7 +180,7 @@ class MarlinAdapter:
         return [*answer.texts, "ok"]
 
     def _emergency(self, line: str, now_s: float) -> list[Reply]:
-        """Execute M112, M410 and M108 on reception, regardless of the queue."""
+        """Execute M112, M410 and M108 as soon as they are received, even if other commands are queued."""
         found = _EMERGENCY.match(line)
         if found is None:
             return []
@@ -200,7 +207,7 @@ def _xor(text: str) -> int:
 
 
 def _whole(text: str) -> int:
-    """Return the integer at the beginning of a text, as strtol of C does."""
+    """Return the integer at the beginning of a text, as the C function strtol does."""
     found = re.match(r"\s*([-+]?\d+)", text)
     return int(found[1]) if found else 0
 

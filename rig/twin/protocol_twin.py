@@ -1,6 +1,6 @@
 """Handler of the URLs ``twin://ID/table`` and ``twin://ID/arm`` for pyserial.
 
-The handler provides the ports of a twin within this process, in its virtual time. A read with a timeout advances the
+The handler provides the ports of a twin that runs in this process, in virtual time. A read with a timeout advances the
 twin's clock until the bytes have arrived or the timeout has expired. There is no waiting and no concurrency, so that
 the same seed always produces the same bytes.
 """
@@ -44,7 +44,10 @@ def register(url: str, socket: Socket) -> None:
 
 
 class Serial(SerialBase):
-    """Port of a twin, which behaves like a USB serial port on Linux, including its errors."""
+    """Port of a twin.
+
+    It behaves like a USB serial port on Linux, including its errors.
+    """
 
     # these attributes are set by SerialBase and its properties
     is_open: bool
@@ -94,7 +97,10 @@ class Serial(SerialBase):
         return socket.line.waiting
 
     def read(self, size: int = 1) -> bytes:
-        """Read up to ``size`` bytes, waiting for them in virtual time until the timeout expires."""
+        """Read up to ``size`` bytes.
+
+        The virtual time advances until they have arrived or the timeout expires.
+        """
         socket = self._there()
         clock = socket.clock
         deadline_s = math.inf if self._timeout is None else clock.now_s() + max(self._timeout, CALL_S)

@@ -58,7 +58,7 @@ class PtyPorts:
         opened: Callable[[str], None] | None = None,
     ) -> None:
         self.lock = threading.RLock()
-        """Lock that must be held for all access to the twin."""
+        """Lock that must be held during every access to the twin."""
         self.real = ScaledClock(speed)
         self._clock = clock
         self._opened = opened or (lambda _name: None)
@@ -136,7 +136,7 @@ class _Port:
         return bool(self._unsent)
 
     def plug(self) -> None:
-        """Create a pseudo-terminal in raw mode, and redirect the link to it."""
+        """Create a pseudo-terminal in raw mode, and let the symbolic link point to it."""
         self.master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self.master, False)
@@ -148,7 +148,7 @@ class _Port:
         self.is_open = False
 
     def pull(self) -> None:
-        """Close the master, which represents disconnecting the cable."""
+        """Close the master side of the pseudo-terminal, which represents disconnecting the cable."""
         if self.master is not None:
             os.close(self.master)
             self.master = None

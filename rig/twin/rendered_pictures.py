@@ -98,7 +98,7 @@ class RenderedPictures:
         self._masks: dict[bytes, bytes] = {}  # compressed
 
     def picture(self, sight: Sight) -> Grey:
-        """Return the picture (H, W) that the camera stores for a state of the world.
+        """Return the picture (H, W) that the camera stores for a given state of the rig.
 
         The picture depends only on the state, the scene and the seed.
         """

@@ -1,4 +1,7 @@
-"""Standalone twin in real time, with serial ports for any program, an HTTP camera server, and a matching rig file."""
+"""Standalone twin that runs in real time.
+
+It has serial ports that any program can open, an HTTP camera server, and a matching rig file.
+"""
 
 import os
 import select
@@ -51,7 +54,7 @@ class TwinServer:
 
     @property
     def rig(self) -> RigFile:
-        """Rig file that refers to the ports and the camera of this twin."""
+        """Rig file that contains the addresses of the ports and the camera of this twin."""
         rig, paths = self.twin.rig, self._ports.paths
         return replace(
             rig,
@@ -104,12 +107,15 @@ class TwinServer:
 
 
 def rig_text(rig: RigFile) -> str:
-    """Format a rig as the text of a rig file, from which `rig.rig_file.load_rig` reads an equal rig."""
+    """Format a rig as the text of a rig file.
+
+    If `rig.rig_file.load_rig` reads the text, the result equals the rig.
+    """
     return toml_text.dumps(_without_none(to_plain(rig)))
 
 
 def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, camera_port: int = 0, commands: int | None = None) -> None:
-    """Run a twin until the command quit, or an exception such as KeyboardInterrupt.
+    """Run a twin until the user enters the command quit, or an exception such as KeyboardInterrupt is raised.
 
     Parameters
     ----------
@@ -171,7 +177,10 @@ def _console_descriptor() -> int | None:
 
 
 def _lines(descriptor: int | None) -> Iterator[str]:
-    """Yield each line that was typed. After the last line, wait for Ctrl-C."""
+    """Yield each line that the user types.
+
+    After the end of the input, wait for Ctrl-C.
+    """
     buffer = b""
     while data := b"" if descriptor is None else os.read(descriptor, 4096):
         *lines, buffer = (buffer + data).split(b"\n")

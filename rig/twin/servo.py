@@ -1,7 +1,8 @@
-"""Model of a bus servo: position control at uniform speed, backlash, gravity, temperature and supply.
+"""Model of a bus servo.
 
-The model is independent of protocols. Positions are in counts of the servo (0.24 deg). ``sensed`` is the reading of the
-potentiometer, and ``true`` the position of the output:
+It includes position control at uniform speed, backlash, gravity, temperature and supply. The model is independent of
+protocols. Positions are in counts of the servo (0.24 deg). ``sensed`` is the reading of the potentiometer, and ``true``
+the position of the output:
 
     true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the backlash + error of this move + sag
 """
@@ -50,7 +51,7 @@ class Supply:
 
     @property
     def up(self) -> bool:
-        """Whether the voltage is sufficient for the processors of the servos."""
+        """Whether the voltage is sufficient for the processors in the servos."""
         return self._low_for_s <= 0.0
 
     def brown_out(self, for_s: float) -> None:

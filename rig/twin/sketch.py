@@ -125,7 +125,7 @@ class Sketch:
         return found if np.abs(found).max() < 1e5 else None
 
     def _bounds(self, cam_from_strip: frames.Array) -> tuple[slice, slice]:
-        """Return the slices of rows and columns in which the skirt may be visible."""
+        """Return the slices of rows and columns that contain the skirt of the net pot."""
         pot = self._scene.net_pot
         height, width = self._rays.shape[:2]
         angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)

@@ -1,7 +1,8 @@
-"""Model of the turntable: a stepper motor with a gear, driven in microsteps along a queue of moves.
+"""Model of the turntable.
 
-The model is independent of protocols. Angles are in degrees of the table. The motor's step count starts at 0 at
-power-up, and the corresponding position of the table is stored in the world.
+A stepper motor with a gear is driven in microsteps and executes a queue of moves. The model is independent of
+protocols. Angles are in degrees of the table. The motor's step count starts at 0 at power-up, and the corresponding
+position of the table is stored in the world.
 """
 
 import math
@@ -17,12 +18,15 @@ MICROSTEPS = 32
 ACCELERATION_DEG_PER_S2 = 60.0
 MAX_SPEED_DEG_PER_S = 360.0
 QUEUE = 16
-"""Maximum number of moves that are queued after the present move."""
+"""Maximum number of moves that wait in the queue while another move is executed."""
 
 
 @dataclass(frozen=True)
 class _Move:
-    """Move that begins and ends at rest: acceleration, constant speed, deceleration."""
+    """Move that begins and ends at rest.
+
+    It consists of constant acceleration, constant speed and constant deceleration.
+    """
 
     start_steps: int
     goal_steps: int
@@ -45,7 +49,10 @@ class _Move:
         return self.start_steps + math.copysign(done, self.goal_steps - self.start_steps)
 
     def pieces(self) -> Iterator[tuple[float, float, float, float]]:
-        """Yield start time, end time, initial speed and acceleration of the three phases of the move."""
+        """Yield the three phases of the move.
+
+        Each has a start time, an end time, an initial speed and an acceleration.
+        """
         top = math.copysign(self.speed, self.goal_steps - self.start_steps)
         gain, last_s = top / self.ramp_s, self.duration_s - self.ramp_s
         yield 0.0, self.ramp_s, 0.0, gain
@@ -113,7 +120,7 @@ class Stepper:
         return len(self._moves) > QUEUE
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` moves remain, s."""
+        """Return the time until at most ``moves`` moves remain in the queue, s."""
         left = list(self._moves)[: max(len(self._moves) - moves, 0)]
         return max(sum(move.duration_s for move in left) - self._into_s, 0.0) if left else 0.0
 

@@ -134,11 +134,11 @@ class Twin:
         )
 
     def look(self, exposure: float = 1.0) -> Grey:
-        """Return the picture (H, W) that the camera stores for the present state of the world, and record it."""
+        """Return the picture (H, W) that the camera stores for the present state of the rig, and record it."""
         return self.paint(self.world.sight(exposure=exposure))
 
     def paint(self, sight: Sight) -> Grey:
-        """Return the picture (H, W) that the camera stores for a given state of the world, and record it."""
+        """Return the picture (H, W) that the camera stores for a given state of the rig, and record it."""
         image = self._painter.picture(sight)
         self.record.add(image, sight, self.clock.now_s())
         return image
@@ -158,7 +158,9 @@ class Twin:
         self.world.tripod_cam_from_rig = self._ring_cameras[ring]
 
     def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> bool:
-        """Write the ``truth`` of a dataset taken with this twin: solid, skeleton, true poses and masks.
+        """Write the ``truth`` folder of a dataset that was taken with this twin.
+
+        It contains the solid, the skeleton, the true poses and the masks.
 
         Returns
         -------

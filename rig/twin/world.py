@@ -43,7 +43,7 @@ class Sight:
     front: float
     """Levels of the panel and the front light, relative to those of the scene."""
     exposure: float = 1.0
-    """Product of exposure time and gain, relative to its nominal value."""
+    """Product of the exposure time and the gain, relative to its nominal value."""
     band: str = ""
     """Name of the band to which the lamps and the filter are set. It is empty if they match no band."""
     twist_deg: float = 0.0
@@ -151,14 +151,17 @@ class TwinWorld:
         self._weigh()
 
     def put_arm_to_rest(self) -> None:
-        """Move the unpowered arm to its parking position by hand."""
+        """Move the unpowered arm to its parking position, as if by hand."""
         for joint, rest_deg in _rest(self.rig):
             self.servos[joint.servo].turn_by_hand(_counts(joint, rest_deg))
         self._weigh()
 
     @property
     def table_deg(self) -> float:
-        """True table angle, deg. It is 0 when the strip's seam faces the camera."""
+        """True table angle, deg.
+
+        It is 0 if the seam of the marker strip faces the camera.
+        """
         return self._table_start_deg + self.table.true_deg
 
     @property
