@@ -22,8 +22,8 @@ from rhizotwin.sim.world import TrueCamera, World
 def lights(scene: Scene, world: World) -> dict[str, Any]:
     """Return the two lights as Mitsuba objects.
 
-    Their positions are correct if the canister frame coincides with the rig frame; `place` moves them. The radiance of
-    the panel is ``backlight_level``, as a fraction of full scale.
+    Their positions are correct if the canister frame coincides with the rig frame. `place` moves them in each view. The
+    radiance of the panel is ``backlight_level``, as a fraction of full scale.
     """
     level = scene.lights.backlight_level
     radiance: Any = level

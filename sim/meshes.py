@@ -136,7 +136,7 @@ def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str])
 
 
 def _is_proper(faces: Faces) -> NDArray[np.bool_]:
-    """Return whether each face has three different vertices (F,)."""
+    """Return whether the three vertices of each face differ (F,)."""
     return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
 
 

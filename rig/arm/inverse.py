@@ -76,7 +76,7 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
     The end of the arm has position (x, y) and direction theta. The function evaluates equations 3.1 to 3.6 of the
     thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which is accurate for a stretched arm.
-    ``elbow`` is the sign of q2; the thesis uses -1. The result is NaN if the wrist is out of reach.
+    ``elbow`` is the sign of q2, which is -1 in the thesis. The result is NaN if the wrist is out of reach.
 
     Parameters
     ----------

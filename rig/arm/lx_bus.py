@@ -103,7 +103,7 @@ class LxBus:
 
         The target of each servo is first sent as a command that waits for a start signal. All targets are read back, so
         that a servo that does not reply is detected before any motion. One broadcast then starts every servo with a
-        waiting command; therefore ``targets`` should include all servos of the arm. Servos that do not report the new
+        waiting command. Therefore ``targets`` should include all servos of the arm. Servos that do not report the new
         command afterwards are started individually.
 
         Raises

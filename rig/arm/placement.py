@@ -33,8 +33,7 @@ UPRIGHT = 1e-3
 """Minimum sine of the angle between the viewing direction and the vertical. At smaller angles the upright orientation
 of the camera is undefined."""
 _TESTED = 1001
-"""Number of positions on the line from the target to the shoulder at which `_nearest_in_reach` tests whether the arm
-can reach them."""
+"""Number of positions that are tested for reach. They lie on the line from the target to the shoulder."""
 
 
 def planned_camera_pose(ring: Ring) -> Array:

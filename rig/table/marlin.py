@@ -106,7 +106,7 @@ class MarlinLink:
         """Send a command, and return the match of a pattern in the board's reply.
 
         Since the board executes commands in order, all previous commands are complete. Moves are an exception, because
-        they are queued; they are complete only if M400 was sent after them.
+        they are queued. They are complete only if M400 was sent after them.
 
         Parameters
         ----------

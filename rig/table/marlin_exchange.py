@@ -73,7 +73,7 @@ class Journal:
 
 
 class Exchange:
-    """Sender of the last line of a journal, which repeats the line until the board has received it.
+    """Transmission of the last line of a journal, which is repeated until the board has received it.
 
     Parameters
     ----------
