@@ -1,1 +1,4 @@
-"""Simulation of scans: draw errors of the rig, render scenes with Mitsuba, and write datasets with ground truth."""
+"""Simulation of scans.
+
+Errors of the rig are drawn, scenes are rendered with Mitsuba, and datasets are written with their ground truth.
+"""

@@ -1,10 +1,11 @@
-"""Fast deterministic rendering without random numbers that traces only the primary refracted path of each camera ray.
+"""Fast deterministic rendering without random numbers.
 
-At every interface a ray follows the transmitted branch (or total reflection), weighted by the transmittance, until it
-meets a light or an opaque surface, or leaves the scene. The refractive index of refracting roots is similar to that of
-water. Roots therefore reflect light only at grazing angles with a small deflection. The reflected light comes from the
-panel, like the transmitted light, and both are added (docs/decisions/roots-refract.md). The same path determines
-whether the ray met the specimen, and the sequence of surfaces that it met.
+For each camera ray, only the primary refracted path is traced. At every interface the ray continues as the transmitted
+ray, weighted by the transmittance, or as the reflected ray in the case of total reflection. The path ends at a light or
+an opaque surface, or when it leaves the scene. The refractive index of refracting roots is similar to that of water.
+Roots therefore reflect light only at grazing angles with a small deflection. The reflected light comes from the panel,
+like the transmitted light, and both are added (docs/decisions/roots-refract.md). The same path determines whether the
+ray met the specimen, and the sequence of surfaces that it met.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ import mitsuba as mi
 from rhizotwin.sim.lights import Lamps
 
 MAX_DEPTH = 48
-"""Maximum number of surfaces on a path. Rays with longer paths are trapped in a wall by total reflection and are
-dark."""
+"""Maximum number of surfaces on a path. A ray with a longer path is trapped in a wall by total reflection, and its
+pixel is dark."""
 STEP_MM = 0.01
-"""Distance by which a ray continues beyond an interface, mm, larger than rounding errors. The step is along the ray and
-therefore causes no sideways displacement."""
+"""Distance by which the origin of a ray is moved beyond an interface, mm. It is larger than rounding errors. Since it
+is along the ray, it does not displace the ray sideways."""
 AMBIENT = 0.065
-"""Radiance of a white object in the canister due to stray light, as a fraction of full scale, averaged from path
-tracing."""
+"""Radiance of a white diffuse object inside the canister that is illuminated by stray light, as a fraction of full
+scale. It is an average obtained by path tracing."""
 LEAST_SPAN_MM = 1.0
-"""Minimum length of a ray segment in the region of fine structures, mm. Shorter segments contain none of these
-structures, for example the 0.05 mm of water behind a film on the wall."""
+"""Minimum length of a ray segment within the region of fine structures, mm. Shorter segments are not counted, because
+they contain none of these structures. An example is the 0.05 mm of water behind a film on the wall."""
 
 
 class Room(NamedTuple):
@@ -49,9 +50,10 @@ class Way(NamedTuple):
     coverage: mi.Float
     """1 if a ray met the specimen, otherwise 0."""
     course: mi.UInt32
-    """Identifier of the sequence of surfaces, equal for rays that met the same surfaces in the same order."""
+    """Identifier of the sequence of surfaces that a ray met. It is equal for rays that met the same surfaces in the
+    same order."""
     end: mi.ShapePtr
-    """Last surface that a ray met, null if the ray left the scene or met a light."""
+    """Last surface that a ray met. It is null if the ray left the scene or met a light."""
     spans: mi.UInt32
     """Number of straight ray segments through the region of fine structures."""
     start: mi.Point3f
@@ -90,11 +92,9 @@ class Backlit:
         dr.make_opaque(self.roots)
 
     def aim(self, target: str) -> None:
-        """Select the shape, by its identifier, whose coverage is computed.
+        """Select the shape whose coverage is computed.
 
-        The coverage is zero if the shape does not exist.
-
-        The coverage is zero if the shape does not exist.
+        The shape is given by its identifier. If it does not exist, the coverage is zero.
         """
         self.target = self.shapes.get(target, dr.zeros(mi.ShapePtr))
         dr.make_opaque(self.target)
@@ -183,9 +183,10 @@ class Backlit:
         return dr.exp(-sigma_t * (si.t + STEP_MM))
 
     def cross(self, si: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Return the transmitted branch of a surface, its weight, and whether the surface is smooth.
+        """Return the transmitted direction at a surface, its weight, and whether the surface is smooth.
 
-        The first random number, close to 1, exceeds every reflectance except for total reflection.
+        The scattering function is sampled with a first random number close to 1. It exceeds every reflectance below 1,
+        so that the ray is reflected only in the case of total reflection.
         """
         bs, weight = si.bsdf().sample(mi.BSDFContext(), si, 1.0 - 1e-6, mi.Point2f(0.5), active)
         return bs, weight, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
@@ -212,7 +213,7 @@ class Backlit:
         return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * AMBIENT)
 
     def crosses_room(self, ray: Any, t: Any) -> Any:
-        """Return whether a ray segment passes through the region of fine structures for at least `LEAST_SPAN_MM`."""
+        """Return whether the length of a ray segment in the region of fine structures exceeds `LEAST_SPAN_MM`."""
         low, high, radius = self.bounds
         a = ray.d.x * ray.d.x + ray.d.y * ray.d.y
         b = ray.o.x * ray.d.x + ray.o.y * ray.d.y

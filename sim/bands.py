@@ -1,4 +1,7 @@
-"""Convert a scene to a single band of the camera: light, leaves, roots and water at the band's wavelength."""
+"""Convert a scene to a single band of the camera.
+
+The lights, leaves, roots and water get their properties at the wavelength of the band.
+"""
 
 from dataclasses import replace
 
@@ -24,17 +27,20 @@ WATER_PER_M = (
     (975.0, 45.0),
     (1000.0, 36.0),
 )
-"""Absorption coefficient of pure water, 1/m, by wavelength, nm. The values are rounded from Pope and Fry 1997 (Appl.
-Opt. 36:8710) up to 700 nm, and from Kou et al. 1993 (Appl. Opt. 32:3531) beyond."""
+"""Absorption coefficient of pure water. Each entry contains a wavelength, nm, and the coefficient, 1/m. The values are
+rounded from Pope and Fry 1997 (Appl. Opt. 36:8710) up to 700 nm, and from Kou et al. 1993 (Appl. Opt. 32:3531)
+beyond."""
 MU_NM = 550.0
-"""Wavelength to which the profile's ``root_mu_per_mm`` refers, nm."""
+"""Wavelength at which the attenuation coefficient of roots is ``root_mu_per_mm`` of the disturbance profile, nm."""
 MU_POWER = -1.0
-"""Exponent of the wavelength in the attenuation of roots, which is caused by scattering. Soft tissue has -0.7 to -1.5
-(Jacques 2013, Phys. Med. Biol. 58:R37, table 1)."""
+"""Exponent with which the attenuation coefficient of roots depends on the wavelength. The attenuation is caused by
+scattering. Soft tissue has exponents from -0.7 to -1.5 (Jacques 2013, Phys. Med. Biol. 58:R37, table 1)."""
 
 
 def scene_in_band(scene: Scene, name: str) -> Scene:
-    """Return a scene in one of its bands as a scene with a single band. An empty name returns the scene unchanged.
+    """Return a scene with a single band, which is one of the bands of the given scene.
+
+    If the name is empty, the scene is returned unchanged.
 
     White-balance variations are disabled, because pictures of a band are grey.
     """
@@ -66,7 +72,7 @@ def reflectance(shoot: Shoot, band: Band) -> float:
 
 
 def true_colour(scene: Scene) -> dict[str, float]:
-    """Return the true reflectances and vegetation indices of a scene's shoot by name."""
+    """Return the true reflectances and vegetation indices of a scene's shoot, keyed by name."""
     if scene.shoot is None:
         return {}
     known = {band.name: band for band in scene.camera.bands}
@@ -75,5 +81,8 @@ def true_colour(scene: Scene) -> dict[str, float]:
 
 
 def _interpolate(table: tuple[tuple[float, float], ...], wavelength_nm: float) -> float:
-    """Interpolate a table by wavelength, nm, with constant extrapolation."""
+    """Interpolate a table of wavelengths, nm, and values.
+
+    Beyond its ends, the first or last value is used.
+    """
     return float(np.interp(wavelength_nm, *np.array(table).T))

@@ -1,4 +1,7 @@
-"""Simulate pictures of the calibration board in air with uniform illumination and the true lens."""
+"""Simulate pictures of the calibration board.
+
+The board is in air, uniformly illuminated, and seen through the true lens.
+"""
 
 from __future__ import annotations
 
@@ -29,34 +32,36 @@ from rhizotwin.sim.world import lens_distortion
 BORDER_MM = 12.0
 """Width of the white margin around the pattern, mm."""
 TEXELS_PER_MM = 12.0
-"""Resolution of the painted pattern, texels per mm, equivalent to a third of a pixel at 800x600."""
+"""Number of texels per mm of the painted pattern. A texel is a third of a pixel of a camera with 800x600 pixels."""
 MOST_TEXELS = 6000
-"""Maximum length of the texture's longer side, texels. Larger boards are painted with a lower resolution."""
+"""Maximum number of texels along the longer side of the painted pattern. Larger boards are painted with a lower
+resolution."""
 SIDE = 7
-"""Number of rays per pixel in each direction, on a regular lattice. The number must be prime."""
+"""Number of rays per pixel in each direction. The rays form a regular lattice. `_lens_positions` requires a prime
+number."""
 MAX_RAYS = 8_000_000
-"""Maximum number of rays per kernel launch, as in `sim.render`."""
+"""Maximum number of rays per kernel launch. It is the same as in `sim.render`."""
 LEAST_VISIBLE = 0.6
 """Minimum fraction of the board's corners that must be visible in a picture."""
 LEAST_SQUARE_PX = 20.0
 """Minimum edge of a square in the picture, pixels. A marker has 3/4 of this edge, and OpenCV needs 2 pixels for each of
 the marker's 6 modules."""
 ATTEMPTS = 300
-"""Maximum number of random poses that are drawn until a pose shows enough of the board. A few are usually
-sufficient."""
+"""Maximum number of random poses that are drawn for a picture. The first pose that shows enough of the board is used,
+and a few attempts are usually sufficient."""
 TRUTH = Path("truth") / "camera.json"
-"""Path of the true camera and poses, relative to the folder of the pictures."""
+"""Path of the file with the true camera and poses, relative to the folder of the pictures."""
 _POSE, _NOISE = 41, 42  # keys of the random streams
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoardPictures:
-    """True camera and poses of simulated pictures of a board."""
+    """True camera and true poses of the simulated pictures of a board."""
 
     camera: Camera
-    """True camera of the simulated pictures, including distortion."""
+    """True camera of the simulated pictures, with its distortion."""
     cam_from_board: dict[str, frames.Array]
-    """Pose of the board in the camera frame (4, 4), mm, by file name."""
+    """Transforms (4, 4) from the board's frame to the camera frame, mm, keyed by file name."""
 
 
 def simulate_board(
@@ -109,19 +114,22 @@ def simulate_board(
 def true_camera(scene: Scene) -> Camera:
     """Return the scene's camera with the true distortion of its lens.
 
-    The ``focal_error`` of a profile is not applied, because it arises after the calibration.
+    The ``focal_error`` of a profile is not applied, because the error arises after the calibration.
     """
     return replace(scene.camera, distortion=lens_distortion(scene))
 
 
 def working_distance_mm(scene: Scene) -> float:
-    """Return the distance from the camera to the table's axis along the optical axis in the first ring, mm."""
+    """Return the distance from the camera to the table's axis, mm.
+
+    It is measured along the optical axis in the first ring.
+    """
     ring = scene.plan.rings[0]
     return float(ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)))
 
 
 def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> frames.Array:
-    """Draw the random pose ``cam_from_board`` of a picture.
+    """Draw a random pose ``cam_from_board`` for a picture.
 
     The board is rotated by multiples of 90 degrees, tilted in all directions, and placed at any position in the
     picture.
@@ -172,7 +180,10 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
 
 
 def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Array) -> float:
-    """Return the fraction of the corners inside the picture, zero if a corner is close to or behind the camera."""
+    """Return the fraction of the board's corners that are inside the picture.
+
+    It is zero if a corner is close to or behind the camera.
+    """
     at_cam = frames.apply(cam_from_board, corners_mm)
     if at_cam[:, 2].min() < 0.4 * at_cam[:, 2].mean():
         return 0.0
@@ -228,10 +239,10 @@ class BoardRenderer:
         )
 
     def light(self, cam_from_board: frames.Array) -> NDArray[np.float32]:
-        """Render a picture of linear light (H, W) as a fraction of full scale, black outside the board.
+        """Render a picture of linear light (H, W), as a fraction of full scale.
 
-        Illumination is uniform from all directions. The radiance of the matt paper is therefore proportional to its
-        reflectance, without shadows and without random numbers.
+        Pixels outside the board are black. The illumination is uniform from all directions. The radiance of the matt
+        paper is therefore proportional to its reflectance, without shadows and without random numbers.
         """
         sensor.set_pose(self.eye, cam_from_board)
         width, height = self.image_wh
@@ -252,9 +263,9 @@ class BoardRenderer:
 
 
 def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
-    """Return the board's reflectance (rows, columns), including the margin, averaged over texels.
+    """Return the reflectance of the board and its white margin as an array (rows, columns).
 
-    Row 0 is at the top.
+    Each value is an average over a texel. Row 0 is at the top.
     """
     wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
     scale = min(TEXELS_PER_MM, MOST_TEXELS / max(wide_mm, high_mm))
@@ -268,14 +279,17 @@ def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
 
 
 def _coverage(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
-    """Return the range of texels between ``edges`` that overlap an interval, and the covered fraction of each texel."""
+    """Return the range of texels that overlap an interval, and the covered fraction of each of them.
+
+    The boundaries of the texels are ``edges``, in ascending order.
+    """
     first, last = int(np.searchsorted(edges, low, "right")) - 1, int(np.searchsorted(edges, high, "left"))
     low_edges, high_edges = edges[first:last], edges[first + 1 : last + 1]
     return slice(first, last), (np.minimum(high_edges, high) - np.maximum(low_edges, low)) / (high_edges - low_edges)
 
 
 def _lens_positions(ray: mi.UInt32) -> mi.Point2f:
-    """Return the position on the lens, 0 to 1, of each lattice ray of a pixel.
+    """Return the position on the lens of each ray of a pixel's lattice, as two coordinates from 0 to 1.
 
     The two coordinates on the lens and the two coordinates in the pixel form an orthogonal array, because SIDE is
     prime. All pairs of coordinates are uncorrelated, so that blur causes no displacement.

@@ -1,4 +1,7 @@
-"""Confine growing roots to the water: roots turn along the wall, the floor and the net pot's grid."""
+"""Confine growing roots to the water.
+
+Roots turn along the wall, the floor and the grid of the net pot.
+"""
 
 from dataclasses import dataclass
 
@@ -11,12 +14,12 @@ from rhizotwin.scenes.specimens import GrownSpecimen
 Array = NDArray[np.float64]
 
 WALL_TURN_MM = 6.0
-"""Radius of the arc on which a root turns away from an obstacle, mm."""
+"""Radius of the arc on which a root turns away from a wall or another limit, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """Limits of root surfaces, canister frame."""
+    """Limits of the positions of root surfaces, canister frame."""
 
     radius_mm: float
     """Maximum distance of a root surface from the canister's axis, mm."""
@@ -27,7 +30,9 @@ class Bounds:
 
 
 def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
-    """Return the limits of a specimen's root surfaces: the water below the grid without the specimen's margins.
+    """Return the limits of the positions of a specimen's root surfaces.
+
+    They are the limits of the water below the grid, reduced by the margins that the specimen specifies.
 
     Parameters
     ----------
@@ -49,7 +54,9 @@ def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> B
 
 
 def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Deflect growth directions (N, 3) near the limits, as on an arc of radius `WALL_TURN_MM` tangent to the limit.
+    """Deflect the growth directions (N, 3) of roots near the limits.
+
+    The root tips then move on an arc of radius `WALL_TURN_MM` that is tangent to the limit.
 
     Parameters
     ----------
@@ -91,7 +98,9 @@ def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> 
 
 
 def keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Move points (N, 3) that lie beyond the limits after a finite step back to the limits.
+    """Move points (N, 3) that lie beyond the limits back to the limits.
+
+    Points can lie beyond them because the growth steps are finite.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Contamination of the canister, drawn at random: algae films, felt fibres, air bubbles, dust and scratches."""
+"""Contamination of the canister with algae films, felt fibres, air bubbles, dust and scratches.
+
+They are drawn at random.
+"""
 
 from dataclasses import dataclass
 
@@ -22,7 +25,7 @@ class Patch:
     opacity: float
     """Opacity in the middle of the film, 0 to 1."""
     lobes_rad: tuple[float, ...]
-    """Phases of the harmonics 2, 3, 4, ... of the outline, rad."""
+    """Phases of the sinusoidal variations of the outline, rad. They have 2, 3, 4, ... periods around the film."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,29 +54,32 @@ class Bubble:
 
 @dataclass(frozen=True, kw_only=True)
 class OuterDirt:
-    """Dust and scratches on the outside of the canister, which rotate with the canister.
+    """Dust and scratches on the outside of the canister, which rotate with it.
 
-    Positions are on the unrolled wall, as azimuth (rad) and height z (mm).
+    Positions are given on the unrolled wall, as azimuth (rad) and height z (mm).
     """
 
     specks: NDArray[np.float64]
     """Azimuth (rad), height (mm) and radius (mm) of each dust speck (N, 3)."""
     scratches: NDArray[np.float64]
-    """Azimuth (rad) and height (mm) of both ends of each scratch (M, 4)."""
+    """Azimuth (rad) and height (mm) of the two ends of each scratch (M, 4)."""
 
 
 SPECK_MM = 0.05, 0.25
-"""Range of the radii of dust specks, mm: settled airborne dust that is not wiped off. Household dust has sizes of up to
-about 0.5 mm."""
+"""Minimum and maximum radius of dust specks, mm. They represent settled airborne dust that is not wiped off. Household
+dust has sizes of up to about 0.5 mm."""
 SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
-"""Range of lengths (mm), width (mm) and opacity of scratches (assumed): fine scratches from wiping, half a pixel
-wide."""
+"""Range of lengths (mm), width (mm) and opacity of scratches, in this order. The values are assumed for fine scratches
+from wiping, which are half a pixel wide."""
 SEAM_WIDE_MM = 1.0
-"""Width of the seam, mm, as documented for the scene key."""
+"""Width of the seam, mm. It is part of the definition of the scene key ``seam_opacity``."""
 
 
 def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
-    """Draw dust specks and scratches at random positions on the outside, below the skirt of the net pot."""
+    """Draw dust specks and scratches.
+
+    They are at random positions on the outside of the canister, below the skirt of the net pot.
+    """
     wrong, canister = scene.disturbances, scene.canister
     low_mm, high_mm = canister.floor_z_mm, scene.net_pot.skirt_bottom_mm
     count = wrong.dust_specks
@@ -89,7 +95,9 @@ def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
 def outer_opacity(
     dirt: OuterDirt, *, seam_rad: float, seam_opacity: float, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
 ) -> NDArray[np.float32]:
-    """Paint dust, scratches and the seam on an unrolled wall with the layout of `opacity_map`.
+    """Paint dust, scratches and the seam on an unrolled wall.
+
+    The layout is that of `opacity_map`.
 
     Parameters
     ----------
@@ -130,14 +138,21 @@ def outer_opacity(
 
 
 def dilate_opacity(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
-    """Dilate a painted picture: return 1 for texels (rows, columns) with paint in a surrounding square, otherwise 0."""
+    """Dilate the painted texels of an opacity map (rows, columns).
+
+    A texel of the result is 1 if a texel within ``reach_texels`` of it along rows and columns is painted, and 0
+    otherwise.
+    """
     side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
     painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
     return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
 
 
 def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
-    """Draw algae films on the wetted wall, with radii of 2 to 8 mm and 50 to 100 % of the profile's opacity."""
+    """Draw algae films on the wetted wall.
+
+    Their radii are 2 to 8 mm, and their opacities are 50 to 100 % of the profile's opacity.
+    """
     wrong = scene.disturbances
     low_mm, high_mm = scene.canister.floor_z_mm, min(scene.net_pot.grid_z_mm, scene.water.level_mm)
     return tuple(
@@ -153,7 +168,9 @@ def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
 
 
 def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> tuple[Fibre, ...]:
-    """Draw felt fibres that hang from the grid, 20 to 60 um thick, 2 to 10 mm long and randomly bent.
+    """Draw felt fibres that hang from the grid.
+
+    They are 20 to 60 um thick, 2 to 10 mm long and randomly bent.
 
     Parameters
     ----------
@@ -184,7 +201,9 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
 
 
 def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
-    """Draw air bubbles with radii of 0.2 to 1 mm, separated from the wall by ``gap_mm`` of water.
+    """Draw air bubbles with radii of 0.2 to 1 mm.
+
+    A layer of water of thickness ``gap_mm`` separates them from the wall.
 
     Parameters
     ----------
@@ -218,7 +237,7 @@ def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_
 def opacity_map(
     patches: tuple[Patch, ...], *, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
 ) -> NDArray[np.float32]:
-    """Paint algae films on an unrolled wall.
+    """Paint the opacity of algae films on an unrolled wall.
 
     Parameters
     ----------

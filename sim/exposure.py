@@ -1,4 +1,7 @@
-"""Convert linear light to pixel values: vignetting, noise, clipping, quantisation, transfer curve and white balance."""
+"""Convert linear light to pixel values.
+
+The conversion includes vignetting, noise, clipping, quantisation, the transfer curve and the white balance.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -11,16 +14,17 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
-"""Full-well capacity, electrons, of profiles with read noise but without photon noise, similar to that of the Pi HQ
-camera's pixels."""
+"""Full-well capacity for profiles with read noise but without photon noise, electrons. It is similar to that of the
+pixels of the Pi HQ camera."""
 MANY_E = 25.0
-"""Mean number of electrons from which quantiles are computed with an expansion."""
+"""Mean number of electrons above which the quantiles in `photons` are computed with the Cornish-Fisher expansion. Below
+it they are found by summation."""
 
 
 def expose(
     light: NDArray[np.float32], camera: Camera, disturbances: Disturbances, *, rng: np.random.Generator
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Convert a picture of linear light to the stored picture.
+    """Convert a picture of linear light to the pixel values that the camera stores.
 
     Parameters
     ----------
@@ -61,21 +65,25 @@ def expose(
 
 
 def stored_camera(camera: Camera, disturbances: Disturbances) -> Camera:
-    """Return the camera with the transfer curve and the bit depth of its stored pictures."""
+    """Return the camera with the transfer curve and the bit depth of the pictures that it stores."""
     curve = camera.transfer if disturbances.transfer == "linear" else disturbances.transfer
     return replace(camera, transfer=curve, bits=disturbances.stored_bits or camera.bits)
 
 
 def _falloff(shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
-    """Return the relative transmission of the lens (H, W), 1 in the centre and 1 - ``share`` in the corners."""
+    """Return the relative transmission of the lens (H, W).
+
+    It decreases from 1 in the centre to 1 - ``share`` in the corners.
+    """
     y, x = (np.linspace(-1.0, 1.0, size) for size in shape[:2])
     return np.asarray(1.0 - 0.5 * share * (x[None, :] ** 2 + y[:, None] ** 2))
 
 
 def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Draw Poisson numbers (H, W) with given means, as quantiles at normal random values (H, W).
+    """Draw numbers (H, W) from Poisson distributions with the given means.
 
-    Random generators draw Poisson numbers by rejection. A rounding difference in one pixel may then consume an
+    Each number is the quantile at the probability of a standard normal random value, which is an element of ``chance``
+    (H, W). Random generators draw Poisson numbers by rejection. A rounding difference in one pixel may then consume an
     additional random value and change the noise of all subsequent pixels. Here a small change of a pixel's mean changes
     its value by at most one electron, and no other pixel.
 
@@ -100,5 +108,5 @@ def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[n
 
 
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert coverage (H, W), 0 to 1, to 16-bit pixel values."""
+    """Convert a coverage (H, W) from 0 to 1 to 16-bit pixel values."""
     return np.asarray(np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0), dtype=np.uint16)

@@ -1,10 +1,10 @@
 """Grow a root system in the canister's water with an architectural root model.
 
-The model follows the literature (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant and Soil
-332:177). Roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and form laterals in
-acropetal order at random distances. All roots of an order grow together as arrays. The random values of a root come
-from a generator seeded with the root's path (child numbers from the taproot on), so that a root does not depend on the
-number of other roots.
+The model follows Pages et al. 2004 (Plant and Soil 258:103) and Leitner et al. 2010 (Plant and Soil 332:177). Roots
+elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and form laterals in acropetal order at
+random distances. All roots of an order grow together as arrays. The random values of a root come from a generator
+seeded with the root's path (child numbers from the taproot on), so that a root does not depend on the number of other
+roots.
 """
 
 from dataclasses import dataclass
@@ -23,25 +23,26 @@ from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
 Array = NDArray[np.float64]
 
 STEP_MM = 1.0
-"""Length of a growth step, and of a segment of the finished root, mm."""
+"""Length of a growth step, mm. It is also the length of a segment of the finished root."""
 BEND_LENGTH_MM = 4.0
-"""Correlation length of the random curvature, mm, which makes growth directions smooth."""
+"""Correlation length of the random curvature of a root, mm. It makes the growth direction vary smoothly."""
 MOST_ROOTS = 20_000
-"""Maximum number of roots. The mesh of more roots would need many minutes and several gigabytes."""
+"""Maximum number of roots. A mesh of more roots would need many minutes and several gigabytes."""
 HEADING_FAN_DEG = 137.5
-"""Mean azimuth between successive laterals, deg. The golden angle distributes laterals evenly around the root."""
+"""Mean difference between the azimuths of successive laterals, deg. This golden angle distributes laterals evenly
+around the root."""
 HEADING_FAN_SD_DEG = 40.0
-"""Standard deviation of the azimuth between successive laterals, deg."""
+"""Standard deviation of the difference between the azimuths of successive laterals, deg."""
 BASAL_KIND = 1_000_000
-"""Offset of the child numbers of basal roots, multiplied by the number of their kind (from 1). The offset exceeds the
-child numbers of all laterals."""
+"""Difference between the first child numbers of successive kinds of basal roots. The child numbers of kind k = 1, 2,
+... begin at k times this value. They exceed the child numbers of all laterals."""
 
 
 class _GrownBud(NamedTuple):
-    """Root grown from a bud."""
+    """Root that has grown from a bud, with its growth parameters."""
 
     root: Root | None
-    """Grown root. None if the root is too short to emerge."""
+    """Grown root. It is None if the root is too short to emerge."""
     length_mm: float
     """Current length of the root, mm."""
     max_length_mm: float
@@ -52,14 +53,14 @@ class _GrownBud(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class _Bud:
-    """Root that has not yet grown."""
+    """Root that has not grown yet, with its initial position and direction."""
 
     path: tuple[int, ...]
-    """Child numbers from the taproot to this root."""
+    """Child numbers along the path from the taproot to this root. They are empty for the taproot."""
     parent: int
-    """Index of the parent root, -1 for none."""
+    """Index of the parent root. It is -1 if there is no parent."""
     order: int
-    """Order of the root, 0 for a root without a parent."""
+    """Order of the root. It is 0 for a root without a parent."""
     start_mm: Array
     """Base of the root (3,), mm, canister frame."""
     heading: Array
@@ -71,7 +72,7 @@ class _Bud:
 
 
 def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: NetPot | None = None) -> list[Root]:
-    """Grow a plant. The same specimen always yields the same plant, and a higher age continues the growth.
+    """Grow a plant. The same specimen always yields the same plant, which grows further if its age is increased.
 
     Parameters
     ----------
@@ -132,7 +133,9 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
 
 
 def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the length of a root at a given age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
+    """Return the length of a root at a given age.
+
+    It is k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
 
     Parameters
     ----------
@@ -152,7 +155,9 @@ def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: A
 
 
 def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the age at which a root has a given length, the inverse of `length_at`.
+    """Return the age at which a root has a given length.
+
+    The function is the inverse of `length_at`.
 
     Parameters
     ----------
@@ -185,7 +190,10 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
 
 
 def _generators(seed: int, path: tuple[int, ...]) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
-    """Return the random generators for a root's own traits, for its curvature and for its laterals."""
+    """Return three random generators.
+
+    They are for the traits of a root, for its curvature and for its laterals, in this order.
+    """
     shape, wobble, laterals = np.random.SeedSequence(entropy=seed, spawn_key=path).generate_state(3, np.uint64)
     return np.random.default_rng(int(shape)), np.random.default_rng(int(wobble)), np.random.default_rng(int(laterals))
 
@@ -196,7 +204,7 @@ def _draw_factor(rng: np.random.Generator, sd: float) -> float:
 
 
 def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_GrownBud]:
-    """Grow all buds of an order."""
+    """Grow the buds of all roots of one order."""
     if not buds:
         return []
     traits = np.empty((len(buds), 3))
@@ -228,7 +236,7 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
 
 
 def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
-    """Return the diameters of the taproot (N,), mm, including its thickened top."""
+    """Return the diameters of the taproot (N,), mm, to which the thickened top is added."""
     fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
     if specimen.hypocotyl_shape == "globe":  # ellipsoid of revolution
         return specimen.hypocotyl_diameter_mm * 2.0 * np.sqrt(fade * (1.0 - fade))
@@ -236,11 +244,10 @@ def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) 
 
 
 def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
-    """Cut a centre line at a given length, and return its points (N, 3) and arc lengths (N,), mm.
+    """Cut a centre line at a given length.
 
-    The centre line has a point every `STEP_MM`.
-
-    Return its points (N, 3) and their arc lengths (N,), mm.
+    The centre line has a point every `STEP_MM`. Return the points (N, 3) up to this length, and their arc lengths
+    (N,), mm.
     """
     whole = max(int(np.ceil(length_mm / STEP_MM - 1e-9)), 1)
     along_mm = np.minimum(np.arange(whole + 1) * STEP_MM, length_mm)
@@ -252,7 +259,10 @@ def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
 
 
 def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array) -> Array:
-    """Return the centre lines (N, S + 1, 3), mm, of all buds, each long enough for the longest root."""
+    """Return the centre lines (N, S + 1, 3) of all buds, mm.
+
+    Each has as many points as the longest root requires.
+    """
     steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
     bend = np.zeros((len(buds), steps, 3))
     for i, bud in enumerate(buds):
@@ -278,9 +288,10 @@ def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm
 
 
 def _place_basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list[_Bud]:
-    """Place the buds of a kind of basal roots on the taproot.
+    """Place the buds of one kind of basal roots on the taproot.
 
-    The buds are spaced evenly along their zone, and by the mean azimuth between laterals around the taproot.
+    The buds are evenly spaced along the zone of these roots. Around the taproot, the azimuths of successive buds differ
+    by `HEADING_FAN_DEG` on average.
     """
     basal: BasalRoots = specimen.basal[kind]
     children: list[_Bud] = []
@@ -300,7 +311,10 @@ def _place_basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -
 
 
 def _place_laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
-    """Place the buds of a root's laterals, outside the apical zone."""
+    """Place the buds of a root's laterals.
+
+    There are none in the apical zone.
+    """
     root, length_mm, max_length_mm, elongation_mm_per_day = grown
     if root is None:
         return []
@@ -335,7 +349,10 @@ def _place_bud(
     age_days: float,
     buried_mm: float,
 ) -> _Bud:
-    """Return a bud at a distance along a root, with its azimuth and insertion angle relative to the root."""
+    """Return a bud at a given distance along its parent root.
+
+    Its initial direction is given by an azimuth and an insertion angle relative to the parent.
+    """
     azimuth_rad, insertion_rad = turn_rad
     ladder_mm = polyline.arc_length_mm(root.points_mm)
     segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))

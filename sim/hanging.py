@@ -1,4 +1,7 @@
-"""Sway of hanging objects: the displacement of a specimen and its root hairs from view to view."""
+"""Sway of hanging objects.
+
+The displacement of a specimen and its root hairs changes from view to view.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +18,23 @@ from rhizotwin.sim.specimen import SpecimenSolid
 
 @dataclass(frozen=True)
 class HangingObject:
-    """Swaying specimen, or its root hairs, fixed at the top."""
+    """Swaying specimen, or its root hairs.
+
+    It is fixed at the top.
+    """
 
     name: str
     """Name of the object's shape in the Mitsuba scene."""
     vertices: NDArray[np.float64]
     """Vertices at rest (V, 3), mm."""
     share: NDArray[np.float64]
-    """Displacement of each vertex (V,), relative to the displacement of the lowest tip."""
+    """Displacement of each vertex (V,), as a fraction of the displacement of the lowest tip."""
 
     @staticmethod
     def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> HangingObject:
         """Create a hanging object that is fixed at the highest point of a solid.
 
-        The displacement of a vertex is proportional to its depth below the highest point.
+        The displacement of a vertex is proportional to its depth below this point.
 
         Parameters
         ----------
@@ -48,7 +54,10 @@ class HangingObject:
         return HangingObject(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
     def at(self, tip_mm: tuple[float, float], twist_deg: float) -> NDArray[np.float64]:
-        """Return the vertices (V, 3), mm, for a displacement and a rotation of the lowest tip."""
+        """Return the vertices (V, 3), mm, after a displacement and a rotation.
+
+        Both are specified for the lowest tip.
+        """
         return frames.twist(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
 
 

@@ -1,4 +1,7 @@
-"""Backlight panel and front light: area emitters that are fixed in the rig while the canister rotates."""
+"""Backlight panel and front light.
+
+They are area emitters that are fixed in the rig while the canister rotates.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,10 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def lights(scene: Scene, world: World) -> dict[str, Any]:
-    """Return the two lights as Mitsuba objects for coinciding frames of canister and rig.
+    """Return the two lights as Mitsuba objects.
 
-    The radiance of the panel is ``backlight_level``, as a fraction of full scale.
+    Their positions are correct if the canister frame coincides with the rig frame. `place` moves them in each view. The
+    radiance of the panel is ``backlight_level``, as a fraction of full scale.
     """
     level = scene.lights.backlight_level
     radiance: Any = level
@@ -42,7 +46,7 @@ def lights(scene: Scene, world: World) -> dict[str, Any]:
 
 
 def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
-    """Move panel and front light to their positions in the canister frame of a view.
+    """Move the panel and the front light to their positions in the canister frame of a view.
 
     Parameters
     ----------
@@ -61,7 +65,9 @@ def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
 
 
 class Lamps:
-    """Analytic model of the two lights for `sim.backlit`, which can be moved without rebuilding the scene.
+    """Analytic model of the two lights for `sim.backlit`.
+
+    The lights can be moved without rebuilding the scene.
 
     Parameters
     ----------
@@ -70,7 +76,7 @@ class Lamps:
     """
 
     SAMPLES = 2
-    """Number of points per direction at which each light is sampled to compute irradiance."""
+    """Number of points at which each light is sampled to compute the irradiance."""
 
     def __init__(self, scene: Scene, world: World) -> None:
         level = scene.lights.backlight_level
@@ -91,9 +97,10 @@ class Lamps:
         dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister)
 
     def meet(self, ray: Any, t: Any) -> tuple[Any, Any]:
-        """Return the light that rays meet before ``t`` (1: panel, 2: front light, 0: none) and its radiance.
+        """Return which light a ray meets before the distance ``t``, and its radiance.
 
-        The rear sides of the lights are black.
+        The light is 1 for the panel, 2 for the front light and 0 if the ray meets neither. The rear sides of the lights
+        are black.
         """
         lamp, glow = mi.UInt32(0), mi.Spectrum(0.0)
         for number, to_lamp in enumerate(self.lamp_from_canister):
@@ -107,7 +114,10 @@ class Lamps:
         return lamp, glow
 
     def irradiance(self, p: Any, n: Any) -> Any:
-        """Return the irradiance at points with given normals, without occlusion."""
+        """Return the irradiance at points with given normals.
+
+        Shadows are not taken into account.
+        """
         total = mi.Spectrum(0.0)
         for number, to_canister in enumerate(self.canister_from_lamp):
             across, up = (mi.Vector3f(*(to_canister[row, column] for row in range(3))) for column in (0, 1))
@@ -129,12 +139,15 @@ class Lamps:
 
 
 def _multiply(matrix: Any, v: Any, w: float) -> Any:
-    """Return the first three components of a 4x4 matrix times (v, w)."""
+    """Multiply a 4x4 matrix with the vector (v, w), and return the first three components of the product."""
     return mi.Vector3f(*(matrix[row, 0] * v.x + matrix[row, 1] * v.y + matrix[row, 2] * v.z + matrix[row, 3] * w for row in range(3)))
 
 
 def rig_from_panel(lights: Lights) -> NDArray[np.float64]:
-    """Return the 4x4 transform from the square [-1, 1]^2 (normal +z) to the backlight panel, which faces +x, mm."""
+    """Return the 4x4 transform, mm, from the square [-1, 1]^2 (normal +z) to the backlight panel.
+
+    The panel faces +x.
+    """
     width_mm, height_mm = lights.backlight_wh_mm
     matrix = np.eye(4)
     matrix[:3, 0] = [0.0, width_mm / 2.0, 0.0]
@@ -162,8 +175,9 @@ def rig_from_front(lights: Lights) -> NDArray[np.float64]:
 
 
 def front_radiance(scene: Scene) -> float:
-    """Return the radiance of the front light at which the strip's white paper, facing the camera, has ``front_level``.
+    """Return the radiance of the front light.
 
+    It is chosen so that the strip's white paper has the level ``front_level`` in the picture where it faces the camera.
     The radiance of paper with reflectance rho is ``rho / pi * E``, where E is the integral of ``L cos cos' / d^2`` over
     the light (midpoint rule).
     """

@@ -15,14 +15,14 @@ from rhizotwin.sim.solids import Array, Faces, to_manifold
 SUFFIXES = (".ply", ".stl", ".obj")
 """Supported file name extensions."""
 MOST_FACES = 1_500_000
-"""Maximum number of faces. A mesh of 1.3 million faces took 1.1 GiB and 32 s without any progress report. The faces on
-a sphere of 20 mm then have edges of 0.04 mm."""
+"""Maximum number of faces. Reading a mesh of 1.3 million faces took 1.1 GiB and 32 s, during which no progress is
+reported. With so many faces, a sphere of 20 mm has edges of 0.04 mm."""
 LEAST_MM = 0.5
 """Minimum size of a specimen, mm. The unit of smaller meshes is probably not the millimetre."""
 
 
 def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
-    """Read a closed surface and return the solid that it bounds, with notes on repairs.
+    """Read a closed surface and return the solid that it bounds, together with notes on repairs.
 
     Overlapping shells are united. Inner shells with inward normals are cavities. A surface whose normals all point
     inwards is inverted, with a note.
@@ -60,7 +60,7 @@ def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
 
 
 def _read(path: Path) -> tuple[Array, Faces]:
-    """Read the vertices (V, 3), mm, and faces (F, 3) of a file."""
+    """Read the vertices (V, 3), mm, and the faces (F, 3) of a mesh file."""
     if path.suffix.lower() not in SUFFIXES:
         raise UserError(
             f"{path}: the extension '{path.suffix}' is not supported; must be a mesh (.ply, .stl, .obj) or traced roots (.rsml)."
@@ -83,7 +83,10 @@ def _read(path: Path) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: NDArray[np.int32]) -> int:
-    """Count the edges of triangles (F, 3) that are not used equally often in both directions."""
+    """Count the edges at which triangles (F, 3) do not form a closed surface with a consistent orientation.
+
+    In such a surface, each edge is used equally often in both directions.
+    """
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys, inverse = np.unique(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1), axis=0, return_inverse=True)
     balance = np.bincount(inverse.ravel(), weights=np.where(a < b, 1.0, -1.0), minlength=len(keys))
@@ -91,16 +94,19 @@ def open_edges(faces: NDArray[np.int32]) -> int:
 
 
 def _single_edges(faces: NDArray[np.int32]) -> int:
-    """Count the edges of triangles (F, 3) that are shared by an odd number of faces, ignoring orientation."""
+    """Count the edges that belong to an odd number of triangles (F, 3).
+
+    The orientation of the triangles is ignored.
+    """
     edges = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1), axis=1)
     counts = np.unique(edges, axis=0, return_counts=True)[1]
     return int(np.count_nonzero(counts % 2))
 
 
 def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
-    """Merge vertices so that faces share them.
+    """Merge vertices at the same position, so that neighbouring faces share them.
 
-    Vertices with equal coordinates are merged (STL, seams of OBJ) if necessary.
+    Merging is necessary for STL files, and at texture seams of OBJ files.
     """
     indexed = faces[_is_proper(faces)]
     if len(indexed) and open_edges(indexed) == 0 and to_manifold(vertices, indexed).status() == manifold3d.Error.NoError:
@@ -130,12 +136,15 @@ def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str])
 
 
 def _is_proper(faces: Faces) -> NDArray[np.bool_]:
-    """Return whether each face has three different vertices (F,)."""
+    """Return whether the three vertices of each face differ (F,)."""
     return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
 
 
 def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> manifold3d.Manifold:
-    """Unite overlapping shells, keep cavities, and invert shells whose normals point inwards."""
+    """Unite overlapping shells.
+
+    Cavities are kept, and shells whose normals point inwards are inverted.
+    """
     kinds: Counter[str] = Counter()
     bodies: list[manifold3d.Manifold] = []
     inverted: list[manifold3d.Manifold] = []

@@ -1,6 +1,7 @@
-"""Build the rig as a Mitsuba scene, in the canister frame in mm, with one surface for each optical interface.
+"""Build the rig as a Mitsuba scene.
 
-The canister is static while camera and lights move around it, so that only two rectangles are rebuilt per view.
+The scene is in the canister frame in mm, with one surface for each optical interface. The canister is static while the
+camera and the lights move around it, so that only the two rectangles of the lights are rebuilt for each view.
 """
 
 from __future__ import annotations
@@ -24,24 +25,28 @@ SPECIMEN, HAIRS, SHOOT, OUTER_DIRT = "specimen", "hairs", "shoot", "outer_dirt"
 STRIP = "strip"
 """Names of shapes in the Mitsuba scene."""
 ROOT_REFLECTANCE = 0.35
-"""Reflectance of wet white roots. An increase by 0.1 brightens roots by 0.0065 of full scale
+"""Reflectance of wet white roots. If it is increased by 0.1, roots become brighter by 0.0065 of full scale
 (`sim.backlit.AMBIENT`)."""
 FELT_REFLECTANCE = 0.02
-"""Reflectance of black felt. A reflectance of 0.05 would still be darker than all roots."""
+"""Reflectance of black felt. Felt would be darker than all roots even if its reflectance were 0.05."""
 FLOOR_REFLECTANCE = 0.10
-"""Reflectance of the dark surface below the canister, which few rays meet."""
+"""Reflectance of the dark surface below the canister. Few rays meet this surface."""
 ALGAE_GAP_MM = 0.05
-"""Distance of algae films from the wall, mm, much larger than rounding errors of rays and much smaller than a pixel."""
+"""Distance between the algae films and the wall, mm. It is much larger than the rounding errors of rays and much
+smaller than a pixel."""
 OUTER_GAP_MM = 0.05
-"""Distance of dirt on the outside from the wall, mm, larger than rounding errors of rays and smaller than a pixel."""
+"""Distance between the outer wall and the dirt on it, mm. It is larger than the rounding errors of rays and smaller
+than a pixel."""
 DIRT_TEXEL_MM = 0.1
-"""Edge of a texel of the dirt, mm, half a pixel on the wall at 800x600."""
+"""Edge of a texel of the map of dust and scratches, mm. It is half the width of a pixel on the wall at 800x600
+pixels."""
 OVAL_SIDES = 1440
-"""Number of facets of an oval wall. The facets deviate by at most 0.2 um from the oval. Their normals are exact."""
+"""Number of facets of an oval wall. The facets deviate from the oval by at most 0.2 um. Their normals are exact."""
 TURBID_ALBEDO = 0.7
-"""Albedo of turbid water (assumed): fraction of the extinction that is due to scattering."""
+"""Albedo of turbid water, which is the fraction of the extinction that is due to scattering. The value is assumed."""
 TURBID_FORWARD = 0.9
-"""Mean cosine of the scattering angle in turbid water. Particles larger than the wavelength scatter forward."""
+"""Mean cosine of the scattering angle in turbid water. The value is high, because particles larger than the wavelength
+scatter forward."""
 
 
 def build(
@@ -53,7 +58,9 @@ def build(
     lamps: bool = True,
     dirt_reach_mm: float | None = None,
 ) -> mi.Scene:
-    """Build the Mitsuba scene of a rig with its drawn disturbances, without a sensor.
+    """Build the Mitsuba scene of a rig with its drawn disturbances.
+
+    It contains no sensor.
 
     Parameters
     ----------
@@ -103,7 +110,9 @@ def build(
 
 
 def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, slack_mm: float) -> mi.Scene | None:
-    """Build a scene of fine structures that may lie between the corners of a pixel. None without such structures.
+    """Build a scene of the fine structures that rays through the corners of a pixel may miss.
+
+    The result is None if there are no such structures.
 
     Fine structures are the specimen, fibres and bubbles.
 
@@ -133,9 +142,9 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
 
 
 def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
-    """Return a cylinder in the canister that contains the fine structures with a margin.
+    """Return a vertical cylinder that contains all fine structures and a margin around them.
 
-    The radius of the cylinder is at most that of the canister.
+    The radius of the cylinder is at most the inner radius of the canister.
 
     Parameters
     ----------
@@ -164,7 +173,10 @@ def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: fl
 
 
 def _load_scene(items: dict[str, Any]) -> mi.Scene:
-    """Load a scene without Mitsuba's warning that a tilted cylinder is not round, which is due to rounding errors."""
+    """Load a scene, but suppress a warning of Mitsuba.
+
+    Because of rounding errors it claims that a tilted cylinder is not round.
+    """
     logger = mi.logger()
     level = logger.log_level()
     logger.set_log_level(mi.LogLevel.Error)
@@ -233,7 +245,10 @@ def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
 
 
 def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str, Any]:
-    """Return dust, scratches and seam as a film just outside the canister, or the dilated dirt as an opaque film."""
+    """Return a film just outside the canister that contains dust, scratches and the seam.
+
+    If ``reach_mm`` is given, the dirt is dilated by this distance and opaque.
+    """
     radius_mm = world.canister.outer_radius_mm + scene.disturbances.canister_out_of_round_mm + OUTER_GAP_MM
     z_range_mm = (scene.canister.floor_z_mm, scene.net_pot.skirt_bottom_mm)
     opacity = dirt.outer_opacity(
@@ -261,7 +276,10 @@ def _specimen(solid: SpecimenSolid, wrong: Disturbances, n_water: float, water: 
 
 
 def _oval(radius_mm: float, oval_mm: float, oval_rad: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
-    """Return a vertical wall of radius ``radius + oval cos(2 (azimuth - oval_rad))`` with its exact normals."""
+    """Return a vertical wall with exact normals.
+
+    Its radius is ``radius + oval cos(2 (azimuth - oval_rad))``.
+    """
     azimuth = np.arange(OVAL_SIDES) * 2.0 * np.pi / OVAL_SIDES
     radius = radius_mm + oval_mm * np.cos(2.0 * (azimuth - oval_rad))
     slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
@@ -304,7 +322,10 @@ def _mesh(
 
 
 def _tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices (V, 3), mm, and faces (F, 3) of open tubes around the centre lines of fibres."""
+    """Return the vertices (V, 3), mm, and faces (F, 3) of tubes around the centre lines of fibres.
+
+    The tubes are open at both ends.
+    """
     vertices, faces, start = [], [], 0
     turn = np.arange(sides) * 2.0 * np.pi / sides
     for fibre in fibres:
@@ -347,7 +368,7 @@ def _disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any], seat: frames.Arra
 def _dielectric(n_inside: float, n_outside: float) -> dict[str, Any]:
     """Return a smooth dielectric interface.
 
-    ``n_outside`` is the refractive index on the side of the surface's normal.
+    ``n_outside`` is the refractive index on the side to which the surface's normal points.
     """
     return {"type": "dielectric", "int_ior": n_inside, "ext_ior": n_outside}
 

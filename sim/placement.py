@@ -1,4 +1,8 @@
-"""Place a specimen from a file: with the file's coordinates, as specified, or below the grid of the net pot."""
+"""Place a specimen that was read from a file.
+
+The specimen has the position given in the file, is transformed as specified in the scene, or is placed below the grid
+of the net pot.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -14,11 +18,12 @@ from rhizotwin.scenes.specimens import PlacedFile
 Array = NDArray[np.float64]
 
 TOUCH_MM = 1e-6
-"""Tolerance for points beyond wall, floor or water surface, mm, because of rounding errors."""
+"""Maximum distance of a point beyond the wall, the floor or the water's surface, mm. It allows for rounding errors."""
 FREE_MM = 0.5
-"""Distance between an automatically placed specimen and the grid, mm, as for grown roots (`GrownSpecimen`)."""
+"""Distance between the grid and a specimen that is placed automatically, mm. It is the same for grown roots
+(`GrownSpecimen`)."""
 _UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
-"""Diagonal of the rotation by 180 degrees about x."""
+"""Diagonal of the matrix that rotates by 180 degrees about the x axis."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +82,16 @@ def find_placement(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base
 
 
 def _is_flat(points_mm: Array) -> bool:
-    """Return whether points (N, 3) lie in a horizontal plane: the height is below a fifth of the width."""
+    """Return whether points (N, 3) lie almost in a horizontal plane.
+
+    Their extent in z must be below a fifth of the larger extent in x and y.
+    """
     wide = float(np.ptp(points_mm[:, :2], axis=0).max())
     return float(np.ptp(points_mm[:, 2])) < 0.2 * wide
 
 
 def translation_below_grid(points_mm: Array, scene: Scene) -> Array:
-    """Return the translation (3,), mm, that moves points (N, 3) below the grid, centred on the axis."""
+    """Return the translation (3,), mm, that moves points (N, 3) below the grid and centres them on the axis."""
     (x, y), _ = _enclosing_circle(points_mm)
     return np.array([-x, -y, scene.net_pot.grid_z_mm - FREE_MM - float(points_mm[:, 2].max())])
 
@@ -99,13 +107,16 @@ def maximum_scale(points_mm: Array, scene: Scene) -> float:
 
 
 def _enclosing_circle(points_mm: Array) -> tuple[tuple[float, float], float]:
-    """Return centre and radius, mm, of the smallest circle that encloses points (N, 3) seen from above."""
+    """Return the centre and radius, mm, of the smallest circle that encloses points (N, 3) as seen from above."""
     (x, y), _ = cv2.minEnclosingCircle(np.ascontiguousarray(points_mm[:, None, :2], np.float32))
     return (float(x), float(y)), float(np.hypot(points_mm[:, 0] - x, points_mm[:, 1] - y).max())
 
 
 def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
-    """Raise an error if points (N, 3), mm, canister frame, lie outside the water (inner wall, floor, surface).
+    """Raise an error if points (N, 3) lie outside the water.
+
+    The points are in mm in the canister frame. The water is limited by the inner wall, the floor and the water's
+    surface.
 
     Parameters
     ----------
@@ -140,7 +151,7 @@ def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
 
 
 def format_size(points_mm: Array) -> str:
-    """Return the size of points (N, 3) along x, y and z as text, mm."""
+    """Format the extent of points (N, 3) along x, y and z as text, mm."""
     return " x ".join(f"{value:.3g}" for value in np.ptp(points_mm, axis=0))
 
 

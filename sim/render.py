@@ -1,8 +1,9 @@
-"""Render the views of a scene with drawn disturbances, each independently of all other views.
+"""Render the views of a scene with drawn disturbances.
 
-Most pixels of a backlit picture are smooth, which is tested with rays through the corners of all pixels. All rays of a
-pixel are only traced if its corner rays meet different surfaces, if the light varies nonlinearly between them, on the
-marker strip, and around fine structures that may lie between the corners.
+Each view is rendered independently of all others. In most pixels of a backlit picture the light varies smoothly, which
+is tested with rays through the corners of the pixels. All rays of a pixel are only traced if its corner rays meet
+different surfaces, if the light varies nonlinearly between them, on the marker strip, and around fine structures that
+may lie between the corners.
 """
 
 from __future__ import annotations
@@ -24,34 +25,39 @@ from rhizotwin.sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
 DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
-"""Default number of rays per pixel: a lattice of 4 x 4 rays, or twice as many random paths, which are for viewing and
-not for measurements."""
+"""Default number of rays per pixel, keyed by fidelity. For ``backlit`` they form a lattice of 4 x 4 rays. For ``path``
+they are twice as many random paths, whose pictures are for viewing and not for measurements."""
 PATH_DEPTH = 16
-"""Maximum number of surfaces on a path, twice the number on the straight path through canister or tank."""
+"""Maximum number of surfaces on a path. It is twice the number on the straight path through the canister or the
+tank."""
 MAX_RAYS = 8_000_000
-"""Maximum number of rays per kernel launch, which limits the memory for large sensors."""
+"""Maximum number of rays per kernel launch. It limits the memory that is needed for large sensors."""
 MAX_PATHS = 32_000_000
-"""Maximum number of paths per kernel launch of the path tracer, whose kernels store only the picture."""
+"""Maximum number of paths per kernel launch of the path tracer. It can be larger than `MAX_RAYS`, because these kernels
+store only the picture."""
 DIRT_REACH_PX = 3.0
-"""Search distance for dirt around a ray, in pixels on the farthest wall, in addition to blur. At the flanks of the
-canister, where the wall is seen at 70 degrees, a pixel covers three times its width."""
+"""Radius around a ray within which dirt is searched, in pixels on the farthest wall. It is increased in proportion to
+the blur. At the flanks of the canister, where the wall is seen at 70 degrees, a pixel covers three times its width."""
 MOST_BEND = 1e-3
-"""Maximum second difference of the light between the corners of smooth pixels, as a fraction of full scale. The mean of
-four corners has an error of a twelfth of this difference in each direction."""
+"""Maximum second difference of the light between neighbouring corners of a smooth pixel, as a fraction of full scale.
+If the light is averaged over the four corners, the error is a twelfth of this difference in each direction."""
 BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
-"""Cells of a 4 x 4 lattice, one per row and column, in which a pixel is searched for fine structures."""
+"""Cells of a 4 x 4 lattice, as column and row, through which rays search a pixel for fine structures. There is one cell
+in each column and each row."""
 ROOM_MARGIN_MM = 3.0
-"""Margin of the region that encloses fine structures, mm. The margin is wider than a pixel, so that a pixel on the
-region's boundary contains no fine structure."""
+"""Margin of the region that encloses all fine structures, mm. It is wider than a pixel, so that a pixel at the region's
+boundary contains no fine structure."""
 SWAYS = 5.0
-"""Maximum sway of a specimen, in standard deviations."""
+"""Maximum sway of a specimen that is taken into account in the region of fine structures, in standard deviations."""
 _TRACING = 21  # key of the path tracer's random stream
 
 Image = NDArray[np.float32]
 
 
 def check_samples(fidelity: str, samples: int | None) -> int:
-    """Validate the number of rays per pixel and return it. None: return the default number for ``fidelity``.
+    """Validate the number of rays per pixel and return it.
+
+    If ``samples`` is None, return the default of the fidelity.
 
     Raises `UserError` if a value is invalid.
     """
@@ -201,7 +207,10 @@ class Renderer:
         return total
 
     def _render_from_corners(self, eye: Any) -> tuple[Image, Image, NDArray[np.bool_]]:
-        """Return light and coverage (H, W) from pixel corners, and a mask (H, W) of pixels that need more rays."""
+        """Return the light and the coverage (H, W), computed from rays through the corners of the pixels.
+
+        A mask (H, W) of the pixels that need more rays is also returned.
+        """
         width, height = self.image_wh
         index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
         u, v = mi.Float(index % (width + 1)) / width, mi.Float(index // (width + 1)) / height
@@ -226,9 +235,9 @@ class Renderer:
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
 
     def _count_fine_hits(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
-        """Count for each pixel (H, W) the rays between its corners that meet a fine structure.
+        """Count, for each pixel (H, W), the rays between its corners that meet a fine structure.
 
-        The paths of these rays are interpolated from the paths of the corner rays.
+        The paths of these rays are interpolated from those of the corner rays.
         """
         width, height = self.image_wh
         pixel = dr.arange(mi.UInt32, width * height)
@@ -248,7 +257,7 @@ class Renderer:
         return np.array(count).astype(np.uint8).reshape(height, width)
 
     def _refine(self, eye: Any, image: Image, coverage: Image, mixed: NDArray[np.bool_]) -> None:
-        """Average the primary paths over a regular lattice in the masked pixels.
+        """Trace a regular lattice of primary rays in each masked pixel, and average them.
 
         The images (H, W) are modified in place.
         """
@@ -268,13 +277,13 @@ class Renderer:
             coverage.ravel()[pixels] = np.array(dr.block_sum(way.coverage, side * side)) / side**2
 
     def _lens_positions(self, ray: mi.UInt32, side: int) -> mi.Point2f:
-        """Return the position on the lens, 0 to 1, of each lattice ray of a pixel."""
+        """Return the position on the lens of each ray of a pixel's lattice, as two coordinates from 0 to 1."""
         u, v = ((cell + 0.5) / side for cell in lens_cells(side))
         return mi.Point2f(*(dr.gather(mi.Float, mi.Float(place.astype(np.float32)), ray) for place in (u, v)))
 
 
 def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the lens cell of each ray of a pixel's lattice, row by row.
+    """Return the cell of the lens through which each ray of a pixel's lattice passes, row by row.
 
     The lens is divided into side^2 columns and side^2 rows.
 
@@ -296,7 +305,7 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _blur_px(scene: Scene) -> float:
-    """Return the maximum one-sided blur by defocus, pixels, half the diameter of the largest circle of confusion.
+    """Return the radius of the largest circle of confusion, which is the blur to each side of an edge, pixels.
 
     The circles of confusion of the panel and of the near wall are compared.
     """
@@ -310,7 +319,11 @@ def _blur_px(scene: Scene) -> float:
 
 
 def _combine_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
-    """Combine the four corners (H + 1, W + 1) of every pixel (H, W) with a function of two arrays."""
+    """Combine the values at the four corners of every pixel.
+
+    The corners have shape (H + 1, W + 1), and the result has shape (H, W). The function ``combine`` has two arrays as
+    arguments.
+    """
     return np.asarray(combine(combine(corners[:-1, :-1], corners[:-1, 1:]), combine(corners[1:, :-1], corners[1:, 1:])))
 
 
@@ -319,12 +332,18 @@ def _mean_of_corners(corners: NDArray[np.float32]) -> Image:
 
 
 def _corners_differ(corners: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Return which pixels (H, W) have different values at their corners (H + 1, W + 1)."""
+    """Return whether the values at the four corners of each pixel (H, W) differ.
+
+    The corners have shape (H + 1, W + 1).
+    """
     return np.asarray(_combine_corners(corners, np.maximum) != _combine_corners(corners, np.minimum))
 
 
 def _second_difference(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the maximum of a picture's absolute second differences along rows and columns (H, W)."""
+    """Return the second differences of a picture (H, W).
+
+    They are absolute values, and the larger of those along rows and columns is returned.
+    """
     kernel = np.array([[1.0, -2.0, 1.0]], np.float32)
     across, down = (np.abs(cv2.filter2D(light, cv2.CV_32F, k, borderType=cv2.BORDER_REPLICATE)) for k in (kernel, kernel.T))
     return np.maximum(across, down)

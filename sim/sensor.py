@@ -18,8 +18,8 @@ from rhizotwin.scenes.model import Camera
 PLUGIN = "opencv"
 """Name of the sensor in Mitsuba."""
 NEWTON_STEPS = 6
-"""Number of Newton steps. With quadratic convergence, five steps reduce a distortion of 0.1 below the rounding error of
-float32."""
+"""Number of Newton steps. The convergence is quadratic, so that five steps reduce the error of a distortion of 0.1 to
+less than the rounding error of float32."""
 
 
 def sensor_dict(
@@ -76,7 +76,7 @@ def sensor_dict(
 def set_pose(sensor: Any, cam_from_canister: frames.Array) -> None:
     """Set the pose of a sensor to ``cam_from_canister`` (4x4, mm, OpenCV axes).
 
-    A change of the pose does not recompile the kernel.
+    The kernel is not recompiled if the pose changes.
     """
     sensor.set_pose(frames.invert(cam_from_canister))
 
@@ -87,7 +87,9 @@ def register() -> None:
 
 
 def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any]:
-    """Invert OpenCV's lens distortion with Newton's method on both normalised coordinates.
+    """Invert OpenCV's lens distortion.
+
+    Newton's method is applied to both normalised coordinates together.
 
     Parameters
     ----------
@@ -119,7 +121,10 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
 
 
 def _telecentric_ray(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
-    """Return origin and direction of a telecentric camera's ray at a pixel position relative to the principal point."""
+    """Return the origin and direction of a ray of a telecentric camera.
+
+    The position of the pixel is relative to the principal point.
+    """
     right, down, forward = sensor.rotation
     origin = sensor.centre + right * (x_px * sensor.mm_per_px) + down * (y_px * sensor.mm_per_px)
     if sensor.aperture_radius == 0.0:
@@ -131,7 +136,10 @@ def _telecentric_ray(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) 
 
 
 def _perspective_ray(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
-    """Return origin and direction of a perspective camera's ray at a pixel position relative to the principal point."""
+    """Return the origin and direction of a ray of a perspective camera.
+
+    The position of the pixel is relative to the principal point.
+    """
     lens = sensor.lens
     right, down, forward = sensor.rotation
     x, y = x_px / lens["fx"], y_px / lens["fy"]
@@ -148,9 +156,10 @@ def _perspective_ray(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) 
 @cache
 def _register_for(variant: str) -> None:
     class OpenCVSensor(mi.Sensor):
-        """Telecentric camera, or pinhole or thin lens with OpenCV distortion.
+        """Telecentric, pinhole or thin-lens camera.
 
-        The camera axes are +z forward, +x right and +y down in the image.
+        The pinhole and the thin lens have OpenCV distortion. The camera axes are +z forward, +x right and +y down in
+        the image.
         """
 
         def __init__(self, props: mi.Properties) -> None:

@@ -1,4 +1,7 @@
-"""Build a watertight solid of a shoot above the net pot, with exact volume and leaf area."""
+"""Build a watertight solid of a shoot above the net pot.
+
+Its volume and leaf area are exact.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,11 @@ from rhizotwin.sim import solids
 from rhizotwin.sim.solids import Array, Faces
 
 ALONG, ACROSS = 32, 12
-"""Number of cells of a blade along the midrib and from edge to edge. The blade's area deviates by less than 0.2 % from
-that with 64 x 24 cells (tests/sim/test_shoot.py)."""
+"""Number of cells of a leaf blade's mesh along the midrib, and from edge to edge. The area of the blade deviates by
+less than 0.2 % from that of a mesh with 64 x 24 cells (tests/sim/test_shoot.py)."""
 TIP_SHARE = 0.02
-"""Width of a blade at both ends relative to its maximum width. A blade of zero width would have no thickness."""
+"""Width of a blade at its two ends, relative to its maximum width. If the width were zero, the blade would have no
+thickness there."""
 GAP_MM = 0.2
 """Distance between the foot of the stem and the top of the net pot, mm."""
 
@@ -40,7 +44,7 @@ class ShootSolid:
     """Height of the highest point above the top of the net pot, mm."""
 
     def truth(self) -> dict[str, float]:
-        """Return the true values for comparison with a reconstruction, as a JSON object."""
+        """Return the true traits of the shoot, with which a reconstruction is compared, as a JSON object."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         return {
             "volume_mm3": self.volume_mm3,
@@ -53,7 +57,9 @@ class ShootSolid:
 
 
 def build_shoot(scene: Scene) -> ShootSolid | None:
-    """Build the solid of a scene's shoot. None if the scene has no shoot.
+    """Build the solid of a scene's shoot.
+
+    The result is None if the scene has no shoot.
 
     Raises
     ------
@@ -97,7 +103,10 @@ def _share(plant: Shoot, leaf: int) -> float:
 
 
 def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the centre line of the petiole (N, 3), and midrib and edges of the blade (ALONG + 1, 3), mm."""
+    """Return the centre line of a petiole, and the midrib and both edges of its blade, mm.
+
+    The centre line has shape (N, 3), and the other curves have shape (ALONG + 1, 3).
+    """
     rng = np.random.default_rng([plant.seed, leaf])
     size = _share(plant, leaf) * float(np.exp(plant.size_sd * rng.normal()))
     age = 0.0 if plant.leaves == 1 else leaf / (plant.leaves - 1)
@@ -124,7 +133,9 @@ def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Arr
 
 
 def _blade(middle: Array, left: Array, right: Array, thickness_mm: float) -> tuple[Array, Faces, float]:
-    """Return vertices (V, 3) and faces (F, 3) of a blade of uniform thickness, mm, and its one-sided area, mm2.
+    """Return a blade of uniform thickness and its one-sided area, mm2.
+
+    The blade has vertices (V, 3), mm, and faces (F, 3).
 
     Parameters
     ----------
@@ -154,7 +165,10 @@ def _tube(points_mm: Array, diameter_mm: float) -> manifold3d.Manifold:
 
 
 def _to_solid(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
-    """Return a blade as a solid. Raise `UserError` if the blade does not bound a solid."""
+    """Convert a blade to a solid.
+
+    Raise `UserError` if its surface does not bound a solid.
+    """
     solid = solids.to_manifold(vertices, faces)
     if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
         raise UserError(

@@ -27,13 +27,17 @@ from rhizotwin.sim.truth import build_truth, write_specimen
 from rhizotwin.sim.world import TrueCamera, World, draw_world, scene_for_reconstruction
 
 PROGRESS_FILE = "truth/simulate.json"
-"""File with the settings and the finished frames of an interrupted simulation, relative to the dataset folder."""
+"""File that contains the settings and the finished frames of an interrupted simulation. The path is relative to the
+dataset folder."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "opencv-python-headless", "manifold3d")
 _NOISE = 31
 
 
 class CannotContinueError(UserError):
-    """Error raised if a simulation cannot be resumed, because its settings differ or its record is damaged."""
+    """Error that is raised if a simulation cannot be resumed.
+
+    Either its settings differ from those of the interrupted run, or its record is damaged.
+    """
 
 
 def simulate(
@@ -46,7 +50,7 @@ def simulate(
     samples: int | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Dataset:
-    """Render every view of a scene's plan to a dataset folder.
+    """Render every view of a scene's scan plan to a dataset folder.
 
     Parameters
     ----------
@@ -159,12 +163,15 @@ def _render_frames(
 
 
 def _cameras(scene: Scene, world: World) -> list[TrueCamera]:
-    """Return the true camera of each picture. Pictures of a view in several bands have the same camera."""
+    """Return the true camera of each picture.
+
+    All pictures of a view have the same camera, even if they are taken in several bands.
+    """
     return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.ring_bands(scene, view.ring)]
 
 
 def _load_progress(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the finished frames of an earlier run with the same settings, by name.
+    """Return the finished frames of an interrupted run with the same settings, keyed by frame name.
 
     Raises an error if the folder has other contents.
     """
@@ -190,7 +197,10 @@ def _load_progress(folder: Path, settings: dict[str, Any]) -> dict[str, list[str
 
 
 def _name_differences(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
-    """Return the names of settings that differ, including both versions of a program or library."""
+    """Return the names of the settings that differ.
+
+    For a program or library, both versions are added.
+    """
     named = []
     for key in sorted(settings):
         if key == "versions":

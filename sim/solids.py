@@ -1,4 +1,7 @@
-"""Build a watertight solid from roots: the union of tubes around the centre lines (manifold3d), with exact volume."""
+"""Build a watertight solid from roots.
+
+The solid is the union of tubes around the centre lines, computed with manifold3d. Its volume is exact.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,16 +22,18 @@ SIDES = 24
 """Number of sides of a tube. A prism with 24 sides and the cross-sectional area of a circle is 0.3 % wider than the
 circle. A prism with 16 sides is 0.6 % wider, with 8 sides 2.7 %."""
 SPLIT_TURN_RAD = 2.0
-"""Turning angle after which a tube is divided, rad, because longer tubes may intersect themselves."""
+"""Sum of the bend angles along a root at which a new tube begins, rad. Longer tubes could intersect themselves."""
 KINK_RAD = 0.6
-"""Bend angle, rad, from which a bend is replaced by a joint of two tubes with round ends. Bends with a radius smaller
-than the tube's radius are also replaced."""
+"""Bend angle at which a new tube begins, rad. The two tubes meet with round ends. A new tube also begins at a bend
+whose radius is smaller than that of the tube."""
 
 MOST_AT_ONCE = 250
-"""Maximum number of tubes that are united in one call, which neither reports progress nor can be cancelled. Plants of
-the library have at most 207 tubes. Uniting 250 mutually crossing tubes takes 20 s. More tubes are united in pairs."""
+"""Maximum number of tubes that are united in one call. Such a call neither reports progress nor can be cancelled.
+Plants of the library have at most 207 tubes. Uniting 250 mutually crossing tubes takes 20 s. More tubes are united in
+pairs."""
 LEAST_MM = 1e-3
-"""Minimum diameter of tubes, mm, which has no effect on pictures or volume. Diameters in files may taper to zero."""
+"""Minimum diameter of a tube, mm. Smaller diameters are replaced by it, because diameters in files may taper to zero.
+It has no effect on pictures or volume."""
 
 
 def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces]:
@@ -73,9 +78,9 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
 
 
 def _transport_normals(points_mm: Array, tangents: Array) -> Array:
-    """Transport a normal along a curve without twist, by two reflections per step (Wang et al. 2008, table I).
+    """Transport a normal along a curve without twist.
 
-    Returns normals (N, 3).
+    Each step consists of two reflections (Wang et al. 2008, table I). Returns normals (N, 3).
     """
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     normals = np.empty_like(points_mm)
@@ -95,7 +100,10 @@ def _transport_normals(points_mm: Array, tangents: Array) -> Array:
 
 
 def _tube_faces(rings: int, sides: int) -> Faces:
-    """Return triangles (F, 3) between consecutive rings, and between end rings and poles (last two vertices)."""
+    """Return the triangles (F, 3) of a tube.
+
+    They connect consecutive rings of vertices, and the two end rings with the poles, which are the last two vertices.
+    """
     corner = np.arange(sides)
     after = (corner + 1) % sides
     low = (np.arange(rings - 1) * sides)[:, None]
@@ -112,7 +120,10 @@ def _tube_faces(rings: int, sides: int) -> Faces:
 
 
 def pieces(root: Root) -> list[tuple[Array, Array]]:
-    """Divide a root into tubes without self-intersection, each with points (N, 3) and radii (N,), mm."""
+    """Divide a root into tubes that do not intersect themselves.
+
+    Each tube is a pair of points (N, 3) and radii (N,), mm.
+    """
     apart = np.concatenate([[True], np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) > 1e-6])
     points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.maximum(root.diameters_mm, LEAST_MM)[apart] / 2.0
     if len(points_mm) < 2:
@@ -135,7 +146,9 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
 
 
 def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
-    """Unite the tubes of roots, with all radii multiplied by ``scale``, to a solid.
+    """Unite the tubes of all roots to one solid.
+
+    All radii are multiplied by ``scale``.
 
     Parameters
     ----------
@@ -164,9 +177,9 @@ def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor |
 
 
 def to_manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
-    """Convert a closed surface with vertices (V, 3) and triangles (F, 3) to manifold3d.
+    """Convert a closed surface with vertices (V, 3) and triangles (F, 3) to a manifold3d solid.
 
-    The caller must check ``status()``.
+    The caller must check its ``status()``.
     """
     mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices, np.float64), tri_verts=np.ascontiguousarray(faces, np.uint64))
     return manifold3d.Manifold(mesh)

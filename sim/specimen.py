@@ -1,4 +1,7 @@
-"""Build a watertight solid of a specimen in the canister's water, with exact volume."""
+"""Build a watertight solid of a specimen in the canister's water.
+
+Its volume is exact.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,10 +27,11 @@ from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
-"""Number of subdivisions of the sphere. The 81920 faces deviate by 0.0024 % from the ball before scaling to its
-volume."""
+"""Number of subdivisions of the icosahedron that approximates a sphere. Before they are scaled to the volume of the
+ball, its 81920 faces deviate from the ball by 0.0024 %."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
-"""Common resolutions of scanners and screens, dots per inch."""
+"""Common resolutions of scanners and screens, dots per inch. A resolution in a file that equals one of them is probably
+in dots per inch."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,15 +45,16 @@ class SpecimenSolid:
     volume_mm3: float
     """Exact volume of the polyhedron, mm3."""
     roots: tuple[Root, ...] = ()
-    """Centre lines with final diameters. Empty for spheres and meshes."""
+    """Centre lines with final diameters. The tuple is empty for spheres and meshes."""
     traits: dict[str, Any] = field(default_factory=dict)
-    """True traits by the fields of `scenes.traits.Traits`."""
+    """True traits, keyed by the field names of `scenes.traits.Traits`."""
     plants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Volume (``volume_mm3``) and ``traits`` of each of several plants, by name. Empty for a single plant."""
+    """Volume (``volume_mm3``) and ``traits`` of each plant, keyed by plant name. It is empty if there is a single
+    plant."""
     notes: tuple[str, ...] = ()
-    """Sentences for the user about repairs and peculiarities of the specimen."""
+    """Sentences for the user about repairs and unusual properties of the specimen."""
     shoot: ShootSolid | None = None
-    """Shoot above the net pot. None without a shoot."""
+    """Shoot above the net pot. It is None if the scene has no shoot."""
 
     @property
     def normals(self) -> Array:
@@ -58,20 +63,20 @@ class SpecimenSolid:
 
     @property
     def extents_min_mm(self) -> Array:
-        """Lowest corner of the bounding box (3,), mm."""
+        """Minimum x, y and z of the solid (3,), mm."""
         lower: Array = self.vertices.min(axis=0)
         return lower
 
     @property
     def extents_max_mm(self) -> Array:
-        """Highest corner of the bounding box (3,), mm."""
+        """Maximum x, y and z of the solid (3,), mm."""
         upper: Array = self.vertices.max(axis=0)
         return upper
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sleeve:
-    """Region of root hairs: a closed surface around the roots, canister frame."""
+    """Closed surface that encloses the roots and their root hairs, canister frame."""
 
     vertices: Array
     """Vertices (V, 3), float64, mm."""
@@ -80,7 +85,10 @@ class Sleeve:
 
 
 def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
-    """Return the region of root hairs with a given length, mm, around a specimen's roots. None without roots."""
+    """Return the surface that encloses the root hairs of a specimen.
+
+    Its distance from the roots is the length of the hairs, mm. The result is None if the specimen has no roots.
+    """
     if not solid.roots:
         return None
     grown = [replace(root, diameters_mm=root.diameters_mm + 2.0 * hair_mm) for root in solid.roots]
@@ -157,7 +165,7 @@ class _Part:
 
 
 def _build_plant(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
-    """Build one of several plants at its position in the net pot."""
+    """Build one of several plants, at its position in the net pot."""
     specimen = plant.placed()
     if specimen is None:
         raise UserError(
@@ -168,7 +176,10 @@ def _build_plant(plant: Plant, scene: Scene, folder: Path | None, monitor: Monit
 
 
 def _join_roots(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
-    """Concatenate the roots of several specimens, and adapt the indices of parents."""
+    """Concatenate the roots of several specimens.
+
+    The indices of their parents are adapted.
+    """
     roots: list[Root] = []
     for part in parts:
         first = len(roots)
@@ -216,7 +227,7 @@ def _is_moved(specimen: PlacedFile) -> bool:
 
 
 def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
-    """Place a mesh as specified in the scene."""
+    """Transform a mesh as the scene specifies."""
     if not _is_moved(specimen):
         return solid
     vertices, faces = solids.to_surface(solid)
@@ -224,7 +235,10 @@ def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene
 
 
 def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
-    """Read and place traced roots, and return them with notes on their interpretation."""
+    """Read traced roots from a file and place them.
+
+    Return them with notes on how the file was interpreted.
+    """
     file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
     roots, closed = close_gaps(file)
     base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])
@@ -252,12 +266,18 @@ def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tupl
 
 
 def _is_dpi(file: RsmlFile) -> bool:
-    """Return whether a resolution per centimetre or millimetre is probably a scanner resolution in dots per inch."""
+    """Return whether a resolution per centimetre or millimetre is probably in dots per inch.
+
+    It is if its value is a common resolution of scanners.
+    """
     return file.unit.lower() in ("cm", "mm") and float(file.resolution) in SCANNERS_DPI
 
 
 def _extreme_points(roots: Sequence[Root]) -> Array:
-    """Return the extreme points (6 N, 3) of roots, mm, at the distance of the radius from each node along each axis."""
+    """Return the extreme points of roots along each axis (6 N, 3), mm.
+
+    They lie on both sides of each of the N nodes, at the distance of the root's radius.
+    """
     points_mm = np.concatenate([root.points_mm for root in roots])
     radii_mm = np.concatenate([root.diameters_mm for root in roots]) / 2.0
     ways = np.concatenate([np.eye(3), -np.eye(3)])

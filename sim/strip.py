@@ -1,4 +1,7 @@
-"""Paint the marker strip: black markers on white paper, unrolled around the net pot."""
+"""Paint the marker strip.
+
+It consists of black markers on white paper and is unrolled from the net pot.
+"""
 
 from typing import Any
 
@@ -11,12 +14,14 @@ from rhizotwin.scenes.model import MarkerStrip, NetPot
 PAPER, INK = 0.85, 0.04
 """Diffuse reflectance of white office paper, and of toner on it."""
 MM_PER_TEXEL = 1.0 / 16.0
-"""Edge of a texel, mm, a quarter of a pixel of the profile ``bench`` (0.23 mm). Texels at edges are painted with their
-covered fraction."""
+"""Edge of a texel, mm. It is a quarter of the width of a pixel of the profile ``bench`` (0.23 mm). A texel that is
+partly covered by a marker is painted with the covered fraction."""
 
 
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
-    """Paint the reflectance of the strip on the unrolled net pot, averaged over texels.
+    """Paint the reflectance of the marker strip, unrolled from the net pot.
+
+    Each value is an average over a texel.
 
     Parameters
     ----------
@@ -55,9 +60,9 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
 
 
 def _share(texel_edges: NDArray[Any], cell_edges: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the fraction of each texel (T,) covered by each cell (C,) as an array (T, C).
+    """Return the fraction of each texel (T,) that each cell (C,) covers, as an array (T, C).
 
-    Both edges are in ascending order.
+    The edges of texels and cells are in ascending order.
     """
     low = np.maximum(texel_edges[:-1, None], cell_edges[None, :-1])
     high = np.minimum(texel_edges[1:, None], cell_edges[None, 1:])

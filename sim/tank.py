@@ -1,4 +1,7 @@
-"""Tank of liquid around the canister: four meshes that are fixed in the rig while the canister rotates."""
+"""Tank of liquid around the canister.
+
+It consists of four meshes that are fixed in the rig while the canister rotates.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,10 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 OUTSIDE, INSIDE, SURFACE, OPAQUE = "tank_outside", "tank_inside", "tank_surface", "tank_opaque"
-"""Names of the tank's meshes in the Mitsuba scene."""
+"""Names of the meshes of the tank in the Mitsuba scene."""
 HOLE_SIDES = 720
-"""Number of corners of the canister's hole in the liquid's surface, which lie 1 um inside a circle of 76 mm."""
+"""Number of sides of the hole in the liquid's surface in which the canister stands. The sides deviate by at most 1 um
+from a circle with a radius of 76 mm."""
 
 
 def _wall_mesh(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
@@ -30,7 +34,7 @@ def _wall_mesh(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces
 
 
 def _opaque_mesh(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
-    """Return vertices (V, 3), mm, and faces (F, 3) of the walls' upper edges and the tank's bottom."""
+    """Return the vertices (V, 3), mm, and faces (F, 3) of the upper edges of the tank's walls, and of its bottom."""
     outer, inner = _wall_mesh(tank, 0.0, low_mm)[0], _wall_mesh(tank, tank.wall_mm, low_mm)[0]
     vertices = np.concatenate([outer[4:], inner[4:], outer[:4]])
     rim = [[k, (k + 1) % 4, (k + 1) % 4 + 4] for k in range(4)] + [[k, (k + 1) % 4 + 4, k + 4] for k in range(4)]
@@ -38,9 +42,9 @@ def _opaque_mesh(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
 
 
 def _surface_mesh(tank: Tank, hole: Array) -> tuple[Array, Faces]:
-    """Return vertices (V, 3), mm, and faces (F, 3) of the liquid's surface around the canister.
+    """Return the vertices (V, 3), mm, and faces (F, 3) of the liquid's surface around the canister.
 
-    The outline of the canister on this surface is ``hole`` (N, 2), mm, counter-clockwise from above.
+    The outline of the canister on this surface is ``hole`` (N, 2), mm, counter-clockwise as seen from above.
     """
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
     out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # extended radially from the axis to the walls
@@ -59,7 +63,10 @@ def _surface_mesh(tank: Tank, hole: Array) -> tuple[Array, Faces]:
 
 
 def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, Any]]]:
-    """Return vertices (V, 3), mm, tank frame, faces (F, 3) and material of the tank's meshes by name."""
+    """Return the meshes of the tank, keyed by name.
+
+    Each mesh consists of vertices (V, 3) in the tank frame, mm, faces (F, 3) and a Mitsuba material.
+    """
     low = -scene.canister.height_mm
     turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
     hole = scene.canister.outer_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -77,7 +84,7 @@ def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, 
 def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm: float) -> None:
     """Move the tank to its position in the canister frame of a view.
 
-    The hole in the liquid's surface follows the canister.
+    The hole in the liquid's surface moves with the canister.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Write the ground truth of rendered pictures, for `sim.simulate` and the rig's twin."""
+"""Write the ground truth of rendered pictures.
+
+The module is used by `sim.simulate` and by the rig's twin.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,7 +20,7 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
-    """Write the solid and its centre lines to the ``truth`` folder of a dataset."""
+    """Write the solid of a specimen and its centre lines to the ``truth`` folder of a dataset."""
     for name, part in (("specimen", solid), ("shoot", solid.shoot)):
         if part is not None:
             mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)

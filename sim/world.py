@@ -1,7 +1,6 @@
-"""Draw all disturbances of a scene, from which its pictures are rendered.
+"""Draw all disturbances of a scene, with which its pictures are rendered.
 
-Each effect has its own random stream, keyed by effect, ring and view, so that each picture is independent of all
-others.
+Each effect has its own random stream for each ring and view, so that each picture is independent of all others.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +19,8 @@ _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3
 _OVAL, _SEAM, _SWAY, _OUTER, _HIGHLIGHT = 12, 13, 14, 15, 16
 
 BACKLIGHT_MAP_WH = (64, 48)
-"""Number of columns and rows of the map of the panel's uneven radiance, which is smooth."""
+"""Number of columns and rows of the map of the panel's radiance. A coarse map is sufficient, because the radiance
+varies smoothly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,15 +28,18 @@ class TrueCamera:
     """True poses of camera and canister for one picture."""
 
     cam_from_rig: frames.Array
-    """Pose of the rig in the camera frame (4, 4), mm, OpenCV axes."""
+    """True transform (4, 4) from the rig frame to the camera frame, mm. The camera's axes are those of OpenCV."""
     rig_from_canister: frames.Array
-    """Pose of the canister in the rig frame (4, 4), mm."""
+    """True transform (4, 4) from the canister frame to the rig frame, mm."""
     table_deg: float
-    """True table angle, deg, without offset and tilt of the canister."""
+    """True table angle, deg. It does not include the offset and tilt of the canister."""
 
     @property
     def cam_from_canister(self) -> frames.Array:
-        """Pose of the canister in the camera frame (4, 4), mm, OpenCV axes."""
+        """True transform (4, 4) from the canister frame to the camera frame, mm.
+
+        The camera's axes are those of OpenCV.
+        """
         return self.cam_from_rig @ self.rig_from_canister
 
 
@@ -49,29 +52,31 @@ class World:
     seed: int
     """Random seed."""
     cameras: tuple[TrueCamera, ...]
-    """True camera of each view, in the order of the scan plan."""
+    """True camera of each view of the scan plan, in order."""
     n_water: float
     """True refractive index of the water."""
     canister: Canister
-    """True canister with its manufacturing errors, in contrast to the nominal canister of the scene."""
+    """True canister with its manufacturing errors. The canister of ``scene`` is nominal."""
     oval_rad: float
     """Azimuth of the canister's largest radius, rad."""
     seam_rad: float
     """Azimuth of the canister's seam, rad."""
     sway_mm: tuple[tuple[float, float], ...]
-    """Displacement of the specimen's lowest tip in each view along x and y, mm, canister frame."""
+    """Displacement of the specimen's lowest tip along x and y in each view, mm, canister frame."""
     dirt: OuterDirt
     """Dust and scratches on the outside of the canister."""
     highlight: NDArray[np.float64] | None
-    """Light added by a reflection (H, W), as a fraction of full scale. None without a reflection."""
+    """Light that a reflection adds to the picture (H, W), as a fraction of full scale. It is None if there is no
+    reflection."""
     table_from_canister: frames.Array
-    """Pose of the canister on the table (4, 4), mm."""
+    """Transform (4, 4) from the canister frame to the table's frame, mm."""
     canister_from_strip: frames.Array
-    """Pose of the marker strip on the canister (4, 4), mm."""
+    """Transform (4, 4) from the frame of the marker strip to the canister frame, mm."""
     distortion: tuple[float, float, float, float, float]
     """Distortion coefficients k1, k2, p1, p2, k3 of the true lens."""
     backlight: NDArray[np.float64] | None
-    """Relative radiance of the panel (rows from its top, columns from its -y side), at most 1. None if uniform."""
+    """Radiance of the panel, relative to its maximum. Rows begin at the top of the panel, and columns at its -y side.
+    It is None if the radiance is uniform."""
     algae: tuple[Patch, ...]
     """Algae films on the inner wall."""
     fibres: tuple[Fibre, ...]
@@ -80,7 +85,7 @@ class World:
     """Air bubbles at the wall."""
 
     def drawn(self) -> dict[str, Any]:
-        """Return the random values for which `scenes.truth.Truth` has no field, as a JSON object."""
+        """Return the random values that have no field in `scenes.truth.Truth`, as a JSON object."""
         return {
             "table_from_canister": self.table_from_canister.tolist(),
             "distortion": list(self.distortion),
@@ -137,7 +142,7 @@ def draw_world(scene: Scene, *, seed: int) -> World:
 
 
 def true_canister(scene: Scene) -> Canister:
-    """Return the true canister with its manufacturing errors."""
+    """Return the scene's canister with its manufacturing errors."""
     drawn, wrong = scene.canister, scene.disturbances
     return replace(
         drawn,
@@ -158,9 +163,9 @@ def _draw_sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float
 
 
 def _draw_highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a soft vertical streak of light (H, W) at a random position in front of the canister.
+    """Return the picture (H, W) of a soft vertical streak of light at a random position in front of the canister.
 
-    The streak is the reflection of a window, because a convex mirror images a window as a line along its axis.
+    The streak is the reflection of a window. A convex mirror images a window as a line along its axis.
     """
     width, height = scene.camera.image_wh
     x, y = np.arange(width) / width, np.arange(height)[:, None] / height
@@ -170,15 +175,18 @@ def _draw_highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float6
 
 
 def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
-    """Return the distortion coefficients k1, k2, p1, p2, k3 of the scene's lens, including the profile's distortion."""
+    """Return the distortion coefficients k1, k2, p1, p2, k3 of the true lens.
+
+    They are the sums of those of the scene's camera and of the disturbance profile.
+    """
     k1, k2, p1, p2, k3 = (a + b for a, b in zip(scene.camera.distortion, scene.disturbances.distortion, strict=True))
     return k1, k2, p1, p2, k3
 
 
 def scene_for_reconstruction(scene: Scene) -> Scene:
-    """Return the scene as known to the reconstruction.
+    """Return the scene as it is known to the reconstruction.
 
-    The returned scene contains the nominal rig, the calibrated lens and the positions of plants, but no specimen.
+    It contains the nominal rig, the calibrated lens and the positions of plants, but no specimen.
     """
     camera = replace(stored_camera(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
     plants = tuple(replace(plant, specimen=None) for plant in scene.plants)
@@ -203,14 +211,17 @@ def _true_camera(scene: Scene, view: plan.View, table_from_canister: frames.Arra
 
 
 def _draw_seat(offset_mm: float, tilt_deg: float, rng: np.random.Generator) -> frames.Array:
-    """Return the transform (4, 4), mm, of a part that is placed off-centre and tilted in random directions."""
+    """Return a transform (4, 4), mm, that displaces and tilts a part in random directions."""
     offset_rad, lean_rad = rng.uniform(0.0, 2.0 * np.pi, 2)
     shift_mm = offset_mm * np.array([np.cos(offset_rad), np.sin(offset_rad), 0.0])
     return frames.from_rotvec(np.deg2rad(tilt_deg) * np.array([np.cos(lean_rad), np.sin(lean_rad), 0.0]), shift_mm)
 
 
 def _uneven_backlight(peak_to_peak: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a smooth random map (rows, columns) with values from ``1 - peak_to_peak`` to 1."""
+    """Return a smooth random map of the panel's relative radiance (rows, columns).
+
+    The values are from ``1 - peak_to_peak`` to 1.
+    """
     columns, rows = BACKLIGHT_MAP_WH
     y, x = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
     field = np.zeros((rows, columns))

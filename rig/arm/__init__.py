@@ -1,1 +1,1 @@
-"""Robot arm: two servo protocols, kinematics, path planning and collision checks."""
+"""Drivers of the robot arm with two servo protocols, kinematics, path planning and collision checks."""

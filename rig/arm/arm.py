@@ -1,9 +1,9 @@
-"""Driver of the robot arm: five joints with angles in degrees, for both servo protocols.
+"""Driver of the robot arm, which has five joints and can use either servo protocol.
 
-The driver implements limits, speed, verification, and stopping on errors. Servos report neither the end nor the failure
-of a move. Therefore the driver computes the duration of each move from its distance, waits for that time without
-communication, and then compares the position of every joint with the commanded position. This detects joints that are
-blocked, too warm, or without torque.
+Angles are in degrees. The driver enforces limits, controls the speed, verifies every move, and stops the arm on errors.
+Servos report neither the end nor the failure of a move. Therefore the driver computes the duration of each move from
+its distance, waits for that time without communication, and then compares the position of every joint with the
+commanded position. This detects joints that are blocked, too warm, or without torque.
 """
 
 import math
@@ -19,15 +19,16 @@ from rhizotwin.rig.serial_line.port import Wire
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 
 _HOLD_S = 1.0
-"""Duration of the move to the present position that switches the torque on, s. If the arm has sagged since its position
-was read, it is lifted slowly."""
+"""Duration of the move to the measured position that switches the torque on, s. The arm may have sagged since the
+measurement, and a slow move lifts it gently."""
 _STILL_COUNTS = 1
 _STILL_PAUSE_S = 0.1
 _STILL_LIMIT_S = 5.0
 _COMMAND_TRIES = 2
 _UNMOVED_COUNTS = 2
 _DEAD_COUNTS = 4
-"""Maximum distance from the target, in counts, at which dead band and sag can keep a joint from moving."""
+"""Maximum distance between a servo and its target, in counts of 0.24 deg, at which the dead band and the sag can
+prevent a motion. If a target is farther away and no servo has moved, the command is repeated."""
 
 Counts = dict[int, int]
 
@@ -54,7 +55,9 @@ def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
 
 
 class ServoArm:
-    """Robot arm that positions the camera; implements `rig.devices.Arm`.
+    """Robot arm that positions the camera.
+
+    It implements `rig.devices.Arm`.
 
     Parameters
     ----------
@@ -73,7 +76,8 @@ class ServoArm:
         self._ids = tuple(joint.servo for joint in part.joints)
         self._prepared = False
         self._rests_at: Counts | None = None
-        """Servo positions at the end of the last move, in counts by servo number; None after any other command."""
+        """Servo positions at the end of the last completed move, in counts, keyed by servo number. It is None if the
+        torque is off or the last move failed."""
 
     def describe(self) -> str:
         """Return a description of the bus, including its voltage and the warmest servo."""
@@ -85,7 +89,7 @@ class ServoArm:
         return words + f", warmest {self._name(warmest)} {temperatures_c[warmest]} °C"
 
     def prepare(self) -> None:
-        """Check that all servos reply and are within their limits, and switch the torque on in the present position.
+        """Check that all servos reply and are within their limits, and switch the torque on without moving the arm.
 
         Every servo is commanded to its measured position before its torque is switched on, so that the arm does not
         jump.
@@ -129,8 +133,8 @@ class ServoArm:
     def holds(self) -> bool:
         """Return whether the torque of every joint is still on.
 
-        If the protocol does not report the torque, return whether the arm is still in its last position, since an arm
-        without torque drops.
+        If the protocol does not report the torque, the measured position is compared with that at the end of the last
+        move, because an arm without torque drops.
         """
         return self._prepared and self._limp() is None
 
@@ -169,7 +173,7 @@ class ServoArm:
         return self._joints_deg(here)
 
     def turn_filter(self, angle_deg: float) -> None:
-        """Rotate the filter wheel in front of the lens and verify its angle.
+        """Rotate the filter wheel in front of the lens to an angle, and check that the angle was reached.
 
         Raises
         ------
@@ -197,7 +201,7 @@ class ServoArm:
             )
 
     def health(self) -> None:
-        """Check the supply voltage, the temperatures, and that no servo has lost its torque.
+        """Check the supply voltage and the temperatures of the servos, and that the torque of every servo is still on.
 
         Raises
         ------
@@ -221,7 +225,10 @@ class ServoArm:
         self._bus.close()
 
     def _move_one(self, start: Counts, to: Counts, duration_s: float) -> Counts:
-        """Execute a move that fits into one command, and return the servo positions at its end, in counts."""
+        """Execute a move that is short enough for one command.
+
+        Return the servo positions at its end, in counts.
+        """
         tries = 0
         while True:
             self._bus.move(to, duration_s)
@@ -268,7 +275,10 @@ class ServoArm:
             return
 
     def _off_target(self, target: Counts, now: Counts) -> Joint | None:
-        """Return the joint that is farthest from its target; None if all joints are within the tolerance."""
+        """Return the joint with the largest deviation from its target.
+
+        It is None if all joints are within the tolerance.
+        """
         off_deg = [abs(now[joint.servo] - target[joint.servo]) / joint.counts_per_deg for joint in self._part.joints]
         worst = max(range(JOINTS), key=off_deg.__getitem__)
         return self._part.joints[worst] if off_deg[worst] > self._part.tolerance_deg else None
@@ -287,7 +297,10 @@ class ServoArm:
                 )
 
     def _limp(self) -> int | None:
-        """Return the number of a servo whose torque is off, or None if there is no such servo."""
+        """Return the number of a servo whose torque is off.
+
+        It is None if the torque of all servos is on.
+        """
         loaded = self._bus.loaded(self._ids)
         if loaded is not None:
             return next((servo for servo, on in loaded.items() if not on), None)
@@ -306,7 +319,7 @@ class ServoArm:
             )
 
     def _check_standing(self, joint: Joint, counts: int) -> None:
-        """Reject a joint outside its range, because the path of its first move would be undefined."""
+        """Raise an error if a joint is outside its limits before it is moved for the first time."""
         angle_deg = _to_deg(joint, counts)
         slack_deg = self._part.tolerance_deg
         if MIN_COUNTS <= counts <= MAX_COUNTS and joint.min_deg - slack_deg <= angle_deg <= joint.max_deg + slack_deg:

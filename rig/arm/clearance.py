@@ -1,4 +1,4 @@
-"""Collision checks of arm paths against canister, net pot, table, tank, floor and bars.
+"""Collision checks of arm paths against the canister, net pot, table, tank, floor and bars.
 
 The arm is modelled by capsules, and the camera by a sphere. Obstacles are cylinders, boxes and a half-space. Between
 two configurations, no point of a link moves farther than the sum, over the joints, of the joint's rotation times the
@@ -23,29 +23,33 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene, Tank
 
 TABLE_THICKNESS_MM = 20.0
-"""Thickness of the turntable's disc, below the canister, mm."""
+"""Thickness of the turntable's disc, on which the canister stands, mm."""
 FINE_MM = 0.1
-"""Resolution of the bisection, mm. Segments in which the arm moves less are not divided, and margins are kept to within
-this distance."""
+"""Length at which the bisection of a path segment ends, mm. A segment is not divided further if the arm moves by less
+than this length in it, so that the distances to obstacles are checked with this accuracy."""
 START_SLACK_MM = 2.0
-"""Maximum further approach to an obstacle, mm, of an arm that starts inside a margin (after sagging or being pushed)
-while it moves away."""
+"""Maximum distance by which the arm may come nearer to an obstacle while it moves away from its initial position, mm.
+It applies only if the initial position is closer to the obstacle than the required clearance, because the arm has
+sagged or was pushed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """Distances of every part of the arm from every obstacle, for N configurations of the arm and P pairs."""
+    """Distances between the parts of the arm and the obstacles.
+
+    There are N configurations of the arm, and P pairs of a part and an obstacle.
+    """
 
     names: tuple[tuple[str, str], ...]
-    """Names of the arm's part and of the obstacle, for each pair."""
+    """For each pair, the name of the arm's part and the name of the obstacle."""
     distance_mm: Array
-    """Distance between part and obstacle, shape (N, P)."""
+    """Distance between the part and the obstacle, shape (N, P)."""
     margin_mm: Array
-    """Required clearance of each pair, shape (P,)."""
+    """Minimum distance that is required for each pair, shape (P,)."""
     travel_mm: Array
-    """Maximum decrease of each distance per radian of each joint, shape (P, 5)."""
+    """Upper bound of the decrease of each distance when a joint rotates by 1 rad, shape (P, 5)."""
     floor: NDArray[np.bool_]
-    """Whether the obstacle is the floor, on which an arm without torque may lie, shape (P,)."""
+    """Whether the obstacle of each pair is the floor, shape (P,). An arm without torque may lie on the floor."""
 
 
 def solids(rig: RigFile, scene: Scene) -> list[Solid]:
@@ -63,7 +67,7 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 
 
 def _tank(tank: Tank, floor_z_mm: float) -> Box:
-    """Return the bounding box of a tank in any orientation.
+    """Return the bounding box of a tank, which may be rotated about the vertical axis.
 
     It extends from the tank's rim to the floor, and thus includes the stand.
     """
@@ -74,10 +78,10 @@ def _tank(tank: Tank, floor_z_mm: float) -> Box:
 
 
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
-    """Compute the distances of all pairs of part and obstacle at joint angles (N, 5).
+    """Compute the distances between all parts of the arm and all obstacles at joint angles (N, 5), deg.
 
-    The base column is fixed to the floor or a bar, and is therefore checked only against canister, net pot, table and
-    camera. No margin is required between parts of the arm, since they do not sag relative to each other.
+    The base column is fixed to the floor or a bar, and is therefore checked only against the canister, net pot, table
+    and camera. No clearance is required between parts of the arm, since they do not sag relative to each other.
 
     Parameters
     ----------
@@ -132,10 +136,10 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
 
 
 def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) -> None:
-    """Raise an error if the arm violates a margin on a path that is piecewise linear in joint angles.
+    """Raise an error if the arm comes closer to an obstacle than the required clearance.
 
-    The first configuration may be inside a margin, provided that the arm touches nothing but the floor and moves away.
-    All other configurations must keep the margins.
+    The path is piecewise linear in the joint angles. The first configuration may be closer to an obstacle, provided
+    that the arm touches nothing but the floor and moves away. All other configurations must have the clearance.
 
     Parameters
     ----------
@@ -167,7 +171,7 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
 
 
 def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -> list[Joints]:
-    """Return the configurations of a path without collisions, in order, with the goal last.
+    """Return the configurations of a collision-free path, in order, with the goal last.
 
     The direct path is used if it is clear. Otherwise the path passes through retracted configurations.
 
@@ -202,7 +206,10 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
 
 
 def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
-    """Return candidate paths: via the parking position, or rotating the base with the arm retracted or raised."""
+    """Return candidate paths that avoid the direct connection.
+
+    One passes through the parking position. In the others the base rotates while the arm is retracted or raised.
+    """
     part = require_arm(rig)
     rest = tuple(part.park_deg)
     found: list[list[Joints]] = [[rest]]
@@ -221,7 +228,10 @@ def _is_clear(rig: RigFile, scene: Scene, path_deg: Sequence[Joints]) -> bool:
 
 
 def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array, keep_mm: Array, leg: tuple[int, int]) -> None:
-    """Bisect the segment between two configurations until all of its parts are known to keep the distances."""
+    """Check the segment between two configurations by bisection.
+
+    The distances must be at least ``keep_mm`` everywhere on the segment.
+    """
     step_deg = end_deg - begin_deg
     middles, half = np.array([0.5]), 0.5
     while len(middles):

@@ -21,33 +21,36 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Length below which a distance is treated as a rounding error, mm."""
+"""Length below which a distance is treated as zero, because it may be a rounding error, mm."""
 NEAR_AXIS_MM = 1.0
-"""Maximum distance of the camera from the base's axis, mm, at which the azimuth may be computed from the optical axis.
-At so small a distance the direction from the base's axis to the camera is uncertain."""
+"""Maximum distance between the camera and the base's axis, mm, at which the azimuth may be computed from the optical
+axis. So close to the axis, the azimuth of the camera's position is uncertain."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
-"""Convergence thresholds of Newton's method for the camera's position error, mm, and orientation error, rad. The method
-also stops when the step of every joint is below CLOSE_RAD."""
+"""Thresholds of the position error, mm, and the orientation error, rad, at which Newton's method has converged. The
+method also stops when the step of every joint is below CLOSE_RAD."""
 DAMPING = 0.1
-"""Damping of the normal equations, relative to the squared norm of the remaining twist. It limits the steps far from
-the target, and vanishes near the target."""
+"""Damping of the normal equations, relative to the squared norm of the remaining twist. It limits the size of the steps
+far from the target, and becomes negligible near the target."""
 UNIT_MM = 100.0
-"""Length that is weighted like one radian, mm. It is about the length of a link, so that position errors do not
-dominate orientation errors."""
+"""Position error that has the same weight as an orientation error of one radian, mm. It is about the length of a link,
+so that neither of the two errors dominates."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
-    """Solutions of the closed form: base forward or backward, combined with elbow angle positive or negative."""
+    """Solutions of the closed form.
+
+    The base points forward or backward, and the elbow angle is positive or negative.
+    """
 
     joints_rad: Array
-    """Joint angles between -pi and pi, shape (..., 4, 5); NaN if the target is out of reach."""
+    """Joint angles between -pi and pi, shape (..., 4, 5). They are NaN if the target is out of reach."""
     left_over_rad: Array
-    """Minimum angle between the target orientation and an orientation that five joints can reach at the target
-    position, shape (...,)."""
+    """Minimum angle by which the camera's orientation deviates from the target, rad, shape (...,). It is 0 if five
+    joints can reach the target orientation at the target position."""
     wrist_mm: Array
-    """Distance of the wrist from the shoulder that the target requires, shape (...,)."""
+    """Distance between the wrist and the shoulder at the target pose, shape (...,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,17 +64,19 @@ class NewtonSolution:
     converged: NDArray[np.bool_]
     """Whether the method converged, shape (...,)."""
     left_over: Array
-    """Remaining twist between camera and target, shape (..., 6): translation in mm, then rotation in rad."""
+    """Remaining twist between the camera and the target, shape (..., 6). The translation in mm is followed by the
+    rotation in rad."""
     turned_rad: Array
-    """Rotation of the target about the free axis, shape (...,)."""
+    """Angle by which the target was rotated about ``arm_from_axis`` of `newton`, shape (...,). It is 0 if no axis was
+    given."""
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return the joint angles q1, q2, q3 (..., 3) of a planar arm for a position (x, y) and direction theta of its end.
+    """Return the joint angles q1, q2, q3 (..., 3) of a planar arm.
 
-    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which is
-    accurate for a stretched arm. ``elbow`` is the sign of q2; the thesis uses -1. The result is NaN if the wrist is out
-    of reach.
+    The end of the arm has position (x, y) and direction theta. The function evaluates equations 3.1 to 3.6 of the
+    thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which is accurate for a stretched arm.
+    ``elbow`` is the sign of q2, which is -1 in the thesis. The result is NaN if the wrist is out of reach.
 
     Parameters
     ----------
@@ -103,9 +108,9 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles that place the camera's centre at the target.
+    """Return all joint angles that place the camera's centre at the target position.
 
-    The orientation of the camera is the reachable orientation nearest to that of the target.
+    The camera's orientation is as close to that of the target as five joints permit.
 
     Parameters
     ----------
@@ -143,11 +148,11 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 
 
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> NewtonSolution:
-    """Compute joint angles iteratively with the damped pseudo-inverse of the body Jacobian.
+    """Compute joint angles by Newton's method, using the damped pseudo-inverse of the body Jacobian.
 
-    Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
-    0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
-    decreases with |V|^2.
+    Each step solves ``(J^T J + m I) dq = J^T V``, where V = log(g^-1 g_wanted) is the twist in the camera's frame, and
+    m decreases with |V|^2. For m = 0 the matrix is the pseudo-inverse of J, which has more rows than columns (Lynch and
+    Park, Modern Robotics, section 6.2.2).
 
     Parameters
     ----------
@@ -215,7 +220,10 @@ def _azimuth(at: Array, ahead: Array) -> Array:
 
 
 def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
-    """Project the optical axis onto the vertical plane; return unit vectors (..., 3) and deviations (...,), rad."""
+    """Project the optical axis onto the vertical plane with the given azimuth.
+
+    Return the projected unit vectors (..., 3), and the angles between the optical axis and the plane (...,), rad.
+    """
     zero = np.zeros_like(azimuth)
     normal = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=-1)
     outward = np.stack([np.cos(azimuth), np.sin(azimuth), zero], axis=-1)
@@ -227,7 +235,7 @@ def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
 
 
 def _step(jacobian: Array, twist: Array) -> Array:
-    """Return the damped Gauss-Newton step (N, n)."""
+    """Return the damped Gauss-Newton step (N, n) of n unknowns for N targets."""
     transposed = np.swapaxes(jacobian, -1, -2)
     damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the constant keeps singular poses solvable
     normal = transposed @ jacobian + damping[:, None, None] * np.eye(jacobian.shape[-1])
@@ -235,7 +243,10 @@ def _step(jacobian: Array, twist: Array) -> Array:
 
 
 def _rotation_about_axis(arm_from_axis: Array, angle_rad: Array) -> Array:
-    """Return the transforms (N, 4, 4) of rotations about the axis, in the arm's frame."""
+    """Return transforms (N, 4, 4) that rotate by the given angles about the z axis of ``arm_from_axis``.
+
+    The transforms apply to points in the arm's frame.
+    """
     turn = np.zeros((len(angle_rad), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
     turn[:, 1, 0] = np.sin(angle_rad)
@@ -245,7 +256,10 @@ def _rotation_about_axis(arm_from_axis: Array, angle_rad: Array) -> Array:
 
 
 def _twist_about_axis(arm_from_axis: Array, camera: Array) -> Array:
-    """Return the twist (N, 6), in the camera's frame, of a camera that rotates about the axis by 1 rad."""
+    """Return the twist (N, 6) of a camera that rotates at unit speed about the z axis of ``arm_from_axis``.
+
+    The twist is expressed in the camera's frame.
+    """
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)

@@ -1,6 +1,7 @@
-"""Forward kinematics of the arm: pose of the camera as a function of the joint angles, and its derivative.
+"""Forward kinematics of the arm.
 
-The formulas follow section 3.3 and appendix C.1 of the thesis.
+The pose of the camera and its derivative are computed from the joint angles. The formulas follow section 3.3 and
+appendix C.1 of the thesis.
 
 Frames
 ------
@@ -26,8 +27,8 @@ from rhizotwin.scenes.frames import Array
 LINK_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation from the camera's frame to the frame of the last link, at roll angle 0."""
 _SERIES_BELOW_RAD = 1e-3
-"""Angle below which the closed form of the last factor of the SE(3) logarithm is inaccurate, rad, and a series is
-used."""
+"""Rotation angle below which a series replaces the closed form in the logarithm of SE(3), rad. The closed form of its
+last factor is inaccurate at small angles."""
 
 
 def rig_from_arm(part: ArmPart) -> Array:
@@ -66,9 +67,10 @@ def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
-    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``: the twist of the camera in its own frame, mm and rad per rad.
+    """Return the body Jacobian J_b (..., 6, 5) in ``V_b = J_b q_dot``.
 
-    V_b is the vee of ``g^-1 g_dot`` with g = ``arm_from_cam`` (Lynch and Park, Modern Robotics, section 5.1.2).
+    V_b is the twist of the camera in its own frame: the vee of ``g^-1 g_dot`` with g = ``arm_from_cam`` (Lynch and
+    Park, Modern Robotics, section 5.1.2). It is in mm and rad per rad.
     """
     at = places(part.links_mm, joints_rad)
     cam_from_arm = np.swapaxes(_orientation(joints_rad), -1, -2)
@@ -82,7 +84,10 @@ def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
 
 
 def log_se3(a_from_b: Array) -> Array:
-    """Return the logarithm of transforms (..., 4, 4): twists (..., 6) with velocity, mm, then rotation, rad."""
+    """Return the logarithm of transforms (..., 4, 4) as twists (..., 6).
+
+    The translational part, mm, is followed by the rotational part, rad.
+    """
     shape = a_from_b.shape[:-2]
     rotation = Rotation.from_matrix(a_from_b[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*shape, 3)
     shift = a_from_b[..., :3, 3]
@@ -95,7 +100,7 @@ def log_se3(a_from_b: Array) -> Array:
 
 
 def _heading(base_rad: Array) -> Array:
-    """Return the horizontal direction (..., 3) in which the arm leans at a positive pitch."""
+    """Return the horizontal direction (..., 3) in which the arm tilts if its pitch angles are positive."""
     return np.stack([np.cos(base_rad), np.sin(base_rad), np.zeros_like(base_rad)], axis=-1)
 
 

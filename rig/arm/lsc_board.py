@@ -1,7 +1,8 @@
-"""Driver of the LSC servo controller board (as in the xArm 1S), with 9600 Bd, no checksums and no acknowledgements.
+"""Driver of the LSC servo controller board, which is part of the xArm 1S.
 
-Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The
-board may send unsolicited frames at any time.
+The serial line has 9600 Bd, and the protocol has no checksums and no acknowledgements. Frame: ``55 55 | length |
+command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The board may send unsolicited
+frames at any time.
 
 Because checksums are missing, a damaged reading may appear valid. Therefore a reading is accepted only if a second
 reading agrees, and if it contains exactly the requested servos.
@@ -31,25 +32,25 @@ MULT_SERVO_UNLOAD = 20
 MULT_SERVO_POS_READ = 21
 
 _PATIENCE_S = (0.6, 0.6, 0.8, 1.0)
-"""Timeouts of successive attempts, s. Some boards take up to 450 ms to read all positions."""
+"""Timeouts of the successive attempts to get a reply, s. Some boards take up to 450 ms to read all positions."""
 _AGREE_TRIES = 8
 _REST = bytes(100)
-"""Zeros that are sent to a board that does not reply, because it may be waiting for the rest of a frame with a damaged
-length."""
+"""Zeros that are sent if the board does not reply. The board may have received a damaged length and may be waiting for
+the rest of that frame."""
 _AGREE_COUNTS = 1
 _AGREE_V = 0.2
 _HOLD_S = 1.0
 
 
 def frame(command: int, params: bytes = b"") -> bytes:
-    """Build a frame from a command and its parameters."""
+    """Build the frame of a command with its parameters."""
     return HEADER + bytes((len(params) + 2, command)) + params
 
 
 def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
     """Yield the parameters of every complete frame with this command, newest first.
 
-    Unsolicited frames and garbage are skipped.
+    Frames of other commands and invalid bytes are skipped.
     """
     at = heard.rfind(HEADER)
     while at >= 0:
@@ -60,9 +61,9 @@ def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
 
 
 def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
-    """Return the positions of the newest reading that contains exactly these servos, in counts by servo number.
+    """Return the positions in the newest reply that contains all of these servos and no others.
 
-    The board may omit a servo that does not reply to it.
+    They are in counts, keyed by servo number. The board may omit a servo that does not reply to it.
     """
     for params in find_frames(heard, MULT_SERVO_POS_READ):
         positions = _positions(params)
@@ -72,9 +73,9 @@ def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
 
 
 class LscBoard:
-    """Driver of the servo controller board, connected to its TTL serial header.
+    """Driver of the servo controller board, which is connected through its TTL serial header.
 
-    Do not send requests while the arm moves, because they make the motion jerky.
+    No requests should be sent while the arm moves, because they make the motion jerky.
     """
 
     least_move_s = 2.0
@@ -83,9 +84,9 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start the moves of all given servos with one frame, without waiting for their end.
+        """Start the moves of all given servos with one frame, and return immediately.
 
-        The move cannot be verified before its end.
+        The move cannot be verified before it ends.
 
         Raises
         ------
@@ -127,15 +128,15 @@ class LscBoard:
         raise NoAnswerError("arm: repeated readings of the voltage differ; check the supply and the line to the board")
 
     def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None, because the board does not report temperatures."""
+        """Return None, because this board does not report temperatures."""
         return
 
     def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None, because the board does not report the torque."""
+        """Return None, because this board does not report the torque."""
         return
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch the torque off, or switch it on by a move to the present positions."""
+        """Switch the torque off, or switch it on by commanding a move to the measured positions."""
         if on:
             self.move(self.positions(ids), _HOLD_S)
             return
@@ -184,7 +185,10 @@ class LscBoard:
         return millivolts / 1000.0
 
     def _ask(self, request: bytes, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-        """Send a request repeatedly until a reply is found; return the reply, or None, and all received bytes."""
+        """Send a request repeatedly until a valid reply is found.
+
+        Return the result of ``find``, or None if all attempts have failed, and all received bytes.
+        """
         heard_all = b""
         for patience_s in _PATIENCE_S:
             self._wire.discard_input()
@@ -199,7 +203,10 @@ class LscBoard:
 
 
 def _positions(params: bytes) -> dict[int, int] | None:
-    """Parse the parameters ``n, n x (id, position)``; return None if they are inconsistent."""
+    """Parse parameters that consist of a number n and n pairs of a servo id and a position.
+
+    Return None if the length is inconsistent or an id is repeated.
+    """
     if not params or len(params) != 1 + 3 * params[0]:
         return None
     triples = [params[at : at + 3] for at in range(1, len(params), 3)]

@@ -25,13 +25,13 @@ LOAD_WRITE = 31
 LOAD_READ = 32
 
 _PATIENCE_S = (0.06, 0.06, 0.12, 0.25, 0.5)
-"""Timeouts of successive attempts, s. A servo takes 20 to 30 ms to reply, and a USB adapter delays bytes by up to 16
-ms."""
+"""Timeouts of the successive attempts to get a reply, s. A servo takes 20 to 30 ms to reply, and a USB adapter delays
+bytes by up to 16 ms."""
 _WRITE_TRIES = 4
 
 
 def frame(servo: int, command: int, params: bytes = b"") -> bytes:
-    """Build a frame from servo number, command and parameters.
+    """Build a frame from a servo number, a command and its parameters.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
 def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | None:
     """Return the ``size`` parameters of the newest complete, undamaged reply of a servo to a command.
 
-    Everything else is skipped: garbage, replies of other servos, truncated frames, and the echo of the request, whose
+    All other bytes are skipped, such as replies of other servos, truncated frames, and the echo of the request, whose
     length differs from that of the reply. The search continues after every header, so that a truncated frame does not
     hide a complete frame after it.
 
@@ -87,9 +87,9 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 class LxBus:
     """Driver of the servo bus.
 
-    An echo from the adapter does not affect the replies, see `find_reply`. Unless ``echo`` is "yes" or "no", the driver
-    detects from the first reply whether there is an echo. A missing echo distinguishes a dead adapter from a dead
-    servo.
+    The adapter may return an echo of each request, which does not affect the replies, see `find_reply`. Unless ``echo``
+    is "yes" or "no", the driver detects from the first reply whether there is an echo. A missing echo distinguishes a
+    dead adapter from a dead servo.
     """
 
     least_move_s = 0.2
@@ -99,12 +99,12 @@ class LxBus:
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start the moves of all given servos simultaneously, without waiting for their end.
+        """Start the moves of all given servos simultaneously, and return immediately.
 
-        Each servo receives its target as a waiting command, and all targets are read back, so that a servo that does
-        not reply is detected before any motion. One broadcast then starts every servo with a waiting command; therefore
-        ``targets`` should include all servos of the arm. Servos that do not report the new command afterwards are
-        started individually.
+        The target of each servo is first sent as a command that waits for a start signal. All targets are read back, so
+        that a servo that does not reply is detected before any motion. One broadcast then starts every servo with a
+        waiting command. Therefore ``targets`` should include all servos of the arm. Servos that do not report the new
+        command afterwards are started individually.
 
         Raises
         ------
@@ -131,30 +131,33 @@ class LxBus:
             raise NoAnswerError(f"arm: {_servo_names(late)} did not start although the other servos did; check the bus cable")
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read the signed positions, in counts by servo number."""
+        """Read the signed positions of the servos, in counts, keyed by servo number."""
         return {servo: int.from_bytes(self._ask(servo, POS_READ, 2), "little", signed=True) for servo in ids}
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Return the lowest supply voltage among these servos.
+        """Return the lowest supply voltage of these servos.
 
-        With a weak supply, the voltage drops first at the cable's end.
+        With a weak supply, the voltage drops first at the end of the cable.
         """
         return min(int.from_bytes(self._ask(servo, VIN_READ, 2), "little") for servo in ids) / 1000.0
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int]:
-        """Read the temperatures of the servos, °C by servo number."""
+        """Read the temperatures of the servos in °C, keyed by servo number."""
         return {servo: self._ask(servo, TEMP_READ, 1)[0] for servo in ids}
 
     def loaded(self, ids: Collection[int]) -> dict[int, bool]:
         """Read whether the torque of each servo is on.
 
-        Torque that is off unexpectedly indicates a brown-out, since it is off after power-up, or the servo's
-        protection.
+        If the torque is off unexpectedly, either the supply voltage has dropped and the servo has restarted without
+        torque, or the servo has protected itself from overload.
         """
         return {servo: self._ask(servo, LOAD_READ, 1) != b"\x00" for servo in ids}
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch the torque on or off and read it back. An error is raised only after all servos have been tried."""
+        """Switch the torque of the servos on or off, and read back the state of each servo.
+
+        An error is raised only after all servos have been tried.
+        """
         failure: NoAnswerError | None = None
         for servo in ids:
             try:
@@ -192,7 +195,10 @@ class LxBus:
         raise _silence(servo, request, heard_any, echo=self._echo)
 
     def _write_verified(self, servo: int, command: int, params: bytes, read_command: int) -> None:
-        """Write a value and read it back, and repeat this until both agree."""
+        """Write a value and read it back.
+
+        This is repeated until the two values agree.
+        """
         for _ in range(_WRITE_TRIES):
             self._wire.write(frame(servo, command, params))
             if self._ask(servo, read_command, len(params)) == params:
@@ -203,7 +209,7 @@ class LxBus:
 
 
 def _silence(servo: int, request: bytes, heard: bytes, *, echo: bool | None) -> RigError:
-    """Return an error that describes why a reply is missing."""
+    """Return an error that states the probable cause of a missing reply."""
     if heard.replace(request, b""):
         return NoAnswerError(
             f"arm: servo {servo} does not reply, and only damaged or unrelated bytes are received; check the baud rate and the bus"

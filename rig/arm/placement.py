@@ -1,6 +1,6 @@
-"""Joint angles for a ring of the scan plan, and their correction from the markers.
+"""Compute the joint angles for a ring of the scan plan, and correct them with the pose measured from the markers.
 
-Angles are in degrees in this module, and in radians in the modules it uses.
+Angles are in degrees in this module, and in radians in the modules that it imports.
 """
 
 import numpy as np
@@ -20,22 +20,24 @@ Joints = tuple[float, ...]
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 LEFT_OVER_RAD = 1e-9
 MOST_AZIMUTH_DEG = 15.0
-"""Maximum azimuth of the camera about the table's axis, deg. At larger azimuths the camera would not face the
+"""Maximum azimuth of the camera about the table's axis, deg. A camera at a larger azimuth would not face the
 backlight."""
 MOST_CORRECTION_DEG = 25.0
-"""Maximum correction of a joint, deg. Larger corrections indicate a wrong picture or rig file instead of a calibration
-error."""
+"""Maximum angle by which a joint is corrected, deg. A larger correction indicates a wrong picture or rig file rather
+than a calibration error."""
 ROUNDING_DEG = 1e-6
 MOST_ASIDE_DEG = 0.5
-"""Angular tolerance of a target direction, deg. It is within the accuracy of the servos."""
+"""Maximum angle between the requested and the reachable viewing direction, deg. It is within the accuracy of the
+servos."""
 UPRIGHT = 1e-3
-"""Minimum sine of the angle between optical axis and vertical for which the picture's up direction is defined."""
+"""Minimum sine of the angle between the viewing direction and the vertical. At smaller angles the upright orientation
+of the camera is undefined."""
 _TESTED = 1001
-"""Number of positions between target and shoulder that are tested for reach."""
+"""Number of positions that are tested for reach. They lie on the line from the target to the shoulder."""
 
 
 def planned_camera_pose(ring: Ring) -> Array:
-    """Return the planned transform ``cam_from_rig`` (4, 4) of a ring.
+    """Return the planned transform ``cam_from_rig`` (4, 4) of the camera in a ring.
 
     Parameters
     ----------
@@ -51,10 +53,11 @@ def planned_camera_pose(ring: Ring) -> Array:
 
 
 def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
-    """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
+    """Return the joint angles for a camera pose, with the elbow as high as possible.
 
-    If five joints cannot reach the orientation (because the arm is not exactly in front of the table), the camera is
-    rotated about the table's axis until they can. The angle of the table compensates this rotation.
+    All angles are within the joints' limits. If five joints cannot reach the orientation, because the arm is not
+    exactly in front of the table, the camera is rotated about the table's axis until they can. The angle of the table
+    compensates this rotation.
 
     Parameters
     ----------
@@ -92,7 +95,9 @@ def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
 
 
 def camera_pose_from_direction(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction in the rig frame.
+    """Return the transform ``cam_from_rig`` (4, 4) of an upright camera.
+
+    The camera has the given position and viewing direction in the rig frame.
 
     Raises
     ------
@@ -111,10 +116,10 @@ def camera_pose_from_direction(position_mm: tuple[float, float, float], directio
 
 
 def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
-    """Return the joint angles (deg) for a given position and viewing direction of the camera.
+    """Return the joint angles, in degrees, for a given position and viewing direction of the camera.
 
-    Five joints can place the camera anywhere within reach, but its optical axis remains in the vertical plane through
-    the base's axis and the camera.
+    Five joints can place the camera anywhere within reach, but the optical axis remains in the vertical plane that
+    contains the base's axis and the camera.
 
     Parameters
     ----------
@@ -154,7 +159,10 @@ def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float,
 
 
 def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
-    """Return the nearest position toward the shoulder at which the camera can keep its direction, as text."""
+    """Format the coordinates of the reachable position that is nearest to the requested position.
+
+    Only positions on the line to the shoulder are tested, with the viewing direction unchanged.
+    """
     arm_from_rig, rig_from_cam = frames.invert(rig_from_arm(part)), frames.invert(wanted)
     shoulder = frames.apply(rig_from_arm(part), np.array([[0.0, 0.0, part.links_mm[0]]]))[0]
     for share in np.linspace(0.0, 1.0, _TESTED):
@@ -166,9 +174,9 @@ def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
 
 
 def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
-    """Return corrected joint angles (deg) that bring the camera nearer to its target pose, at any azimuth.
+    """Return joint angles, in degrees, that correct the error of the camera's measured pose.
 
-    The correction starts from the camera pose that was measured with the markers.
+    The pose was measured with the markers. The azimuth of the corrected camera is free.
 
     Parameters
     ----------
@@ -218,14 +226,17 @@ def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Arra
 
 
 def require_arm(rig: RigFile) -> ArmPart:
-    """Return the arm of the rig; raise an error if the rig file describes none."""
+    """Return the arm of the rig.
+
+    Raise an error if the rig file does not describe an arm.
+    """
     if rig.arm is None:
         raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
     return rig.arm
 
 
 def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
-    """Return a camera's distance from the table's axis, height, and tilt below the horizon.
+    """Return the camera's position as distance from the table's axis, height, and tilt below the horizon.
 
     Parameters
     ----------
@@ -243,14 +254,17 @@ def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
 
 
 def check_limits(part: ArmPart, joints_deg: Joints) -> None:
-    """Raise an error if a joint angle is beyond its limits."""
+    """Raise an error if a joint angle is outside its limits."""
     for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
         if not joint.min_deg <= angle <= joint.max_deg:
             raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
 
 
 def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
-    """Rotate the target pose about the table's axis until it can be reached; return joint angles (n, 5), rad."""
+    """Rotate the target pose about the table's axis until the arm can reach it.
+
+    Return the n sets of joint angles (n, 5), in radians, with which it does.
+    """
     found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
     met = _is_reached(found)
     left_deg = float(np.rad2deg(branches.left_over_rad))
@@ -269,15 +283,18 @@ def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branc
 
 
 def _is_reached(found: NewtonSolution) -> NDArray[np.bool_]:
-    """Return whether each target was reached, as opposed to only approached."""
+    """Return whether the remaining error of each target is within the tolerance.
+
+    Newton's method may also converge to the nearest reachable pose, which differs from the target.
+    """
     left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
     return found.converged & (left < 1.0)
 
 
 def _fit_joints(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
-    """Return the excess of the worst joint over its limits (n,), and the joint angles (n, 5), both in deg.
+    """Return how far the worst joint exceeds its limits (n,), and the joint angles (n, 5), both in degrees.
 
-    Multiples of a full turn are added to bring the angles within their limits.
+    Multiples of 360 degrees are added to the angles to bring them within the limits.
     """
     low, high = _limits_deg(part)
     middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)

@@ -1,4 +1,4 @@
-"""Common interface of both servo protocols, with limits of commands and reading with timeouts."""
+"""Common interface of the two servo protocols, with checks of commands and reading with timeouts."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Protocol, TypeVar
@@ -18,18 +18,18 @@ Found = TypeVar("Found")
 
 
 class ServoBus(Protocol):
-    """Servos that are addressed by number, with positions in counts of 0.24 deg.
+    """Servos that are addressed by number.
 
-    All methods raise `NoAnswerError` when their retries are exhausted.
+    Positions are in counts of 0.24 deg. All methods raise `NoAnswerError` when their retries are exhausted.
     """
 
     least_move_s: float
     """Minimum recommended duration of a move, s."""
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start the moves of all given servos at the same time, each at uniform speed, without waiting for their end.
+        """Start the moves of all given servos at the same time, and return immediately.
 
-        The torque is switched on if it was off.
+        Each servo moves at uniform speed. The torque is switched on if it was off.
 
         Raises
         ------
@@ -38,25 +38,37 @@ class ServoBus(Protocol):
         """
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read the positions of the servos, in counts by servo number.
+        """Read the positions of the servos, in counts, keyed by servo number.
 
-        They are signed, and can be beyond 0 to 1000 if a servo was rotated by hand.
+        They are signed, and can be outside the range of 0 to 1000 if a servo was rotated by hand.
         """
 
     def voltage_v(self, ids: Collection[int]) -> float:
         """Return the lowest supply voltage measured by these servos, V."""
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int] | None:
-        """Read the temperatures of the servos, °C by servo number; None if the protocol does not report them."""
+        """Read the temperatures of the servos in °C, keyed by servo number.
+
+        The result is None if the protocol does not report temperatures.
+        """
 
     def loaded(self, ids: Collection[int]) -> dict[int, bool] | None:
-        """Read whether the torque of each servo is on; None if the protocol does not report the torque."""
+        """Read whether the torque of each servo is on.
+
+        The result is None if the protocol does not report the torque.
+        """
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch the torque on or off. An error is raised only after all servos have been tried."""
+        """Switch the torque of the servos on or off.
+
+        An error is raised only after all servos have been tried.
+        """
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop the servos in their present positions, with torque on."""
+        """Stop the servos in their present positions.
+
+        The torque remains on.
+        """
 
     def describe(self) -> str:
         """Return a short description of the bus."""
@@ -66,7 +78,7 @@ class ServoBus(Protocol):
 
 
 def check_move(targets: Mapping[int, int], duration_s: float) -> None:
-    """Raise an error if a move command is beyond the limits of the servos."""
+    """Raise an error if the duration, a servo number or a position of a move command is outside its limits."""
     if not 0.0 <= duration_s <= MAX_MOVE_S:
         raise UnsafeError(f"arm: a move of {duration_s:g} s is outside 0 to {MAX_MOVE_S:g} s and was not sent; split it")
     for servo, counts in targets.items():
@@ -80,9 +92,9 @@ def check_move(targets: Mapping[int, int], duration_s: float) -> None:
 
 
 def listen(wire: Wire, patience_s: float, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-    """Collect bytes until ``find`` succeeds or the timeout expires; return its result and all received bytes.
+    """Collect bytes until ``find`` returns a result or the timeout expires.
 
-    Reading also ends after a few thousand bytes, so that the function returns even if the sender never stops.
+    Return this result, or None after the timeout, and all received bytes.
 
     Parameters
     ----------

@@ -16,14 +16,17 @@ _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 class Solid(Protocol):
-    """Convex body in the rig frame, with a name for messages."""
+    """Convex body in the rig frame."""
 
     @property
     def name(self) -> str:
         """Name of the body in messages."""
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame.
+
+        It is negative inside the body.
+        """
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,10 @@ class Cylinder:
     high_mm: float
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame.
+
+        It is negative inside the cylinder.
+        """
         z = points_mm[..., 2]
         beside = np.hypot(points_mm[..., 0], points_mm[..., 1]) - self.radius_mm
         return _intersection_distance(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
@@ -51,7 +57,10 @@ class Box:
     high_mm: tuple[float, float, float]
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame.
+
+        It is negative inside the box.
+        """
         return _intersection_distance(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
 
 
@@ -63,12 +72,17 @@ class Floor:
     z_mm: float
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame.
+
+        It is negative below the plane.
+        """
         return points_mm[..., 2] - self.z_mm
 
 
 def minimum_distance(solid: Solid, begin: Array, end: Array) -> Array:
-    """Return the minimum signed distance (...,) between line segments and a convex solid by golden-section search.
+    """Return the minimum signed distance (...,) between line segments and a convex solid.
+
+    It is found by golden-section search.
 
     Parameters
     ----------
@@ -121,8 +135,9 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
 
 
 def _intersection_distance(outside_mm: Array) -> Array:
-    """Return the signed distance (...,) from the intersection of perpendicular slabs.
+    """Return the signed distance (...,) to a convex body that is the intersection of perpendicular slabs.
 
-    The input is the signed distances (..., k) from the individual slabs.
+    A slab is the region between two parallel planes. The input contains the signed distances (..., k) to the individual
+    slabs.
     """
     return np.linalg.norm(np.maximum(outside_mm, 0.0), axis=-1) + np.minimum(outside_mm.max(axis=-1), 0.0)

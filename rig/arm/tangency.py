@@ -55,7 +55,7 @@ def tangent_pose(cam_from_rig: Array) -> Array:
 
 
 def rotate_to_azimuth(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
-    """Rotate a pose about the table's axis to the azimuth of a reference pose.
+    """Rotate a pose about the table's axis so that its azimuth equals that of a reference pose.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ def rotate_to_azimuth(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
 
 
 def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_from_rig_wanted: Array) -> NewtonSolution:
-    """Compute the joint angles that move the camera from its measured to its target pose, at any azimuth.
+    """Compute the joint angles that move the camera from its measured pose to its target pose.
 
-    The camera has to move by ``measured @ inv(wanted)`` in its own frame (the thesis's change of configuration),
-    regardless of the cause of the error; this change is applied to the pose computed from the joints. The error after
-    one correction is of second order.
+    The azimuth is free. The camera has to move by ``measured @ inv(wanted)`` in its own frame, regardless of the cause
+    of the error. This is the change of configuration of the thesis, and it is applied to the pose computed from the
+    joint angles. The error after one correction is of second order.
 
     Parameters
     ----------

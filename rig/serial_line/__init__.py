@@ -1,1 +1,1 @@
-"""Serial lines: transmission, recording and replay of bytes."""
+"""Serial lines whose transmitted bytes can be recorded and replayed."""

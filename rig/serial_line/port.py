@@ -1,4 +1,4 @@
-"""Serial port whose error messages state a remedy.
+"""Serial port whose error messages state how the user can solve the problem.
 
 The port can be a tty, a pseudo-terminal, ``socket://``, or any other URL supported by pyserial.
 """
@@ -27,7 +27,10 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 
 
 class Wire(Protocol):
-    """Interface of the port that drivers use: `Port`, or `rig.serial_line.recording.ReplayPort` for a replay."""
+    """Interface of the serial port that drivers use.
+
+    It is implemented by `Port`, and by `rig.serial_line.recording.ReplayPort` for a replay.
+    """
 
     @property
     def clock(self) -> Clock:
@@ -45,7 +48,10 @@ class Wire(Protocol):
         """Send bytes to the device."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes as soon as there are any, or no bytes after the timeout."""
+        """Return received bytes as soon as there are any.
+
+        If none arrive before the timeout, the result is empty.
+        """
 
     def discard_input(self) -> None:
         """Discard all bytes received so far."""
@@ -124,7 +130,9 @@ class Port:
             raise self._lost(error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes as soon as there are any, or no bytes after the timeout (0: without waiting).
+        """Return received bytes as soon as there are any.
+
+        If none arrive before the timeout, the result is empty. With a timeout of 0, the method does not wait.
 
         Raises
         ------
@@ -141,13 +149,19 @@ class Port:
         return data
 
     def discard_input(self) -> None:
-        """Discard all bytes received so far. They are nevertheless recorded, so that a replay contains them."""
+        """Discard all bytes received so far.
+
+        They are recorded all the same, so that a replay contains them.
+        """
         for _ in range(16):  # a limit, because a device may never stop sending
             if not self.read(0.0):
                 return
 
     def close(self) -> None:
-        """Close the port. There is no effect if it is already closed."""
+        """Close the port.
+
+        If it is already closed, nothing happens.
+        """
         self._is_open = False
         with suppress(OSError):
             self._serial.close()
@@ -158,7 +172,10 @@ class Port:
             raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
 
     def _waiting(self) -> bytes:
-        """Read the bytes that have arrived. A socket reports at most one byte, so it is read until it is empty."""
+        """Read all bytes that have arrived.
+
+        A socket reports at most one waiting byte, so the port is read until no byte is waiting.
+        """
         data = b""
         while len(data) < _READ_AT_ONCE and (waiting := self._serial.in_waiting):
             data += self._serial.read(min(waiting, _READ_AT_ONCE))
@@ -183,7 +200,10 @@ class Port:
 
 
 def _hold(url: str, device: str, stack: ExitStack) -> None:
-    """Lock a network port against other programs on this computer, as the system does for device files."""
+    """Lock a network port, so that no other program on this computer can open it.
+
+    For device files, the operating system provides such a lock.
+    """
     name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
     try:
         stack.enter_context(lock_file(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
@@ -196,9 +216,9 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
 
 
 def _slice_s(left_s: float) -> float:
-    """Return the largest power of two that does not exceed the remaining time, within 1 ms and 8 s.
+    """Return the duration of the next wait, s.
 
-    Thus only a few different timeouts are used, and they rarely change.
+    It is the largest power of two that does not exceed the remaining time, limited to 1 ms to 8 s.
     """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)

@@ -50,7 +50,7 @@ class Recorder:
             raise
 
     def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Record the opening of a port with its settings.
+        """Record that a port was opened, with its settings.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Recorder:
         self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
 
     def close(self) -> None:
-        """Close the recording's file."""
+        """Close the file of the recording."""
         with suppress(OSError):
             self._stream.close()
 
@@ -114,14 +114,17 @@ def _end_line(path: Path) -> None:
 
 
 class ReplayError(UserError):
-    """Raised if a driver deviates from the recording that is replayed.
+    """Error that is raised if the driver deviates from the replayed recording.
 
     The class is not a `RigError`, so that drivers do not handle it as a failure of the device.
     """
 
 
 class ReplayClock:
-    """Clock that only `sleep` advances, without waiting."""
+    """Clock of a replay.
+
+    The time advances only when `sleep` is called, which returns immediately.
+    """
 
     def __init__(self) -> None:
         self._now_s = 0.0
@@ -161,7 +164,7 @@ class ReplayPort:
         self._difference: ReplayError | None = None
 
     def write(self, data: bytes) -> None:
-        """Compare the bytes that the driver sends with the recording.
+        """Check that the bytes sent by the driver agree with the recording.
 
         Raises
         ------
@@ -189,7 +192,10 @@ class ReplayPort:
                 self._at, self._done = self._at + 1, 0
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes received at this point of the recording, or no bytes after the timeout."""
+        """Return the next received bytes of the recording.
+
+        If the recording continues with sent bytes, no bytes are returned and the time advances by the timeout.
+        """
         self._check()
         entry = self._entry()
         if entry is None or entry.sent:
@@ -199,12 +205,12 @@ class ReplayPort:
         return entry.data
 
     def discard_input(self) -> None:
-        """Skip received bytes until the next bytes that were sent."""
+        """Skip all received bytes up to the next sent bytes in the recording."""
         while self.read(0.0):
             pass
 
     def close(self) -> None:
-        """Do nothing. The end of a replay is checked by `finish`."""
+        """Do nothing, because the end of a replay is checked by `finish`."""
 
     def finish(self) -> None:
         """Check that the whole recording was replayed.
@@ -280,7 +286,7 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
 
 
 def _parse_line(path: Path, number: int, line: str) -> dict[str, Any]:
-    """Parse a line, and check all entries that `replay_port` uses."""
+    """Parse a line of a recording and check the entries that `replay_port` uses."""
     try:
         plain = json.loads(line)
         if not isinstance(plain, dict):

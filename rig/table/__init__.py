@@ -1,1 +1,1 @@
-"""Drivers of turntable and lights, for a Marlin board or the pins of a Raspberry Pi."""
+"""Drivers of the turntable and the lights, for a Marlin board or the pins of a Raspberry Pi."""

@@ -1,8 +1,8 @@
-"""Turntable and lights with the electronics of the thesis: a DRV8825 and NeoPixels on the pins of a Raspberry Pi.
+"""Turntable and lights with the electronics of the thesis.
 
-The electronics cannot report the table angle. The driver computes it from the number of steps that were sent. The angle
-is known from `declare` until the motor is switched off. After the start of a program it must be determined from the
-markers.
+A DRV8825 motor driver and NeoPixels are connected to the pins of a Raspberry Pi. The electronics cannot report the
+table angle. The driver computes it from the number of steps that were sent. The angle is known from `declare` until the
+motor is switched off. After the start of a program it must be determined from the markers.
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,21 @@ from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
 
 SETUP_S = 1e-3
-"""Delay between a change of direction or current and the first step, s. The DRV8825 requires 650 ns, and 1.7 ms after
-sleep mode."""
+"""Delay between a change of direction or current and the first step, s. The DRV8825 requires only 650 ns, or 1.7 ms
+after its sleep mode."""
 WAKE_S = 0.05
-"""Delay after the current is switched on, s, during which the rotor jumps to its position."""
+"""Delay after the current was switched on, s. During this time the rotor jumps to its position."""
 LATE_S = 2.0
-"""Timeout of a move, s, added to its computed duration. The pulses are timed by a thread, which other programs can
-delay."""
+"""Time that is added to the computed duration of a move to obtain its timeout, s. The pulses are timed by a thread,
+which other programs can delay."""
 POLL_S = 0.01
 
 
 class HatTurntable:
-    """Turntable driven by a DRV8825; implements `rig.devices.Turntable`."""
+    """Turntable driven by a DRV8825.
+
+    It implements `rig.devices.Turntable`.
+    """
 
     def __init__(self, pins: Pins, hat: HatPart, part: TurntablePart, clock: Clock) -> None:
         self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
@@ -39,12 +42,14 @@ class HatTurntable:
         self._seated = False  # whether the last move arrived from the usual side
 
     def describe(self) -> str:
-        """Return a description of driver and position."""
+        """Return a description of the motor driver and the table angle."""
         where = "table angle unknown" if self._steps is None else f"table at {self.position_deg():.3f} deg"
         return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps per degree, {where}"
 
     def prepare(self) -> None:
-        """Switch the motor's current on. The rotor may jump, so that the table angle becomes unknown.
+        """Switch the current of the motor on.
+
+        The rotor may jump, so that the table angle is unknown afterwards.
 
         Raises
         ------
@@ -62,12 +67,14 @@ class HatTurntable:
     def position_deg(self) -> float:
         """Return the table angle computed from the number of steps, deg.
 
-        If it is unknown, the result is below any valid angle.
+        If the angle is unknown, the result is below the smallest valid angle.
         """
         return 10.0 * LEAST_DEG if self._steps is None else round(self._steps * self._step_deg, 6)
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this table angle, rounded to the nearest microstep.
+        """Declare that the table is at the given angle, without moving it.
+
+        The angle is rounded to the nearest microstep.
 
         Raises
         ------
@@ -88,7 +95,9 @@ class HatTurntable:
         self._acceleration = deg_per_s2
 
     def move_to(self, angle_deg: float) -> float:
-        """Rotate to an angle, always approached from below, and return the angle of the nearest microstep, deg.
+        """Rotate the table to an angle and return the angle of the nearest microstep, deg.
+
+        The final angle is always approached from below.
 
         Raises
         ------
@@ -109,7 +118,10 @@ class HatTurntable:
         return self.position_deg()
 
     def release(self) -> None:
-        """Switch the motor off. The table angle becomes unknown."""
+        """Switch the motor off.
+
+        The table angle is unknown afterwards.
+        """
         self._steps, self._seated, self._on = None, False, False
         self._pins.output(self._hat.enable_pin, 1)
 
@@ -159,7 +171,10 @@ class HatTurntable:
 
 
 class HatLights:
-    """Lamps driven by the pins of a Raspberry Pi; implements `rig.devices.Lights`."""
+    """Lamps driven by the pins of a Raspberry Pi.
+
+    The class implements `rig.devices.Lights`.
+    """
 
     def __init__(self, pixels: Pixels, pins: Pins, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._pixels, self._pins, self._part, self._clock = pixels, pins, part, clock

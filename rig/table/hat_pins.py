@@ -1,4 +1,7 @@
-"""Pins and NeoPixels of a Raspberry Pi, using `lgpio` and `rpi_ws281x`, which are imported when first used."""
+"""Access to the digital pins and the NeoPixels of a Raspberry Pi.
+
+The packages `lgpio` and `rpi_ws281x` are imported when they are first used.
+"""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -9,7 +12,7 @@ from rhizotwin.rig.errors import NoAnswerError, RigError
 PIXEL_HZ = 800_000
 """Bit rate of WS2812B pixels, Hz."""
 DMA = (10, 11)
-"""DMA channels of the two strips, as in the rpi_ws281x example for two strips."""
+"""Numbers of the DMA channels of the two strips. They are those of the rpi_ws281x example for two strips."""
 HIGH_S = 2e-6
 """Duration of a step pulse, s. The DRV8825 requires 1.9 us (data sheet, timing requirements)."""
 
@@ -21,10 +24,16 @@ class Pins(Protocol):
         """Configure a pin as an output, or change its level."""
 
     def read(self, pin: int) -> int:
-        """Read an input pin, whose pull-up sets the level to 1 unless the pin is pulled low."""
+        """Return the level of an input pin.
+
+        The pull-up resistor sets the level to 1 unless the pin is connected to ground.
+        """
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses, each followed by a pause. They are timed by a thread of the library."""
+        """Begin to send pulses, and wait for the given time after each pulse.
+
+        The pulses are sent by a thread of the library.
+        """
 
     def busy(self, pin: int) -> bool:
         """Return whether pulses are still being sent."""
@@ -44,7 +53,10 @@ class Pixels(Protocol):
 
 
 class LgpioPins:
-    """Digital pins accessed through lgpio; implements `Pins`."""
+    """Digital pins that are accessed through lgpio.
+
+    The class implements `Pins`.
+    """
 
     def __init__(self) -> None:
         self._library = _load("lgpio", "sudo apt install python3-lgpio, or pip install 'rhizotwin[hat]'")
@@ -66,14 +78,17 @@ class LgpioPins:
             self._outputs.add(pin)
 
     def read(self, pin: int) -> int:
-        """Read an input pin with a pull-up."""
+        """Return the level of an input pin with a pull-up resistor."""
         if pin not in self._inputs:
             self._call("gpio_claim_input", pin, self._library.SET_PULL_UP)
             self._inputs.add(pin)
         return int(self._call("gpio_read", pin))
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses as a wave. Each pulse is high, and then low for the rest of the pause."""
+        """Begin to send pulses as a wave.
+
+        In each pulse the pin is high for a short time, and then low for the rest of the pause.
+        """
         pulse, high_us = self._library.pulse, round(1e6 * HIGH_S)
         wave = []
         for pause_s in pauses_s:
@@ -96,7 +111,10 @@ class LgpioPins:
 
 
 class Ws281xPixels:
-    """NeoPixel strips accessed through rpi_ws281x; implements `Pixels`."""
+    """NeoPixel strips that are accessed through rpi_ws281x.
+
+    The class implements `Pixels`.
+    """
 
     def __init__(self, pins: tuple[int, int], counts: tuple[int, int]) -> None:
         library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5, which requires a Marlin board)")

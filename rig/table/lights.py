@@ -1,4 +1,4 @@
-"""Lamps of a Marlin board: two NeoPixel strips, and lamps on its fan outputs."""
+"""Lamps of a Marlin board, which are two NeoPixel strips and lamps on its fan outputs."""
 
 from collections.abc import Sequence
 
@@ -13,9 +13,9 @@ _FULL = 255
 
 
 class MarlinLights:
-    """Lamps driven by a Marlin board; implements `rig.devices.Lights`.
+    """Lamps driven by a Marlin board.
 
-    The link to the board is shared with the turntable.
+    The class implements `rig.devices.Lights`. The link to the board is shared with the turntable.
     """
 
     def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
@@ -25,7 +25,7 @@ class MarlinLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set the lamps, and wait until their light is steady.
+        """Set the levels of the lamps, and wait until their light is steady.
 
         Parameters
         ----------
@@ -41,7 +41,9 @@ class MarlinLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch all lamps off in any state of the board. A lost connection is restored.
+        """Switch all lamps off, whatever the state of the board.
+
+        A lost connection is restored.
 
         Raises
         ------
@@ -58,7 +60,7 @@ class MarlinLights:
             raise
 
     def close(self) -> None:
-        """Close the port that table and lights share."""
+        """Close the port, which the turntable and the lights share."""
         self._link.close()
 
     def _surely_off(self) -> None:

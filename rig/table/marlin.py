@@ -17,13 +17,14 @@ from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kin
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
-"""Maximum time after which a board that resets on connection begins its greeting, s. Other boards send no greeting."""
+"""Maximum delay between the opening of the port and the first line of the board's greeting, s. Only boards that reset
+when the port is opened send a greeting."""
 STARTS = 3
 ASKS = 3
 
 
 class MarlinLink:
-    """Link to a Marlin board on a port, shared by turntable and lights."""
+    """Link to a Marlin board, shared by the turntable and the lights."""
 
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
@@ -35,7 +36,8 @@ class MarlinLink:
         """Firmware reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
         self.capabilities: frozenset[str] = frozenset()
         self.sessions = 0
-        """Number of times the link was started. Each start invalidates earlier knowledge of the board's state."""
+        """Number of times the link was started. The board may have been reset between two starts, so that its state has
+        to be read again."""
 
     @property
     def name(self) -> str:
@@ -44,7 +46,7 @@ class MarlinLink:
 
     @property
     def ready(self) -> bool:
-        """Return whether the link was started and the board has not been lost since."""
+        """Return whether the link was started and the connection was not lost afterwards."""
         return self._lost is None
 
     def start(self) -> None:
@@ -72,8 +74,8 @@ class MarlinLink:
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
         """Send a command repeatedly until it is received, and return the lines printed by the board.
 
-        A received command is not necessarily executed: moves are only queued, and an ``ok`` may refer to an earlier
-        command. Use `ask` to verify the execution.
+        A received command has not necessarily been executed, because moves are only queued, and an ``ok`` may refer to
+        an earlier command. Use `ask` to verify the execution.
 
         Parameters
         ----------
@@ -103,7 +105,8 @@ class MarlinLink:
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
         """Send a command, and return the match of a pattern in the board's reply.
 
-        Since the board executes commands in order, all previous commands are complete (moves only if followed by M400).
+        Since the board executes commands in order, all previous commands are complete. Moves are an exception, because
+        they are queued. They are complete only if M400 was sent after them.
 
         Parameters
         ----------
@@ -130,16 +133,16 @@ class MarlinLink:
     def send_unheard(self, *texts: str) -> None:
         """Send commands to a board whose replies cannot be received.
 
-        The commands are sent three times without line numbers, so that lost lines have no effect.
+        Each command is sent three times without a line number, so that the loss of a line has no effect.
         """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move immediately if the firmware supports it (EMERGENCY_PARSER), and return whether it does.
+        """Stop a move immediately if the firmware supports it (EMERGENCY_PARSER).
 
-        The table angle becomes unknown.
+        Return whether it is supported. The table angle is unknown afterwards.
         """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
@@ -155,7 +158,10 @@ class MarlinLink:
         return True
 
     def close(self) -> None:
-        """Close the port. There is no effect if it is already closed."""
+        """Close the port.
+
+        If it is already closed, nothing happens.
+        """
         self._lost = f"{self._wire.name}: closed"
         self._wire.close()
 
@@ -177,7 +183,10 @@ class MarlinLink:
         self.ask("M114", POSITION)
 
     def _listen_to_greeting(self) -> None:
-        """Wait for the end of the greeting of a starting board, or for the timeout if the board is already running."""
+        """Wait until a starting board has sent its greeting.
+
+        If the board is already running, wait for the timeout.
+        """
         clock = self._wire.clock
         self._wire.fresh()
         until_s = clock.now_s() + BOOT_S
@@ -213,9 +222,9 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Resynchronise after an interrupted command.
+        """Request the position, so that all replies to an interrupted command are received.
 
-        Late replies are then not attributed to the next command.
+        Otherwise late replies could be attributed to the next command.
         """
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 

@@ -1,6 +1,6 @@
-"""Transmission of one command to a Marlin board until it is received.
+"""Transmission of one command to a Marlin board.
 
-The exchange handles replies, rejections and repetitions.
+The command is repeated until the board has received it.
 """
 
 import re
@@ -11,23 +11,23 @@ from rhizotwin.rig.table.marlin_lines import Kind, Line, encode_line
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 ANSWER_S = 10.0
-"""Time without a reply after which a command is sent again, s, added to the command's expected duration."""
+"""Time without a reply after which a command is sent again, s. The command's expected duration is added to it."""
 BUSY_S = 3.0
-"""Time without a reply after which a command is sent again, s, if the board has reported that it is busy. The board
-repeats this report every `BUSY_EVERY_S`."""
+"""Time without a further reply after which a command is sent again if the board has reported that it is busy, s. The
+board repeats this report every `BUSY_EVERY_S`."""
 BUSY_EVERY_S = 2
 AGAIN_S = 3.0
-"""Time without a reply after which a command is sent again, s, if it was already repeated because of a missing
-reply."""
+"""Time without a reply after which a command is sent again if it was already sent twice or more, s."""
 TRAILING_S = 0.5
-"""Timeout for a line that should follow immediately, s: the ``ok`` after ``Resend``, which some firmware versions
-omit."""
+"""Timeout for the ``ok`` after ``Resend``, s. The ``ok`` should follow immediately, but some firmware versions omit
+it."""
 LONGEST_S = 60.0
-"""Maximum duration of a command, s, added to twice its expected duration, regardless of the board's output."""
+"""Maximum time that is spent on a command, s, even if the board keeps sending output. Twice the command's expected
+duration is added to it."""
 MOST_REFUSALS = 10
 MOST_SILENCES = 5
 MOST_HINTS = 2
-"""Maximum number of early repetitions that are triggered by a line similar to ``ok``."""
+"""Maximum number of times a command is repeated early because the board has sent a line that resembles ``ok``."""
 MOST_COPIES = 6
 MOST_LINES = 2000
 _KEPT = 50
@@ -35,7 +35,7 @@ _KEPT = 50
 
 @dataclass(frozen=True)
 class Sent:
-    """Command that was sent, as text and as encoded line."""
+    """Command that was sent, as text and as the encoded line."""
 
     text: str
     data: bytes
@@ -48,15 +48,21 @@ class Sent:
 
 @dataclass
 class Journal:
-    """Lines of a session by number, which the board can request again."""
+    """Numbered lines of a session.
+
+    The board can request recent lines again.
+    """
 
     last: int = 0
     lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", encode_line(0, "M110 N0"))})
     optional: set[str] = field(default_factory=set)
-    """Commands that the firmware is permitted not to support."""
+    """Commands that the firmware may lack without an error."""
 
     def add(self, text: str, *, optional: bool) -> None:
-        """Add a command with the next line number. An interruption leaves the journal consistent."""
+        """Add a command with the next line number.
+
+        The journal remains consistent if the method is interrupted.
+        """
         number = self.last + 1
         sent = Sent(text, encode_line(number, text))
         if optional:
@@ -67,7 +73,7 @@ class Journal:
 
 
 class Exchange:
-    """Transmission of the last line of a journal until the board has received it.
+    """Transmission of the last line of a journal, which is repeated until the board has received it.
 
     Parameters
     ----------
@@ -120,7 +126,7 @@ class Exchange:
         raise self._no_answer("the board kept sending unrelated lines")
 
     def check_known(self) -> None:
-        """Raise a `RigError` if the firmware does not support a command that was sent."""
+        """Raise a `RigError` if the firmware has reported that it does not know a command."""
         if self._unknown_text is not None:
             raise RigError(
                 f'{self._wire.name}: the firmware does not support "{self._unknown_text}"; '
@@ -136,7 +142,7 @@ class Exchange:
         self._quiet_s = self._wire.clock.now_s() + (self._expect_s + ANSWER_S if patience_s is None else patience_s)
 
     def _silence(self) -> bool:
-        """Handle a missing reply, and return whether the exchange is complete."""
+        """Decide what to do after a timeout, and return whether the exchange is complete."""
         if self._refused:
             self._refusal()
             return False
@@ -207,15 +213,19 @@ class Exchange:
             self._copies -= 1
 
     def _acknowledge(self) -> None:
-        """Register the line as received, and wait briefly for outstanding replies or the required output.
+        """Register that the board has received the line, and wait briefly for outstanding replies.
 
-        The required output may take as long as the command, because the ``ok`` may refer to an earlier command.
+        If output is required, the waiting time includes the duration of the command, because the ``ok`` may refer to an
+        earlier command.
         """
         self._acknowledged = True
         self._quiet_s = self._wire.clock.now_s() + TRAILING_S + (0.0 if self._answered else self._expect_s)
 
     def _refusal(self) -> None:
-        """Handle a complete rejection by sending the requested line."""
+        """Send the line that the board has requested in a rejection.
+
+        All lines of the rejection have been received.
+        """
         # if the two lines of the rejection contradict each other, one of them is damaged
         wanted = self._wanted.pop() if len(self._wanted) == 1 else None
         self._wanted.clear()
@@ -239,7 +249,10 @@ class Exchange:
         self._send()
 
     def _unknown(self, quoted: str) -> None:
-        """Handle a command reported as unknown, which was either sent by this program or damaged in transmission."""
+        """Handle the report that a command is unknown.
+
+        Either the firmware does not support it, or it was damaged in transmission.
+        """
         name = quoted.split()[0] if quoted.split() else ""
         if name in self._journal.optional:
             return

@@ -1,6 +1,7 @@
-"""Lines of Marlin's serial protocol: encoding of commands, and interpretation of the board's lines.
+"""Lines of the serial protocol of Marlin.
 
-The formats are those of queue.cpp and language.h in Marlin 2.1.
+Commands are encoded as lines, and the board's lines are interpreted. The formats are those of queue.cpp and language.h
+in Marlin 2.1.
 """
 
 import re
@@ -8,11 +9,11 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 MAX_LINE = 96
-"""MAX_CMD_SIZE of the firmware, bytes."""
+"""Maximum length of a line, bytes. It is MAX_CMD_SIZE of the firmware."""
 
 POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
-"""Pattern of the reply to M114. Firmware versions differ after X (no E, spaces after the colons). A truncated line has
-no Count and does not match."""
+"""Pattern of the reply to M114. Depending on the firmware version, the text after X contains no E, or has spaces after
+the colons. A truncated line has no Count and does not match."""
 FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
 """Pattern of the reply to M115."""
 CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]+):1$")
@@ -24,14 +25,14 @@ class Kind(Enum):
     OK = auto()
     """Confirmation that a command was received."""
     LIKE_OK = auto()
-    """Damaged ``ok``, or ``ok`` joined with another line. Reception is uncertain, but the command can be sent again
-    without waiting long."""
+    """Damaged ``ok``, or ``ok`` joined with another line. It is uncertain whether the command was received, but the
+    command can be sent again after a short time."""
     BUSY = auto()
     """Report that a command is still being executed."""
     WAIT = auto()
     """Report that the board is idle."""
     REFUSED = auto()
-    """Rejection of a line. The number is that of the requested line."""
+    """Rejection of a line. `Line.number` is the number of the line that the board requests again."""
     ERROR = auto()
     """Any other error, or a damaged rejection."""
     UNKNOWN = auto()
@@ -51,8 +52,8 @@ class Line:
     kind: Kind
     text: str
     number: int | None = None
-    """Line number in the reply. REFUSED: number of the requested line. OK with ADVANCED_OK: number of the received
-    line."""
+    """Line number in the reply. If the kind is REFUSED, it is the number of the line that the board requests again. OK
+    with ADVANCED_OK: number of the received line."""
 
 
 _HALTED = re.compile(r"Printer halted|kill\(\) called|M112 Shutdown|Printer stopped due to errors")
@@ -65,7 +66,9 @@ _NOISE = "".join(map(chr, [*range(33), 127, 0xFFFD]))
 
 
 def encode_line(number: int, text: str) -> bytes:
-    """Encode a command as a line: number, command, and the XOR of all bytes before the asterisk.
+    """Encode a command as a line.
+
+    The line consists of a number, the command, an asterisk, and the XOR of all bytes before the asterisk.
 
     Raises
     ------
@@ -85,8 +88,8 @@ def encode_line(number: int, text: str) -> bytes:
 def read_line(raw: bytes) -> Line:
     """Decode a line from the board, and determine its meaning.
 
-    Noise at the ends of the line is removed. Noise inside is kept, because removing a damaged digit would change a
-    number.
+    Invalid bytes at both ends of the line are removed. Noise inside is kept, because removing a damaged digit would
+    change a number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
     if _HALTED.search(text):

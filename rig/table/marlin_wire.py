@@ -10,7 +10,10 @@ MOST_BYTES = 65536
 
 
 class MarlinWire:
-    """Port of a Marlin board that sends bytes, returns lines, and detects the loss of the board."""
+    """Line-based connection to a Marlin board.
+
+    It detects if the board was reset or has halted.
+    """
 
     def __init__(self, port: Wire) -> None:
         self._port = port
@@ -26,7 +29,9 @@ class MarlinWire:
         self._port.write(data)
 
     def next(self, until_s: float) -> Line | None:
-        """Return the next line, or None if no line is received before the given time (s).
+        """Return the next line.
+
+        It is None if no line is received before the given time in seconds.
 
         Raises
         ------
@@ -47,7 +52,7 @@ class MarlinWire:
         return self._lines.popleft()
 
     def fresh(self) -> None:
-        """Reset the count of received bytes."""
+        """Reset the count of received bytes, which is limited in `next`."""
         self._heard = 0
 
     def forget(self) -> None:
@@ -76,7 +81,7 @@ class MarlinWire:
             raise LostError(f'{self.name}: the board has halted ("{line.text}"); find the cause, then switch the board off and on')
 
     def was_reset(self, why: str) -> LostError:
-        """Return the error for a board that was reset."""
+        """Return the error to be raised if the board was reset."""
         return LostError(
             f"{self.name}: the board was reset ({why}), so that the table angle is lost; check supply and cable, and determine the angle "
             "again"

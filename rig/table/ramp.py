@@ -1,4 +1,7 @@
-"""Timing of a stepper motor's steps for a move with constant acceleration, constant speed and constant deceleration."""
+"""Times of the steps of a stepper motor.
+
+The motor accelerates at a constant rate, continues at constant speed, and decelerates at a constant rate.
+"""
 
 import numpy as np
 
@@ -24,7 +27,7 @@ def move_s(way: float, *, speed: float, acceleration: float) -> float:
 
 
 def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
-    """Return the times of the steps of a move, relative to its beginning.
+    """Return the times of the steps of a move, s, relative to its beginning.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Turntable that is driven as axis X of a Marlin board, in degrees."""
+"""Turntable that is driven as the X axis of a Marlin board, whose unit is then the degree."""
 
 import math
 
@@ -11,22 +11,25 @@ from rhizotwin.rig.table.marlin_lines import POSITION
 from rhizotwin.rig.table.ramp import move_s
 
 ZERO_X_DEG = 360.0
-"""Value of X in the firmware at table angle 0, deg. After a reset the board reports X = 0, which corresponds to no
-permitted table angle. Thus the board itself stores whether its angle was declared."""
+"""Value of the coordinate X in the firmware at table angle 0, deg. After a reset the board reports X = 0, which
+corresponds to no permitted table angle. Thus the board itself stores whether its angle was declared."""
 KNOWN_X_DEG = 200.0
-"""Minimum value of X that indicates a declared angle, deg."""
+"""Minimum value of X that shows that a table angle was declared after the last reset, deg."""
 _ROUNDED_DEG = 0.0051
-"""Maximum rounding error of a reported angle, deg. M114 prints two decimals of a single-precision number."""
+"""Maximum rounding error of a reported angle, deg. M114 prints a single-precision number with two decimals."""
 _START_S = 2.0
-"""Maximum delay of a move beyond its computed duration, s."""
+"""Time that is added to the computed duration of a move to obtain its timeout, s."""
 _LOOKS = 3
 _PAUSE_S = 0.2
-"""Pause before a repeated reading, s, in which late replies arrive and are discarded."""
+"""Pause before the position is read again, s. Late replies arrive during the pause and are discarded."""
 _READINGS = 6
 
 
 class MarlinTurntable:
-    """Turntable driven by a Marlin board; implements `rig.devices.Turntable`."""
+    """Turntable driven by a Marlin board.
+
+    It implements `rig.devices.Turntable`.
+    """
 
     def __init__(self, link: MarlinLink, part: TurntablePart, clock: Clock) -> None:
         self._link = link
@@ -37,13 +40,13 @@ class MarlinTurntable:
         self._acceleration = part.acceleration_deg_per_s2
 
     def describe(self) -> str:
-        """Return a description of firmware and position."""
+        """Return a description of the firmware and the table angle."""
         x_deg = self._x_deg()
         where = f"table at {_table_deg(x_deg):.2f} deg" if x_deg >= KNOWN_X_DEG else "table angle unknown"
         return f"{self._link.firmware}, {where}"
 
     def prepare(self) -> None:
-        """Connect: synchronise line numbers, switch the motor on permanently, and select absolute angles."""
+        """Connect to the board, switch the motor on permanently, and select absolute angles."""
         self._verified, self._seated = None, False
         self._link.start()
         self._link.command("M17")
@@ -54,7 +57,9 @@ class MarlinTurntable:
         self._link.ask("M114", POSITION)
 
     def position_deg(self) -> float:
-        """Read the table angle from the board, deg. The result is below -90 if the board has no declared angle.
+        """Read the table angle from the board, deg.
+
+        If no angle was declared after the last reset, the result is below -90.
 
         A reply has no checksum. It is accepted if it equals the last verified reply, or if two successive replies
         agree.
@@ -62,7 +67,7 @@ class MarlinTurntable:
         return _table_deg(self._x_deg())
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this table angle, without motion.
+        """Declare that the table is at the given angle, without moving it.
 
         Raises
         ------
@@ -76,19 +81,26 @@ class MarlinTurntable:
         self._verify(angle_deg)
 
     def knows_zero(self) -> bool:
-        """Return whether the board still knows its declared angle, which is lost by a power-up or reset."""
+        """Return whether the board still stores the declared angle.
+
+        It is lost when the board is switched off or reset.
+        """
         return self._x_deg() >= KNOWN_X_DEG
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves, deg/s2, with M204 T (acceleration of moves without extrusion)."""
+        """Set the acceleration of subsequent moves, deg/s2.
+
+        It is sent with M204 T, which applies to moves without extrusion.
+        """
         self._acceleration = deg_per_s2
         self._link.command(f"M204 T{_plain(deg_per_s2)}")
 
     def move_to(self, angle_deg: float) -> float:
-        """Rotate to an angle, always approached from below, wait for the end, and return the measured angle, deg.
+        """Rotate the table to an angle and return the measured angle, deg.
 
-        A downward move overshoots by ``approach_deg`` and returns, so that the backlash is always on the same side. The
-        same applies to the first move after the motor was switched on or an angle declared.
+        The final angle is always approached from below: a downward move overshoots by ``approach_deg`` and returns, so
+        that the backlash is always on the same side. The same applies to the first move after the motor was switched on
+        or an angle declared.
 
         Raises
         ------
@@ -114,7 +126,10 @@ class MarlinTurntable:
         return read_deg
 
     def release(self) -> None:
-        """Switch the motor off. The angle stored in the board is cleared first, because the rotor may then turn."""
+        """Switch the motor off.
+
+        The angle stored in the board is cleared first, because the rotor may turn when the motor is off.
+        """
         self._verified, self._seated = None, False
         if not self._link.ready:
             self._link.start()
@@ -124,17 +139,17 @@ class MarlinTurntable:
         self._link.ask("M114", POSITION)
 
     def close(self) -> None:
-        """Close the port that table and lights share."""
+        """Close the port, which the turntable and the lights share."""
         self._link.close()
 
     def _feed(self) -> float:
-        """Return the speed in degrees per minute, the unit of G1."""
+        """Return the speed in degrees per minute, which is the unit of G1."""
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
-        """Return the angle reported by the board, deg, when it agrees with the commanded angle.
+        """Read the table angle from the board and return it if it agrees with the commanded angle, deg.
 
-        Readings that differ are repeated before an error is raised.
+        If it differs, it is read again, and an error is raised after the last attempt.
         """
         read_deg = before_deg = math.nan
         for look in range(_LOOKS):
@@ -152,7 +167,10 @@ class MarlinTurntable:
         )
 
     def _known_x_deg(self) -> float:
-        """Return the firmware's X, deg, which is read only if it is not known from the last move."""
+        """Return the coordinate X of the firmware, deg.
+
+        If X was verified after the last move, the board is not asked again.
+        """
         if self._verified is not None and self._link.ready and self._verified[0] == self._link.sessions:
             return self._verified[1]
         x_deg = self._x_deg()
@@ -161,7 +179,10 @@ class MarlinTurntable:
         return x_deg
 
     def _x_deg(self) -> float:
-        """Read X, deg, repeatedly until a reply can be accepted."""
+        """Read the coordinate X of the firmware, deg.
+
+        It is accepted if it equals the verified value or the previous reading.
+        """
         verified = self._verified[1] if self._verified is not None else math.nan
         before = math.nan
         for _ in range(_READINGS):
@@ -185,5 +206,5 @@ def _table_deg(x_deg: float) -> float:
 
 
 def _plain(value: float) -> str:
-    """Format a number for G-code, without exponent and trailing zeros."""
+    """Format a number for G-code, without an exponent and without trailing zeros."""
     return f"{value:.4f}".rstrip("0").rstrip(".")

@@ -1,5 +1,6 @@
-"""Emulated rig: devices with physical errors that use the real protocols, and a camera that shows their true state.
+"""Emulated rig.
 
+It consists of devices with physical errors that use the real protocols, and of a camera that shows their true state.
 Drivers and scans use the emulated devices in the same way as real devices.
 
 Each layer depends only on the layers listed before it:

@@ -17,20 +17,26 @@ class Reply:
 
 
 class Adapter(Protocol):
-    """Interface of a device's protocol, without transmission."""
+    """Interface of the protocol of a device, which does not include the transmission of bytes."""
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
         """Receive bytes from the host, and return the replies."""
 
     def next_s(self) -> float:
-        """Return the time of the next action of `poll`, s; infinity if none is scheduled."""
+        """Return the time of the next action of `poll`, s.
+
+        It is infinity if none is scheduled.
+        """
 
     def poll(self, now_s: float) -> list[Reply]:
         """Perform the actions that are due, and return the resulting messages."""
 
 
 class Motor(Protocol):
-    """Interface of a motor driven by a board. Angles are counted in degrees since power-up."""
+    """Interface of a motor that is driven by a board.
+
+    Angles are in degrees, relative to the angle at power-up.
+    """
 
     steps_per_deg: float
     acceleration_deg_per_s2: float
@@ -49,7 +55,7 @@ class Motor(Protocol):
         """Whether the motor is moving."""
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` moves remain, s."""
+        """Return the time until at most ``moves`` moves remain in the queue, s."""
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
         """Add a move to the queue."""

@@ -1,7 +1,7 @@
 """Camera of the twin, and its driver.
 
-The emulated sensor may stop, deliver old pictures or expose wrongly. The driver must detect these faults, as for a real
-camera.
+The emulated sensor can stop, deliver old pictures, or use a wrong exposure. The driver must detect these faults, as for
+a real camera.
 """
 
 from collections.abc import Callable
@@ -16,19 +16,19 @@ from rhizotwin.scenes.picture_codec import Grey
 
 READOUT_S = 0.03
 PATIENCE_S = 10.0
-"""Timeout for a picture, s, added to its exposure."""
+"""Timeout for a picture, s. The exposure time is added to it."""
 TRIES = 3
 NEAR = 0.01
-"""Relative tolerance of the reported exposure time and gain."""
+"""Maximum relative deviation of the reported exposure time and gain from their settings."""
 
 Look = Callable[[float], Grey]
-"""Type of a function that returns the picture stored at present, for a given exposure relative to the nominal
+"""Type of a function that returns a picture of the present state. The argument is the exposure relative to the nominal
 exposure."""
 
 
 @dataclass(frozen=True)
 class _Raw:
-    """Picture from the emulated sensor, with the settings that the sensor reports."""
+    """Picture from the emulated sensor, with the settings that the sensor reports for it."""
 
     image: Grey
     began_s: float
@@ -37,7 +37,9 @@ class _Raw:
 
 
 class TwinCamera:
-    """Driver of the twin's camera; implements `rig.devices.Camera`.
+    """Driver of the twin's camera.
+
+    It implements `rig.devices.Camera`.
 
     Parameters
     ----------
@@ -68,13 +70,13 @@ class TwinCamera:
         return f"the twin's camera, exposure {1000.0 * self._part.exposure_s:g} ms, gain {self._part.gain:g}"
 
     def prepare(self) -> None:
-        """Verify the camera by taking a picture."""
+        """Take a picture to check that the camera works."""
         self.capture()
 
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call.
 
-        Old or wrongly exposed pictures are discarded, and taken again.
+        Old or wrongly exposed pictures are discarded, and the capture is repeated.
 
         Raises
         ------
@@ -119,7 +121,7 @@ class TwinCamera:
         return self._last
 
     def _expose(self, exposure_s: float, *, began_s: float) -> _Raw:
-        """Return the picture of the twin's state in the middle of the exposure."""
+        """Expose a picture, which shows the state of the twin in the middle of the exposure."""
         self._clock.sleep(exposure_s / 2.0)
         image = self._look(exposure_s * self._part.gain / (self._nominal.exposure_s * self._nominal.gain))
         self._clock.sleep(exposure_s / 2.0 + READOUT_S)

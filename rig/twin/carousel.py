@@ -1,4 +1,7 @@
-"""Emulated carousel, which moves in virtual time, and can be blocked or contain canisters in wrong places."""
+"""Emulated carousel, which moves in virtual time.
+
+It can be blocked, or contain canisters in wrong places.
+"""
 
 from collections.abc import Callable
 
@@ -12,7 +15,9 @@ STEP_S = 1.5
 
 
 class TwinCarousel:
-    """Emulated canister changer; implements `rig.devices.Carousel`.
+    """Emulated canister changer.
+
+    It implements `rig.devices.Carousel`.
 
     Parameters
     ----------
@@ -31,7 +36,7 @@ class TwinCarousel:
         self._at = 1
         self._loaded = 0
         self.blocked = False
-        """Whether the carousel is blocked, and raises an error when it is rotated."""
+        """Whether the carousel is blocked. A blocked carousel raises an error when it has to rotate."""
 
     def describe(self) -> str:
         """Return a short description with the number of places."""
@@ -42,7 +47,7 @@ class TwinCarousel:
         self._turn(1)
 
     def load(self, place: int) -> None:
-        """Place the canister of a given place on the turntable.
+        """Move the canister from the given place to the turntable.
 
         Raises
         ------

@@ -1,4 +1,7 @@
-"""Virtual time, which advances only by waiting. Events in between are processed at their own times."""
+"""Virtual time, which advances only when a program waits.
+
+Events that occur while it waits are processed at their own times.
+"""
 
 import math
 import threading
@@ -10,16 +13,19 @@ class Source(Protocol):
     """Interface of a process with scheduled events."""
 
     def next_s(self) -> float:
-        """Return the time of the next event, s; infinity if none is scheduled."""
+        """Return the time of the next event, s.
+
+        It is infinity if none is scheduled.
+        """
 
     def advance_to(self, now_s: float) -> None:
         """Process all events up to the given time (s)."""
 
 
 class VirtualClock:
-    """Clock with virtual time, which advances without waiting; implements `rig.clock.Clock`.
+    """Clock with virtual time, which advances without real waiting.
 
-    The time is advanced by `sleep`, and by reading from the twin's ports.
+    It implements `rig.clock.Clock`. The time is advanced by `sleep`, and by reading from the twin's ports.
     """
 
     def __init__(self) -> None:
@@ -35,7 +41,7 @@ class VirtualClock:
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Advance the virtual time, processing all events in between."""
+        """Advance the virtual time by a duration, and process all events in between."""
         if seconds > 0.0:
             self.advance_to(self._now_s + seconds)
 
@@ -44,19 +50,28 @@ class VirtualClock:
         return min((source.next_s() for source in self._sources), default=math.inf)
 
     def advance_to(self, then_s: float) -> None:
-        """Advance to a time (s), processing all events in between. A time in the past has no effect."""
+        """Advance to the given time in seconds, and process all events in between.
+
+        A time in the past has no effect.
+        """
         while self._now_s < then_s:
             self.step(then_s)
 
     def step(self, limit_s: float) -> None:
-        """Advance to the next event or to ``limit_s``, whichever is earlier, and process every source once."""
+        """Advance to the next event or to ``limit_s``, whichever is earlier.
+
+        Every source is processed once.
+        """
         self._now_s = max(self._now_s, min(self.next_s(), limit_s))
         for source in self._sources:
             source.advance_to(self._now_s)
 
 
 class ScaledClock:
-    """Clock that runs ``speed`` times as fast as the computer's clock; implements `rig.clock.Clock`."""
+    """Clock that runs ``speed`` times as fast as the computer's clock.
+
+    It implements `rig.clock.Clock`.
+    """
 
     def __init__(self, speed: float = 1.0) -> None:
         self.speed = speed
@@ -67,6 +82,6 @@ class ScaledClock:
         return (time.monotonic() - self._start_s) * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Wait in real time for the given duration divided by the speed."""
+        """Wait until the scaled time has advanced by the given duration."""
         if seconds > 0.0:
             time.sleep(min(seconds / self.speed, threading.TIMEOUT_MAX))

@@ -1,4 +1,7 @@
-"""Descriptions of faults that the twin can simulate: in transmission, in a device, and in the camera."""
+"""Descriptions of the faults that the twin can simulate.
+
+They occur in the transmission, in a device, or in the camera.
+"""
 
 import threading
 from dataclasses import dataclass, replace
@@ -17,23 +20,24 @@ FOR_GOOD = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Fault to be simulated, with the time at which it occurs."""
+    """Fault to be simulated, with the message or the time at which it occurs."""
 
     kind: str
     """Name of a kind of fault in `MENU`."""
     device: Device
     at_message: int | None = None
-    """Number, starting at 1, of the device's message at which the fault occurs. Depending on the kind, replies,
-    requests or pictures are counted."""
+    """Number of the message at which the fault occurs, starting at 1. Depending on the kind of fault, the replies,
+    requests or pictures of the device are counted."""
     at_s: float | None = None
-    """Virtual time, s; the fault occurs at the first message after it. If neither message nor time is given, the fault
-    occurs immediately."""
+    """Virtual time from which the fault occurs, s. It affects the first message after this time. If neither
+    ``at_message`` nor ``at_s`` is given, the fault occurs immediately."""
     amount: float = 0.5
-    """Depending on the kind: duration of a delay or an absence, s, or the affected fraction of a message (0 to 1)."""
+    """Meaning that depends on the kind of fault: a duration in seconds, a temperature in °C, a factor, or the affected
+    fraction of a message from 0 to 1. It is described by `FaultKind.what`."""
     count: int = 1
     """Number of successive messages that are affected."""
     joint: int = 1
-    """Index of the affected servo of the arm, beginning with the base."""
+    """Index of the arm's joint whose servo is affected. It is 0 for the base."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,15 +46,15 @@ class FaultKind:
 
     name: str
     what: str
-    """Description of the fault, including the meaning of ``amount``."""
+    """Description of the fault, which states the meaning of ``amount``."""
     devices: tuple[Device, ...]
     where: Where
     amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
-    """Amounts from which the amount of a random fault is drawn."""
+    """Values of ``amount`` from which one is drawn for a random fault."""
     counts: tuple[int, ...] = (1,)
-    """Numbers of affected messages from which the count of a random fault is drawn."""
+    """Values of ``count`` from which one is drawn for a random fault."""
     protocol: Literal["lx", "lsc"] | None = None
-    """Protocol of the arm for which the fault exists; None for both protocols."""
+    """Protocol of the arm for which the fault exists. It is None if the fault exists for both protocols."""
 
 
 _SERIAL: tuple[Device, ...] = ("table", "arm")
@@ -160,7 +164,9 @@ def fault_kind(name: str) -> FaultKind:
 def draw_faults(
     rng: np.random.Generator, kinds: tuple[str, ...], *, messages: int = 100, duration_s: float = 120.0, shots: int = 10
 ) -> tuple[Fault, ...]:
-    """Draw one fault of each kind at a random time of a scan.
+    """Draw one fault of each kind.
+
+    It occurs at a random time of a scan.
 
     Parameters
     ----------
@@ -237,7 +243,10 @@ def parse_fault(text: str) -> Fault:
 
 
 class Pending:
-    """Set of faults that have not occurred yet. Can be used from several threads."""
+    """Set of faults that have not occurred yet.
+
+    It can be used by several threads.
+    """
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
@@ -245,7 +254,7 @@ class Pending:
         self._lock = threading.Lock()
         self._left = list(faults)
         self.happened: list[tuple[float, Fault]] = []
-        """Faults that have occurred, with their times, s."""
+        """Faults that have occurred, each with the time of its occurrence, s."""
 
     def add(self, fault: Fault) -> None:
         """Add a fault to the set."""
@@ -259,7 +268,9 @@ class Pending:
             self._left.clear()
 
     def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
-        """Return the faults that affect message ``number`` of a device, in order. `use` marks a fault as occurred.
+        """Return the faults that affect a message of a device, in the order in which they were added.
+
+        They remain in the set until `use` is called.
 
         Parameters
         ----------
@@ -289,7 +300,10 @@ class Pending:
             self._left[i : i + 1] = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
 
     def next_s(self) -> float:
-        """Return the time of the next device fault that is scheduled by time, s; infinity if there is none."""
+        """Return the time of the next device fault with a given time, s.
+
+        The result is infinity if there is none.
+        """
         with self._lock:
             times = [fault.at_s for fault in self._left if fault.at_s is not None and fault_kind(fault.kind).where == "device"]
         return min(times, default=float("inf"))

@@ -1,4 +1,7 @@
-"""Errors of the emulated devices, with one set of values per disturbance profile."""
+"""Errors of the emulated devices.
+
+There is one set of values for each disturbance profile.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -11,33 +14,34 @@ class Imperfections:
     """Errors of the emulated devices. Zero means no error. Quantisation is always present."""
 
     servo_zero_deg: float = 0.0
-    """Maximum zero error of each joint in both directions, deg, drawn once per joint."""
+    """Maximum magnitude of the error of each joint's zero position, deg. One value is drawn for each joint."""
     servo_scale: float = 0.0
-    """Maximum relative scale error of each joint's angle, drawn once per joint."""
+    """Maximum magnitude of the relative error of the scale between a joint's angle and its counts. One value is drawn
+    for each joint."""
     servo_repeat_deg: float = 0.0
-    """Standard deviation of a servo's final position, deg, drawn for each move."""
+    """Standard deviation of the position at which a servo stops, deg. One value is drawn for each move."""
     servo_backlash_deg: tuple[float, float] = (0.0, 0.0)
-    """Range of the backlash of the gears, deg, drawn once per servo. A servo stops half of its backlash before or
-    beyond its target, depending on the direction."""
+    """Minimum and maximum of the backlash of a servo's gears, deg. One value is drawn for each servo. A servo stops
+    half of its backlash before or beyond its target, depending on the direction of the move."""
     servo_sag_deg: tuple[float, float] = (0.0, 0.0)
-    """Range of the shoulder's sag with the arm stretched horizontally, deg, drawn once. In other joints and poses the
-    sag is proportional to the torque."""
+    """Minimum and maximum of the shoulder's sag if the arm is stretched horizontally, deg. One value is drawn. In other
+    joints and poses the sag is proportional to the torque."""
     servo_dead_band_counts: int = 0
-    """Maximum distance of a commanded position that does not move the servo, in counts."""
+    """Maximum difference between the commanded and the present position at which the servo does not move, in counts."""
     table_microstep_deg: float = 0.0
-    """Amplitude of the table's periodic error within four full steps of the motor, deg."""
+    """Amplitude of the periodic error of the table angle, deg. Its period is four full steps of the motor."""
     table_play_deg: float = 0.0
     """Backlash between motor and table, deg."""
     table_jump_steps: float = 0.0
     """Maximum jump of the rotor when the motor is first switched on after power-up, in full steps."""
     swing_hz: float = 0.0
-    """Undamped frequency of torsional oscillations of the roots in water, Hz; 0 for rigid roots."""
+    """Undamped natural frequency of the torsional oscillation of the roots in water, Hz. It is 0 for rigid roots."""
     swing_damping: float = 1.0
     """Damping of the torsional oscillations, as a fraction of critical damping."""
     lamp_ramp_s: float = 0.0
     """Time in which a lamp changes from dark to full brightness, s."""
     lamp_level_error: float = 0.0
-    """Maximum relative error of a lamp's brightness, drawn once per lamp."""
+    """Maximum magnitude of the relative error of a lamp's brightness. One value is drawn for each lamp."""
 
 
 CLEAN = Imperfections()
@@ -55,12 +59,13 @@ BENCH = Imperfections(
     lamp_ramp_s=0.1,
     lamp_level_error=0.02,
 )
-"""Errors of a hobby arm with LX servos, and of a stepper motor with a DRV8825. The values' sources are listed in
+"""Errors of a hobby arm with LX servos, and of a stepper motor with a DRV8825. The sources of the values are listed in
 docs/twin.md."""
 
 REAL = replace(BENCH, swing_hz=0.86, swing_damping=1.4)
-"""Errors of a bench rig with flexible roots. A root with 0.5 mm diameter, 100 mm length and 30 MPa is a cantilever with
-0.86 Hz in water, and its drag is 1.4 of critical damping (calculations in docs/twin.md)."""
+"""Errors of a bench rig with flexible roots. The values are those of a root with a diameter of 0.5 mm, a length of 100
+mm and an elastic modulus of 30 MPa. As a cantilever in water, it has a natural frequency of 0.86 Hz, and its damping by
+drag is 1.4 times the critical damping (calculations in docs/twin.md)."""
 
 
 def device_errors(profile_name: str) -> Imperfections:

@@ -1,6 +1,6 @@
 """Model of a lamp: a strip of LEDs with individual colours and a common brightness.
 
-The light follows changes with a linear ramp. The model is independent of protocols.
+When the LEDs are changed, the light approaches its new level at a constant rate. The model is independent of protocols.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ Rgb = tuple[int, int, int]
 
 
 class Lamp:
-    """Strip of LEDs whose light changes with a ramp.
+    """Strip of LEDs whose light changes gradually.
 
     Parameters
     ----------
@@ -35,24 +35,28 @@ class Lamp:
 
     @property
     def level(self) -> float:
-        """Present light as a fraction of the maximum."""
+        """Present light, as a fraction of the light at full brightness in the colour ``full_rgb``."""
         return self._level
 
     @property
     def goal(self) -> float:
-        """Level at which the light settles, as a fraction of the maximum."""
+        """Level that the light approaches, in the same unit as `level`."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:
-        """Return the factor that converts the lamp's level to a level relative to a given colour.
+        """Return the ratio of the light of ``full_rgb`` to that of a given colour.
 
-        The result is None if the lamp is dark or shows a different colour.
+        Multiplied by the ratio, `level` is a fraction of the full light in the given colour. The result is None if the
+        lamp is dark or shows a different colour.
         """
         shown = self._brightness > 0 and all(led == rgb for led in self._rgb) and sum(rgb) > 0
         return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
-        """Set the colour of all LEDs, or of a single LED if it exists. Each component is from 0 to 255."""
+        """Set the colour of all LEDs, or of a single LED.
+
+        Each component of the colour is from 0 to 255. The number of a missing LED is ignored.
+        """
         if led is None:
             self._rgb = [rgb] * LEDS
         elif 0 <= led < LEDS:
@@ -60,12 +64,15 @@ class Lamp:
         self._settle()
 
     def dim(self, brightness: int) -> None:
-        """Set the brightness of all LEDs, from 0 to 255. The brightness remains until it is changed."""
+        """Set the common brightness of all LEDs, from 0 to 255.
+
+        It remains until it is changed.
+        """
         self._brightness = brightness
         self._settle()
 
     def power_up(self) -> None:
-        """Switch all LEDs off, as LEDs do when their board starts."""
+        """Switch all LEDs off, as when their board is switched on."""
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
         self._settle()

@@ -1,4 +1,7 @@
-"""Emulated serial line with transmission times in both directions, and faults."""
+"""Emulated serial line.
+
+It simulates the transmission times in both directions, and transmission faults.
+"""
 
 import math
 from bisect import insort
@@ -14,7 +17,7 @@ NOISE = bytes((0xFF, 0x00, 0x55, 0x13, 0x9C, 0x0A, 0x55, 0x55, 0xFE, 0x7F, 0x01,
 BUSY = b"echo:busy: processing\n"
 BUSY_EVERY_S = 2.0
 SPLIT_EVERY = 4
-"""Interval, in messages, at which a message reaches the host in two pieces."""
+"""Every message with a number divisible by this value reaches the host in two pieces."""
 
 
 class Line:
@@ -50,10 +53,11 @@ class Line:
         self._mute_ok = False
         self.plugged = True
         self.plugs = 0
-        """Number of disconnections. Ports that were opened before the last disconnection are invalid."""
+        """Number of times the cable was disconnected. A port that was opened before the last disconnection is
+        invalid."""
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Receive bytes from the host."""
+        """Begin the transmission of bytes from the host to the device."""
         self._sent_count += 1
         for fault in self._pending.due(self.device, "request", self._sent_count, now_s):
             self._pending.use(fault, now_s)
@@ -99,7 +103,10 @@ class Line:
         self.plugged = True
 
     def silence(self) -> None:
-        """Discard replies that a device has not sent yet, because it was reset."""
+        """Discard the replies that the device has not sent yet.
+
+        It is called when the device was reset.
+        """
         self._replies.clear()
 
     def next_s(self) -> float:
@@ -131,7 +138,7 @@ class Line:
         insort(self._arrivals, (at_s, data), key=lambda arrival: arrival[0])
 
     def _send(self, reply: Reply, now_s: float) -> None:
-        """Transmit a reply, and apply the faults that are due."""
+        """Apply the faults that are due to a reply, and transmit it."""
         self._reply_count += 1
         for fault in self._pending.due(self.device, "device", self._reply_count, now_s):
             self._break_device(fault)
@@ -166,7 +173,7 @@ class Line:
 
 
 def apply_fault(pieces: list[bytes], fault: Fault) -> list[bytes]:
-    """Apply a transmission fault to messages, and return the resulting messages."""
+    """Return the messages that replace the given messages because of a transmission fault."""
     if fault.kind in ("reply_dropped", "ok_missing"):
         return []
     if fault.kind == "reply_corrupted":
@@ -183,7 +190,10 @@ def apply_fault(pieces: list[bytes], fault: Fault) -> list[bytes]:
 
 
 def corrupt(data: bytes, amount: float) -> bytes:
-    """Return a message with one inverted bit, whose position is selected by ``amount`` (0 to 1)."""
+    """Return a copy of a message in which one bit is inverted.
+
+    The position of the bit is selected by ``amount`` (0 to 1).
+    """
     if not data:
         return data
     bit = min(int(amount * 8 * len(data)), 8 * len(data) - 1)

@@ -1,7 +1,8 @@
 """Protocol of LX bus servos with binary frames.
 
-The module is independent of physics and of transmission, which includes the echo. Source: LewanSoul, "Bus Servo
-Communication Protocol". Frame: ``55 55 | id | length | command | parameters | checksum``.
+The module does not model the physics of the servos, nor the transmission. The echo of requests is part of the
+transmission. Source: LewanSoul, "Bus Servo Communication Protocol". Frame: ``55 55 | id | length | command | parameters
+| checksum``.
 """
 
 import math
@@ -15,9 +16,9 @@ THINKING_S = 0.0015
 """Delay between the end of a request and its reply, s."""
 BROADCAST = 254
 ID_READ = 14
-"""Number of the only broadcast request that has a reply."""
+"""Number of the command that reads the id. It is the only broadcast command that has a reply."""
 MAX_LENGTH = 10
-"""Maximum length of a frame. Larger values are treated as noise."""
+"""Maximum length of a frame. A larger length is the result of noise."""
 
 
 class LxAdapter:
@@ -85,7 +86,10 @@ class LxAdapter:
         return [number] if number in self._servos else []
 
     def _answer(self, number: int, command: int, parameters: bytes) -> bytes | None:
-        """Execute a command of one servo, and return its reply, or None."""
+        """Execute a command of one servo and return its reply.
+
+        The result is None if the command has no reply.
+        """
         servo = self._servos[number]
         if command in _READS:
             return build_frame(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
@@ -122,7 +126,10 @@ class LxAdapter:
 
 
 def checksum(body: bytes) -> int:
-    """Return the last byte of a frame: the inverted sum of id, length, command and parameters."""
+    """Return the last byte of a frame.
+
+    It is the inverted sum of the id, length, command and parameters.
+    """
     return ~sum(body) & 0xFF
 
 
@@ -148,7 +155,10 @@ def build_frame(number: int, command: int, parameters: bytes) -> bytes:
 
 
 def _merge_collision(frames: list[bytes]) -> bytes:
-    """Return the bytes that the host receives if several servos reply simultaneously. A low level dominates."""
+    """Return the bytes that the host receives if several servos reply simultaneously.
+
+    A bit is 0 if it is 0 in any of the replies.
+    """
     heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
     for frame in frames:
         for i, byte in enumerate(frame):

@@ -1,7 +1,8 @@
-"""Line protocol of Marlin 2.1: numbers, checksums, resends, sequential execution, busy lines, reset and kill.
+"""Line protocol of Marlin 2.1.
 
-The module is independent of physics, and follows queue.cpp, e_parser.h, language.h and setup() of Marlin. The commands
-are implemented in `rig.twin.marlin_commands`.
+The adapter implements line numbers, checksums, resends, sequential execution, busy lines, reset and kill. It does not
+model the physics, and follows queue.cpp, e_parser.h, language.h and setup() of Marlin. The commands are implemented in
+`rig.twin.marlin_commands`.
 """
 
 import math
@@ -14,7 +15,7 @@ from rhizotwin.rig.twin.marlin_commands import VERSION, MarlinCommands
 THINKING_S = 0.001
 """Delay between a line and its reply, s."""
 BOOT_S = 0.3
-"""Delay between a reset and the first line of the banner, s."""
+"""Delay between a reset and the first line of the greeting, s."""
 BUSY_EVERY_S = 2.0
 MAX_LINE = 96
 BANNER = (
@@ -66,7 +67,10 @@ class MarlinAdapter:
         self._boot_reason = ""
 
     def reset(self, now_s: float, *, reason: str = "External Reset") -> None:
-        """Reset the board as by the reset button. The state is lost, and the banner follows."""
+        """Reset the board as its reset button does.
+
+        The state is lost, and the greeting follows.
+        """
         self._start_anew()
         self.commands.power_up()
         self._boot_s, self._boot_reason = now_s + BOOT_S, reason
@@ -74,7 +78,7 @@ class MarlinAdapter:
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
         """Receive bytes from the host, and return the replies.
 
-        Bytes are lost while the board starts, or after it was killed.
+        Bytes are lost while the board starts and after it was killed.
         """
         if self._boot_s is not None or self.halted:
             return []
@@ -92,7 +96,10 @@ class MarlinAdapter:
         return replies + self._work(now_s)
 
     def next_s(self) -> float:
-        """Return the time of the board's next output or action, s; infinity if none is scheduled."""
+        """Return the time of the board's next output or action, s.
+
+        It is infinity if none is scheduled.
+        """
         if self.halted:
             return math.inf
         if self._boot_s is not None:
@@ -100,7 +107,7 @@ class MarlinAdapter:
         return min(math.inf if self._done_s is None else self._done_s, self._next_busy_s, self.commands.next_s())
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Return banner, busy lines and late replies that are due, and release the motor after its idle time."""
+        """Return the greeting, busy lines and late replies that are due, and switch off a motor that was idle."""
         if self.halted or now_s < self.next_s():
             return []
         if self._boot_s is not None:
@@ -114,7 +121,7 @@ class MarlinAdapter:
         return replies
 
     def _work(self, now_s: float) -> list[Reply]:
-        """Execute waiting lines, up to a command that blocks."""
+        """Execute waiting lines until a command blocks the following lines."""
         replies: list[Reply] = []
         while not self.halted:
             if self._done_s is not None:
@@ -128,7 +135,7 @@ class MarlinAdapter:
         return replies
 
     def _line(self, line: str, now_s: float) -> list[str]:
-        """Check number and checksum, execute the command, and return the lines of the reply."""
+        """Check the number and the checksum of a line, execute its command, and return the lines of the reply."""
         if line.startswith("N"):
             renumber = line.find("M110")
             second = line.find("N", renumber) if renumber >= 0 else -1  # the last N in the line counts
@@ -173,7 +180,7 @@ class MarlinAdapter:
         return [*answer.texts, "ok"]
 
     def _emergency(self, line: str, now_s: float) -> list[Reply]:
-        """Execute M112, M410 and M108 on reception, regardless of the queue."""
+        """Execute M112, M410 and M108 as soon as they are received, even if other commands are queued."""
         found = _EMERGENCY.match(line)
         if found is None:
             return []
@@ -200,7 +207,7 @@ def _xor(text: str) -> int:
 
 
 def _whole(text: str) -> int:
-    """Return the integer at the beginning of a text, as strtol of C does."""
+    """Return the integer at the beginning of a text, as the C function strtol does."""
     found = re.match(r"\s*([-+]?\d+)", text)
     return int(found[1]) if found else 0
 

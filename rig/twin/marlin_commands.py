@@ -19,7 +19,7 @@ _SILENT = frozenset(("G21", "M82", "M83", "M108", "M111", "M154", "M155", "M201"
 """Commands that are accepted without effect in the emulation. M108 and M410 were already executed on reception."""
 
 Words = dict[str, float | None]
-"""Letters of a command with their numbers; None for a letter without a number."""
+"""Letters of a command, with the numbers that follow them. The value is None for a letter without a number."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,16 @@ class MarlinCommands:
         }
 
     def power_up(self) -> None:
-        """Reset motor, outputs and strips to the state after power-up."""
+        """Reset the motor, outputs and strips to the state after power-up."""
         self._motor.power_up()
         self._outputs_on.clear()
         for strip in self._strips:
             strip.power_up()
 
     def do(self, name: str, words: Words, now_s: float) -> Answer | None:
-        """Execute a command; return None if the command is unknown.
+        """Execute a command.
+
+        The result is None if the command is unknown.
 
         Parameters
         ----------
@@ -107,11 +109,11 @@ class MarlinCommands:
         self._motor.release()
 
     def next_s(self) -> float:
-        """Return the time at which the idle motor is released, s."""
+        """Return the time at which the motor will be switched off because it is idle, s."""
         return self._used_s + self._idle_s
 
     def poll(self, now_s: float) -> None:
-        """Release the motor when its idle time has passed."""
+        """Switch the motor off when its idle time has passed."""
         if now_s < self.next_s():
             return
         if self._motor.moving:
@@ -186,7 +188,10 @@ class MarlinCommands:
         return Answer((ABOUT, *(f"Cap:{capability}" for capability in CAPABILITIES)))
 
     def _light(self, words: Words, _now_s: float) -> Answer:
-        """Execute M150. A letter without a number means 255, and an omitted colour means 0 unless K is given."""
+        """Execute M150, which sets the colour of LEDs.
+
+        A letter without a number means 255, and an omitted colour means 0 unless K is given.
+        """
         values = {letter: 255 if number is None else min(max(int(number), 0), 255) for letter, number in words.items()}
         for i in (0, 1):
             if values.get("S", i) != i:
@@ -203,7 +208,10 @@ class MarlinCommands:
         return Answer()
 
     def _switch(self, words: Words, _now_s: float) -> Answer:
-        """Execute M106 for the given fan output. A missing level means 255."""
+        """Execute M106, which sets the level of the given fan output.
+
+        A missing level means 255.
+        """
         level, output = words.get("S", 255.0), int(words.get("P") or 0)
         (self._outputs_on.add if level is None or level > 0.0 else self._outputs_on.discard)(output)
         return Answer()

@@ -1,6 +1,6 @@
 """Handler of the URLs ``twin://ID/table`` and ``twin://ID/arm`` for pyserial.
 
-The handler provides the ports of a twin within this process, in its virtual time. A read with a timeout advances the
+The handler provides the ports of a twin that runs in this process, in virtual time. A read with a timeout advances the
 twin's clock until the bytes have arrived or the timeout has expired. There is no waiting and no concurrency, so that
 the same seed always produces the same bytes.
 """
@@ -20,13 +20,13 @@ from rhizotwin.rig.twin.line import Line
 PACKAGE = "rhizotwin.rig.twin"
 """Package in which pyserial searches for this module."""
 CALL_S = 20e-6
-"""Virtual duration of a call to the port, s, so that polling loops reach their deadlines."""
+"""Time by which each call to the port advances the virtual time, s. It lets polling loops reach their deadlines."""
 GONE = "device reports readiness to read but returned no data (device disconnected or multiple access on port?)"
 
 
 @dataclass(eq=False)
 class Socket:
-    """Connection of a port to the twin."""
+    """Connection between a port and the twin."""
 
     line: Line
     clock: VirtualClock
@@ -39,12 +39,15 @@ _SOCKETS: "weakref.WeakValueDictionary[str, Socket]" = weakref.WeakValueDictiona
 
 
 def register(url: str, socket: Socket) -> None:
-    """Assign a URL to a socket for as long as the socket exists."""
+    """Make a socket available under a URL for as long as the socket exists."""
     _SOCKETS[url.lower()] = socket
 
 
 class Serial(SerialBase):
-    """Port of a twin, which behaves like a USB serial port on Linux, including its errors."""
+    """Port of a twin.
+
+    It behaves like a USB serial port on Linux, including its errors.
+    """
 
     # these attributes are set by SerialBase and its properties
     is_open: bool
@@ -58,7 +61,10 @@ class Serial(SerialBase):
         super().__init__(*args, **kwargs)
 
     def open(self) -> None:
-        """Open the port. Bytes that arrived before are discarded."""
+        """Open the port.
+
+        Bytes that arrived earlier are discarded.
+        """
         if self.is_open:
             raise SerialException("Port is already open.")
         socket = _SOCKETS.get(str(self._port).lower())
@@ -91,7 +97,10 @@ class Serial(SerialBase):
         return socket.line.waiting
 
     def read(self, size: int = 1) -> bytes:
-        """Read up to ``size`` bytes, waiting for them in virtual time until the timeout expires."""
+        """Read up to ``size`` bytes.
+
+        The virtual time advances until they have arrived or the timeout expires.
+        """
         socket = self._there()
         clock = socket.clock
         deadline_s = math.inf if self._timeout is None else clock.now_s() + max(self._timeout, CALL_S)
@@ -133,7 +142,10 @@ class Serial(SerialBase):
         return self._socket
 
     def _dead(self, socket: Socket) -> bool:
-        """Return whether the cable was disconnected after the port was opened. A new port is then required."""
+        """Return whether the cable was disconnected after the port was opened.
+
+        In this case the port has to be opened again.
+        """
         return not socket.line.plugged or socket.line.plugs != self._plugs
 
     def _reconfigure_port(self) -> None:

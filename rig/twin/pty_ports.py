@@ -1,9 +1,10 @@
-"""Serial lines of a twin as pseudo-terminals in real time, which any program can open.
+"""Serial lines of a twin as pseudo-terminals in real time.
 
-This module relies on the following properties of pseudo-terminals. Since no slave descriptor is kept open, ``POLLHUP``
-on the master means that no program has opened the port. Reads then fail with EIO, which is not an error. pyserial
-discards bytes that arrived before it opened a port. A closed master represents a disconnected cable. There are no modem
-lines, so that a reset by DTR is not visible. The baud rate is ignored, because lines have their own transmission times.
+Any program can open them. This module relies on the following properties of pseudo-terminals. Since no slave descriptor
+is kept open, ``POLLHUP`` on the master means that no program has opened the port. Reads then fail with EIO, which is
+not an error. pyserial discards bytes that arrived before it opened a port. A closed master represents a disconnected
+cable. There are no modem lines, so that a reset by DTR is not visible. The baud rate is ignored, because lines have
+their own transmission times.
 """
 
 import errno
@@ -20,15 +21,18 @@ from rhizotwin.rig.twin.clock import ScaledClock, VirtualClock
 from rhizotwin.rig.twin.line import Line
 
 LOOK_AGAIN_S = 0.02
-"""Polling interval for ports that no program has opened, s."""
+"""Interval between checks whether a program has opened a port, s."""
 LONGEST_WAIT_S = 0.25
 QUIET_S = 0.05
-"""Delay of output after a port was opened, s, while pyserial may still flush its buffers."""
+"""Time after the opening of a port during which no bytes are sent to the host, s. pyserial may discard bytes that
+arrive earlier."""
 _CHUNK = 4096
 
 
 class PtyPorts:
-    """Serial lines of a twin as ports, with a thread that advances the twin's time together with real time.
+    """Serial lines of a twin as ports.
+
+    A thread advances the twin's time in step with real time.
 
     Parameters
     ----------
@@ -54,7 +58,7 @@ class PtyPorts:
         opened: Callable[[str], None] | None = None,
     ) -> None:
         self.lock = threading.RLock()
-        """Lock that must be held for all access to the twin."""
+        """Lock that must be held during every access to the twin."""
         self.real = ScaledClock(speed)
         self._clock = clock
         self._opened = opened or (lambda _name: None)
@@ -65,7 +69,7 @@ class PtyPorts:
 
     @property
     def paths(self) -> dict[str, Path]:
-        """Paths of the links to the ports, by name of the line."""
+        """Paths of the symbolic links to the ports, keyed by line name."""
         return {name: port.link for name, port in self._ports.items()}
 
     def start(self) -> None:
@@ -85,7 +89,7 @@ class PtyPorts:
                 os.close(descriptor)
 
     def wake(self) -> None:
-        """Make the thread serve the ports immediately after an external change."""
+        """Wake the thread after an external change, so that it serves the ports immediately."""
         with suppress(OSError):
             os.write(self._wake_write, b"x")
 
@@ -128,11 +132,11 @@ class _Port:
 
     @property
     def holds_back(self) -> bool:
-        """Whether there are bytes that could not be sent yet."""
+        """Whether some bytes could not be sent to the host yet."""
         return bool(self._unsent)
 
     def plug(self) -> None:
-        """Create a pseudo-terminal in raw mode, and redirect the link to it."""
+        """Create a pseudo-terminal in raw mode, and let the symbolic link point to it."""
         self.master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self.master, False)
@@ -144,7 +148,7 @@ class _Port:
         self.is_open = False
 
     def pull(self) -> None:
-        """Close the master, which represents disconnecting the cable."""
+        """Close the master side of the pseudo-terminal, which represents disconnecting the cable."""
         if self.master is not None:
             os.close(self.master)
             self.master = None
@@ -153,7 +157,10 @@ class _Port:
         self._unsent = b""
 
     def serve(self, now_s: float) -> bool:
-        """Transfer bytes between terminal and line, and return whether a program has just opened the port."""
+        """Transfer bytes between the pseudo-terminal and the line.
+
+        Return whether a program has just opened the port.
+        """
         if self.line.plugged != (self.master is not None):
             self.plug() if self.line.plugged else self.pull()
         if self.master is None:

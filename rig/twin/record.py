@@ -1,4 +1,4 @@
-"""Record of the twin's true state in each picture.
+"""Record of the true state of the rig in each picture.
 
 Pictures are identified by their content, so that they are also recognised in the files of a scan, and after a restart.
 """
@@ -18,7 +18,7 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class TakenShot:
-    """Picture taken by the twin's camera, with the true state."""
+    """Picture taken by the twin's camera, with the true state of the rig."""
 
     pixels: str
     """SHA-256 of the picture's pixels (`picture_digest`)."""
@@ -34,7 +34,10 @@ def picture_digest(image: Grey) -> str:
 
 
 class Record:
-    """Record of all pictures taken, in memory and, after `keep_in`, in a file of JSON lines."""
+    """Record of all pictures that were taken.
+
+    It is kept in memory, and after `keep_in` also in a file of JSON lines.
+    """
 
     def __init__(self) -> None:
         self.shots: list[TakenShot] = []
@@ -42,7 +45,7 @@ class Record:
         self._path: Path | None = None
 
     def keep_in(self, path: Path) -> None:
-        """Load the pictures of an earlier run from a file, and append further pictures to it.
+        """Load the record of an earlier run from a file, and append further pictures to the file.
 
         Raises
         ------
@@ -88,7 +91,10 @@ class Record:
                 file.write(_line(shot))
 
     def shot_of(self, image: Grey) -> TakenShot | None:
-        """Return the recorded entry of a picture; None if the picture was not taken by this twin."""
+        """Return the record of a picture.
+
+        The result is None if the picture was not taken by this twin.
+        """
         return self._known.get(picture_digest(image))
 
 
@@ -98,7 +104,10 @@ def _line(shot: TakenShot) -> str:
 
 
 def _parse_line(line: str) -> TakenShot | None:
-    """Parse a line; return None if a killed run has left it incomplete."""
+    """Parse a line of the file.
+
+    Return None if the line is incomplete because the program was killed.
+    """
     try:
         plain: dict[str, Any] = json.loads(line)
         sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}

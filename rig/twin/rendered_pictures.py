@@ -1,4 +1,4 @@
-"""Pictures of the twin rendered with `sim`, including camera noise, and their truth.
+"""Pictures of the twin, rendered with `sim`, with camera noise and ground truth.
 
 This is the only module of the package rig that uses `sim`. It imports `sim` only for rendering or drawing random
 values, so that `rig` works without Mitsuba. Callers that request rendered pictures must have selected the Mitsuba
@@ -31,24 +31,25 @@ if TYPE_CHECKING:
 Light = NDArray[np.float32]
 _NOISE = 106  # second key of the random stream of the noise; the keys of the devices are in `rig.twin.world`
 _KEPT = 8
-"""Number of pictures that are cached for repeated states."""
+"""Number of rendered pictures that are kept in memory. A picture is reused if the state of the rig is the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigErrors:
-    """Rig errors drawn from a scene's disturbances for a given seed."""
+    """Errors of the rig, drawn from a scene's disturbances with a given seed."""
 
     table_from_canister: frames.Array
     canister_from_strip: frames.Array
     distortion: tuple[float, float, float, float, float]
     ring_cameras: tuple[frames.Array, ...]
-    """Transform ``cam_from_rig`` of a manually placed camera, for each ring of the plan."""
+    """Transforms ``cam_from_rig``, one for each ring of the scan plan. They apply to a camera that is placed by
+    hand."""
 
 
 def draw(scene: Scene, *, seed: int) -> RigErrors:
-    """Draw the rig errors of a scene in the same way as `sim.world.draw_world`.
+    """Draw the errors of the rig with `sim.world.draw_world`.
 
-    The same scene and seed result in the same values in simulated pictures and in the twin.
+    For the same scene and seed, the simulated pictures and the twin have the same errors.
     """
     from rhizotwin.sim.world import draw_world
 
@@ -63,14 +64,14 @@ def draw(scene: Scene, *, seed: int) -> RigErrors:
 
 
 def calibrated_scene(scene: Scene) -> Scene:
-    """Return the scene as known to a laboratory, with nominal rig and calibrated lens."""
+    """Return the scene as it is known in a laboratory, with the nominal rig and the calibrated lens."""
     from rhizotwin.sim.world import scene_for_reconstruction
 
     return scene_for_reconstruction(scene)
 
 
 class RenderedPictures:
-    """Renderer of a scene for any position of camera and table.
+    """Renderer of a scene for any pose of the camera and any table angle.
 
     It uses the same method as `sim.simulate` with the ``backlit`` fidelity.
 
@@ -97,7 +98,7 @@ class RenderedPictures:
         self._masks: dict[bytes, bytes] = {}  # compressed
 
     def picture(self, sight: Sight) -> Grey:
-        """Return the picture (H, W) that the camera stores for a state of the world.
+        """Return the picture (H, W) that the camera stores for a given state of the rig.
 
         The picture depends only on the state, the scene and the seed.
         """
@@ -114,7 +115,10 @@ class RenderedPictures:
         return self._pictures[key].copy()
 
     def light(self, sight: Sight) -> Light:
-        """Return the linear light (H, W) as the sum of the lamps, where 1 is full scale at nominal exposure."""
+        """Return the linear light (H, W), to which all lamps contribute.
+
+        A value of 1 is full scale at the nominal exposure.
+        """
         width, height = self._scene.camera.image_wh
         both = min(sight.panel, sight.front)
         light = np.zeros((height, width), np.float32)
@@ -124,7 +128,7 @@ class RenderedPictures:
         return light
 
     def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
-        """Write the ``truth`` of a dataset, given the file name and the true state of each picture.
+        """Write the ``truth`` folder of a dataset from the file name and the true state of each picture.
 
         The scene must have a specimen.
         """
@@ -142,7 +146,10 @@ class RenderedPictures:
         save_truth(folder, build_truth(world, self._solid, [(file, _camera(sight)) for file, sight in taken]))
 
     def _look(self, sight: Sight, *, panel: bool, front: bool) -> Light:
-        """Render the light (H, W) of one or both lamps at full brightness, and cache the mask."""
+        """Render the light (H, W) of one or both lamps at full brightness.
+
+        The mask of the specimen, which does not depend on the lamps, is cached.
+        """
         from rhizotwin.sim.exposure import mask_picture
 
         renderer = self._renderer(panel=panel, front=front, band=sight.band)
@@ -174,7 +181,10 @@ class RenderedPictures:
         return self._world
 
     def _nearest_ring(self, sight: Sight) -> int:
-        """Return the index of the ring whose camera is nearest, for which the lens is focused."""
+        """Return the index of the ring whose camera position is nearest to that of the camera.
+
+        The lens is focused as in this ring.
+        """
         x, y, z = frames.invert(sight.cam_from_rig)[:3, 3]
         rings = self._scene.plan.rings
         return min(range(len(rings)), key=lambda i: np.hypot(np.hypot(x, y) - rings[i].distance_mm, z - rings[i].height_mm))

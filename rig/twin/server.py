@@ -1,4 +1,7 @@
-"""Standalone twin in real time, with serial ports for any program, an HTTP camera server, and a matching rig file."""
+"""Standalone twin that runs in real time.
+
+It has serial ports that any program can open, an HTTP camera server, and a matching rig file.
+"""
 
 import os
 import select
@@ -28,7 +31,7 @@ HELP = "faults (list the faults), where (show the true state), help, quit, or a 
 
 
 class TwinServer:
-    """Twin in real time with its ports and camera server.
+    """Twin that runs in real time, with its ports and camera server.
 
     Parameters
     ----------
@@ -51,7 +54,7 @@ class TwinServer:
 
     @property
     def rig(self) -> RigFile:
-        """Rig file that refers to the ports and the camera of this twin."""
+        """Rig file that contains the addresses of the ports and the camera of this twin."""
         rig, paths = self.twin.rig, self._ports.paths
         return replace(
             rig,
@@ -77,7 +80,7 @@ class TwinServer:
         self._ports.wake()
 
     def where(self) -> str:
-        """Return a text with the true state of the devices."""
+        """Return a text that describes the true state of the devices."""
         with self._ports.lock:
             self._ports.catch_up()
             world = self.twin.world
@@ -96,7 +99,7 @@ class TwinServer:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:
-        """Return a picture of the present state of the world, rendered without blocking the ports."""
+        """Render a picture of the present state of the world, while the ports remain in operation."""
         with self._ports.lock:
             self._ports.catch_up()
             sight = self.twin.world.sight(exposure=exposure)
@@ -104,12 +107,15 @@ class TwinServer:
 
 
 def rig_text(rig: RigFile) -> str:
-    """Format a rig as the text of a rig file, from which `rig.rig_file.load_rig` reads an equal rig."""
+    """Format a rig as the text of a rig file.
+
+    If `rig.rig_file.load_rig` reads the text, the result equals the rig.
+    """
     return toml_text.dumps(_without_none(to_plain(rig)))
 
 
 def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, camera_port: int = 0, commands: int | None = None) -> None:
-    """Run a twin until the command quit, or an exception such as KeyboardInterrupt.
+    """Run a twin until the user enters the command quit, or an exception such as KeyboardInterrupt is raised.
 
     Parameters
     ----------
@@ -158,7 +164,10 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
 
 
 def _console_descriptor() -> int | None:
-    """Return the descriptor of stdin; None if there is no stdin, or another program in the foreground uses it."""
+    """Return the file descriptor of stdin.
+
+    The result is None if there is no stdin, or if another program in the foreground uses it.
+    """
     try:
         descriptor = sys.stdin.fileno()
         behind = os.isatty(descriptor) and os.tcgetpgrp(descriptor) != os.getpgrp()
@@ -168,7 +177,10 @@ def _console_descriptor() -> int | None:
 
 
 def _lines(descriptor: int | None) -> Iterator[str]:
-    """Yield each line that was typed. After the last line, wait for Ctrl-C."""
+    """Yield each line that the user types.
+
+    After the end of the input, wait for Ctrl-C.
+    """
     buffer = b""
     while data := b"" if descriptor is None else os.read(descriptor, 4096):
         *lines, buffer = (buffer + data).split(b"\n")

@@ -1,7 +1,8 @@
-"""Model of a bus servo: position control at uniform speed, backlash, gravity, temperature and supply.
+"""Model of a bus servo.
 
-The model is independent of protocols. Positions are in counts of the servo (0.24 deg). ``sensed`` is the reading of the
-potentiometer, and ``true`` the position of the output:
+It includes position control at uniform speed, backlash, gravity, temperature and supply. The model is independent of
+protocols. Positions are in counts of the servo (0.24 deg). ``sensed`` is the reading of the potentiometer, and ``true``
+the position of the output:
 
     true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the backlash + error of this move + sag
 """
@@ -18,18 +19,19 @@ MAX_SPEED = 60.0 / 0.22 / DEG_PER_COUNT
 STOPS = (-60.0, 1060.0)
 """Positions of the mechanical end stops, counts."""
 FRICTION = 0.45
-"""Torque below which friction of the gears keeps an unpowered servo from turning, as a fraction of the torque of the
-stretched arm at the shoulder."""
+"""Minimum torque at which gravity turns an unpowered servo against the friction of its gears. The unit is the torque of
+gravity at the shoulder if the arm is stretched horizontally."""
 FALL_SPEED = 400.0
-"""Speed of an unpowered servo per torque above friction, counts/s."""
+"""Speed at which gravity turns an unpowered servo, in counts/s per unit of torque above `FRICTION`."""
 SEEN_SAG = 0.5
-"""Fraction of the sag that the potentiometer measures. The remaining sag is in the gears behind it."""
+"""Fraction of the sag that the potentiometer of the servo measures. The remaining sag occurs in the gears between the
+potentiometer and the output shaft."""
 IDLE_VOLT = 7.58
 AMBIENT_CELSIUS = 24.0
 WARM_UP_S = 300.0
-"""Time constant of heating and cooling, s."""
+"""Time constant with which a servo warms up and cools down, s."""
 COOL_BELOW = 5.0
-"""Difference below the temperature limit at which an overheated servo switches its torque on again, °C."""
+"""Cooling below the temperature limit after which an overheated servo switches its torque on again, °C."""
 _ZERO, _MOVE = 1, 2
 
 
@@ -44,12 +46,12 @@ class Supply:
 
     @property
     def millivolt(self) -> int:
-        """Present supply voltage, mV."""
+        """Present voltage of the supply, mV."""
         return round(1000.0 * ((4.2 if self._low_for_s > 0.0 else self._volt) - self.load_volt))
 
     @property
     def up(self) -> bool:
-        """Whether the voltage is sufficient for the processors of the servos."""
+        """Whether the voltage is sufficient for the processors in the servos."""
         return self._low_for_s <= 0.0
 
     def brown_out(self, for_s: float) -> None:
@@ -94,18 +96,18 @@ class Servo:
         self._into_s = 0.0
         self._duration_s = 0.0
         self.torque = 0.0
-        """Torque of gravity in the direction of increasing counts, as a fraction of the torque of the stretched arm at
-        the shoulder."""
+        """Torque that gravity exerts in the direction of increasing counts. The unit is the torque at the shoulder if
+        the arm is stretched horizontally."""
         self.stalled = False
         """Whether the servo is blocked."""
         self.power_up()
 
     def power_up(self) -> None:
-        """Reset the state that is lost without power: torque off, no command, default limits."""
+        """Reset the state to that after power-up: no torque, no commanded position, and default limits."""
         self.torque_on = False
         self.hot = False
         self.command = (min(max(round(self._sensed), 0), 1000), 0)
-        """Last commanded position, counts, and duration, ms."""
+        """Last commanded position, in counts, and the duration of its move, in milliseconds."""
         self.waiting: tuple[int, int] | None = None
         self.commanded = False
         self.temperature_limit = 85
@@ -113,17 +115,20 @@ class Servo:
 
     @property
     def counts(self) -> int:
-        """Position reported by the servo, in counts. May be outside 0 to 1000."""
+        """Position that the servo reports, in counts.
+
+        It can be outside the range of 0 to 1000.
+        """
         return round(self._sensed + SEEN_SAG * self._sag())
 
     @property
     def true_counts(self) -> float:
-        """True position of the output, in counts."""
+        """True position of the output shaft, in counts."""
         return self.unbent_counts + self._sag()
 
     @property
     def unbent_counts(self) -> float:
-        """True position of the output without sag, in counts."""
+        """Position that the output shaft would have without sag, in counts."""
         return 500.0 + (self._sensed - 500.0) * self._scale + self._zero + self._error
 
     @property
@@ -147,9 +152,9 @@ class Servo:
         return not self.holds and abs(self.torque) > FRICTION and STOPS[0] < self._sensed < STOPS[1]
 
     def move(self, counts: int, duration_ms: int) -> None:
-        """Move to a position at uniform speed in a given time, or at maximum speed if the time is too short.
+        """Move to a position at uniform speed in the given duration.
 
-        The torque is switched on.
+        If the duration is too short, the servo moves at maximum speed. The torque is switched on.
         """
         self.command = (counts, duration_ms)
         self.commanded = True
@@ -168,8 +173,8 @@ class Servo:
     def load(self, on: bool) -> None:
         """Switch the torque on or off.
 
-        When switched on, the servo moves to its last commanded position at maximum speed, or keeps its present position
-        if there is none.
+        When the torque is switched on, the servo moves to its last commanded position at maximum speed. If there is
+        none, it keeps its present position.
         """
         if on and not self.torque_on:
             if self.commanded:
@@ -179,7 +184,7 @@ class Servo:
         self.torque_on = on
 
     def turn_by_hand(self, counts: float) -> None:
-        """Rotate the unpowered servo by hand to a position, in counts."""
+        """Rotate the unpowered servo to a position, in counts, as if by hand."""
         self._sensed = counts
         self.stop()
 
@@ -193,7 +198,10 @@ class Servo:
         self._guard()
 
     def cool_down(self) -> None:
-        """Set the temperature to that of a servo at rest, unless it is lower."""
+        """Lower the temperature to that of a servo at rest.
+
+        A lower temperature is not changed.
+        """
         self.heat(min(self._celsius, AMBIENT_CELSIUS + self._warmth))
 
     def advance(self, dt_s: float) -> None:
@@ -212,7 +220,10 @@ class Servo:
         self._guard()
 
     def _guard(self) -> None:
-        """Switch the torque off above the temperature limit, and on again, in the present position, after cooling."""
+        """Switch the torque off if the temperature exceeds its limit.
+
+        After cooling, switch it on again in the present position.
+        """
         if self.hot and self._celsius < self.temperature_limit - COOL_BELOW:
             self.hot = False
             self.stop()

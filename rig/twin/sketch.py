@@ -1,8 +1,9 @@
-"""Fast pictures without Mitsuba: the marker strip in exact perspective, the panel, and lines similar to roots.
+"""Fast pictures without Mitsuba.
 
-The strip is outside the canister, so that rays to it are not refracted. Therefore the ray of every pixel is intersected
-with the net pot's cylinder. The lines below the strip are drawn without refraction and do not represent a specimen.
-These pictures are for tests of the rig, not of reconstructions.
+They show the marker strip in exact perspective, the panel, and lines that resemble roots. The strip is outside the
+canister, so that rays to it are not refracted. Therefore the ray of every pixel is intersected with the net pot's
+cylinder. The lines below the strip are drawn without refraction and do not represent a specimen. These pictures are for
+tests of the rig, not of reconstructions.
 """
 
 from typing import Any
@@ -18,7 +19,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 INK = 0.05
-"""Reflectance of black cells, relative to paper."""
+"""Reflectance of the black cells of a marker, relative to that of the paper."""
 MM_PER_TEXEL = 0.125
 ROOT = 0.02
 ROOTS = 5
@@ -53,7 +54,7 @@ class Sketch:
         self._roots_mm = _root_lines(scene)
 
     def picture(self, sight: Sight) -> Grey:
-        """Return the picture (H, W) that a camera without noise stores."""
+        """Return the picture (H, W) that a camera without noise would store."""
         bits = self._scene.camera.bits
         numbers = np.rint(np.minimum(self.light(sight), np.float32(1.0)) * np.float32(2**bits - 1))
         return numbers.astype(np.uint8) if bits <= 8 else numbers.astype(np.uint16) << np.uint16(16 - bits)
@@ -70,7 +71,10 @@ class Sketch:
         return light * np.float32(sight.exposure)
 
     def _pixel_rays(self) -> Light:
-        """Return the direction (H, W, 3) of the ray of every pixel in the camera's frame, with z = 1."""
+        """Return the direction (H, W, 3) of the ray through every pixel, in the camera's frame.
+
+        Its z component is 1.
+        """
         width, height = self._scene.camera.image_wh
         u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         pixels = np.stack([u.ravel(), v.ravel()], axis=1)[:, None]
@@ -79,7 +83,7 @@ class Sketch:
         return np.concatenate([flat, np.ones((height, width, 1))], axis=2).astype(np.float32)
 
     def _draw_strip(self, light: Light, cam_from_strip: frames.Array, front: np.float32) -> None:
-        """Draw the printed strip where rays of the pixels intersect the net pot's skirt."""
+        """Draw the printed strip into the pixels whose rays intersect the net pot's skirt."""
         pot = self._scene.net_pot
         rows, columns = self._bounds(cam_from_strip)
         rays = self._rays[rows, columns] @ cam_from_strip[:3, :3].astype(np.float32)  # rays in the strip's frame
@@ -109,7 +113,10 @@ class Sketch:
                 cv2.polylines(light, [points], False, float(panel) * ROOT, thickness=6 if i == 0 else 2, shift=_SHIFT)
 
     def _project(self, cam_from_b: frames.Array, points_b: frames.Array) -> frames.Array | None:
-        """Project points (N, 3) to pixels (N, 2); return None if a point is not in front of the camera."""
+        """Project points (N, 3) to pixels (N, 2).
+
+        Return None if a point is not in front of the camera or lies far outside the picture.
+        """
         points = frames.apply(cam_from_b, points_b)
         if points[:, 2].min() < 1.0:
             return None
@@ -118,7 +125,7 @@ class Sketch:
         return found if np.abs(found).max() < 1e5 else None
 
     def _bounds(self, cam_from_strip: frames.Array) -> tuple[slice, slice]:
-        """Return the slices of rows and columns in which the skirt may be visible."""
+        """Return the slices of rows and columns that contain the skirt of the net pot."""
         pot = self._scene.net_pot
         height, width = self._rays.shape[:2]
         angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
@@ -133,9 +140,9 @@ class Sketch:
 
 
 def _strip_texture(scene: Scene) -> Light:
-    """Draw the unrolled strip, with row 0 at the net pot's top.
+    """Draw the unrolled strip, with row 0 at the top of the net pot.
 
-    One column is repeated at each end, for interpolation across the seam.
+    One column is repeated at each end, so that the picture can be interpolated across the seam.
     """
     strip, pot = scene.strip, scene.net_pot
     around_mm = 2.0 * np.pi * pot.outer_radius_mm
@@ -155,7 +162,7 @@ def _strip_texture(scene: Scene) -> Light:
 
 
 def _share(texel_mm: NDArray[Any], start_mm: float, side_mm: float, cells: int) -> frames.Array:
-    """Return the fraction of each texel that is covered by each cell of a marker."""
+    """Return the fraction of each texel that each cell of a marker covers, along one direction."""
     half = (texel_mm[1] - texel_mm[0]) / 2.0
     edges = start_mm + side_mm / cells * np.arange(cells + 1)
     low = np.maximum(texel_mm[:, None] - half, edges[None, :-1])

@@ -1,7 +1,8 @@
-"""Model of the turntable: a stepper motor with a gear, driven in microsteps along a queue of moves.
+"""Model of the turntable.
 
-The model is independent of protocols. Angles are in degrees of the table. The motor's step count starts at 0 at
-power-up, and the corresponding position of the table is stored in the world.
+A stepper motor with a gear is driven in microsteps and executes a queue of moves. The model is independent of
+protocols. Angles are in degrees of the table. The motor's step count starts at 0 at power-up, and the corresponding
+position of the table is stored in the world.
 """
 
 import math
@@ -17,12 +18,15 @@ MICROSTEPS = 32
 ACCELERATION_DEG_PER_S2 = 60.0
 MAX_SPEED_DEG_PER_S = 360.0
 QUEUE = 16
-"""Maximum number of moves that are queued after the present move."""
+"""Maximum number of moves that wait in the queue while another move is executed."""
 
 
 @dataclass(frozen=True)
 class _Move:
-    """Move that begins and ends at rest: acceleration, constant speed, deceleration."""
+    """Move that begins and ends at rest.
+
+    It consists of constant acceleration, constant speed and constant deceleration.
+    """
 
     start_steps: int
     goal_steps: int
@@ -45,7 +49,10 @@ class _Move:
         return self.start_steps + math.copysign(done, self.goal_steps - self.start_steps)
 
     def pieces(self) -> Iterator[tuple[float, float, float, float]]:
-        """Yield start time, end time, initial speed and acceleration of the three phases of the move."""
+        """Yield the three phases of the move.
+
+        Each has a start time, an end time, an initial speed and an acceleration.
+        """
         top = math.copysign(self.speed, self.goal_steps - self.start_steps)
         gain, last_s = top / self.ramp_s, self.duration_s - self.ramp_s
         yield 0.0, self.ramp_s, 0.0, gain
@@ -86,12 +93,15 @@ class Stepper:
 
     @property
     def steps(self) -> int:
-        """Number of microsteps since power-up."""
+        """Number of microsteps that were sent since power-up.
+
+        Backward steps are counted as negative.
+        """
         return round(self._steps)
 
     @property
     def goal_steps(self) -> int:
-        """Number of microsteps at the end of the queue."""
+        """Number of microsteps since power-up after all queued moves."""
         return self._moves[-1].goal_steps if self._moves else self.steps
 
     @property
@@ -110,12 +120,15 @@ class Stepper:
         return len(self._moves) > QUEUE
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` moves remain, s."""
+        """Return the time until at most ``moves`` moves remain in the queue, s."""
         left = list(self._moves)[: max(len(self._moves) - moves, 0)]
         return max(sum(move.duration_s for move in left) - self._into_s, 0.0) if left else 0.0
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
-        """Add a move to a table angle (deg) relative to power-up, and switch the motor on."""
+        """Add a move to the queue and switch the motor on.
+
+        The target is a table angle in degrees, relative to that at power-up.
+        """
         self.energise()
         start, goal = self.goal_steps, round(goal_deg * self.steps_per_deg)
         if start == goal:
@@ -127,7 +140,11 @@ class Stepper:
         self._moves.append(_Move(start, goal, speed, speed / gain, way / speed + speed / gain))
 
     def energise(self) -> None:
-        """Switch the coils on. The first time after power-up, the rotor jumps to the phase of the driver."""
+        """Switch the coils on.
+
+        When they are switched on for the first time after power-up, the rotor jumps to the position that corresponds to
+        the driver's currents.
+        """
         if self.energised:
             return
         self.energised = True
@@ -151,7 +168,10 @@ class Stepper:
         self._turn_output()
 
     def power_up(self) -> None:
-        """Reset to the state after power-up: count 0 and coils off, without moving the table."""
+        """Reset the state to that after power-up.
+
+        The count of steps is 0 and the coils are off, but the table does not move.
+        """
         stood_deg = self._output_deg
         self.stop()
         self._steps = 0.0
@@ -180,7 +200,10 @@ class Stepper:
         self._turn_output()
 
     def motion(self, dt_s: float) -> Iterator[tuple[float, float, float]]:
-        """Yield the future motion of the table: duration (s), initial speed (deg/s) and acceleration (deg/s2)."""
+        """Yield the motion of the table in the next ``dt_s`` as intervals of constant acceleration.
+
+        Each has a duration (s), an initial speed (deg/s) and an acceleration (deg/s2).
+        """
         into_s, left_s = self._into_s, dt_s
         for move in self._moves:
             for begin_s, end_s, speed, gain in move.pieces():
@@ -194,7 +217,10 @@ class Stepper:
             yield left_s, 0.0, 0.0
 
     def _motor_deg(self) -> float:
-        """Return the rotor's angle, deg, whose error has the electrical period of four full steps."""
+        """Return the angle of the rotor, deg.
+
+        Its error is periodic, with the electrical period of four full steps.
+        """
         steps = self._steps
         if not self.energised:
             steps = round(steps / MICROSTEPS) * MICROSTEPS
@@ -202,6 +228,6 @@ class Stepper:
         return self._shift_deg + steps / self.steps_per_deg + self._wrong.table_microstep_deg * math.sin(electrical_rad)
 
     def _turn_output(self) -> None:
-        """Make the table follow the rotor with backlash."""
+        """Update the table angle from the angle of the rotor, taking the backlash into account."""
         motor_deg, half_deg = self._motor_deg(), self._wrong.table_play_deg / 2.0
         self._output_deg = min(max(self._output_deg, motor_deg - half_deg), motor_deg + half_deg)

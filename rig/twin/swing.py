@@ -1,4 +1,7 @@
-"""Torsional oscillation of hanging roots when their pot is rotated, and its decay after a stop."""
+"""Torsional oscillation of hanging roots.
+
+It is excited by the rotation of their pot and decays after the rotation.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,8 +10,8 @@ import numpy as np
 from scipy.linalg import expm
 
 STILL_DEG = 1e-4
-"""Twist below which the oscillation is set to zero, deg. This is 0.05 um at 30 mm from the axis. Thus pictures at rest
-are identical to the last bit."""
+"""Twist that is treated as zero, deg. At 30 mm from the axis it is a displacement of 0.05 um. Thus pictures at rest are
+identical to the last bit."""
 
 
 @dataclass(frozen=True)
@@ -21,9 +24,10 @@ class _Piece:
 
 
 class Swing:
-    """Twist of the lowest root tips relative to the pot.
+    """Model of the twist of the lowest root tips relative to the pot.
 
-    The motion of the table is stored as intervals of constant acceleration, and integrated when the twist is requested.
+    The motion of the table is stored as intervals of constant acceleration. It is integrated when the twist is
+    requested.
 
     Parameters
     ----------
@@ -52,7 +56,7 @@ class Swing:
         self._later: list[_Piece] = []
 
     def turn(self, seconds: float, speed_deg_per_s: float, gain_deg_per_s2: float) -> None:
-        """Rotate the pot for a given time, beginning at a given speed.
+        """Rotate the pot with constant acceleration, beginning at a given speed.
 
         Parameters
         ----------

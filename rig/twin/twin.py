@@ -1,4 +1,4 @@
-"""Complete emulated rig within this process, in virtual time."""
+"""Complete emulated rig that runs within this process, in virtual time."""
 
 import itertools
 import math
@@ -37,10 +37,10 @@ _NUMBERS = itertools.count(1)
 
 
 class Painter(Protocol):
-    """Interface of a source of the twin's pictures."""
+    """Interface of a renderer of the twin's pictures."""
 
     def picture(self, sight: Sight) -> Grey:
-        """Return the picture (H, W) that the camera stores for a state of the world."""
+        """Return the picture (H, W) that the camera stores for a given state of the rig."""
 
 
 class Twin:
@@ -134,28 +134,33 @@ class Twin:
         )
 
     def look(self, exposure: float = 1.0) -> Grey:
-        """Return the picture (H, W) that the camera stores for the present state of the world, and record it."""
+        """Return the picture (H, W) that the camera stores for the present state of the rig, and record it."""
         return self.paint(self.world.sight(exposure=exposure))
 
     def paint(self, sight: Sight) -> Grey:
-        """Return the picture (H, W) that the camera stores for a given state of the world, and record it."""
+        """Return the picture (H, W) that the camera stores for a given state of the rig, and record it."""
         image = self._painter.picture(sight)
         self.record.add(image, sight, self.clock.now_s())
         return image
 
     def calibrated_scene(self) -> Scene:
-        """Return the scene as known to a laboratory: nominal rig, calibrated lens, and no specimen."""
+        """Return the scene as it is known in a laboratory.
+
+        It contains the nominal rig and the calibrated lens, but no specimen.
+        """
         return rendering.calibrated_scene(self.scene)
 
     def put_camera(self, ring: int) -> None:
-        """Move the tripod to the position of a ring, with the accuracy of manual placement.
+        """Move the tripod to the position of a ring.
 
-        Only for rigs without an arm.
+        The position has the accuracy of manual placement. The method is only for rigs without an arm.
         """
         self.world.tripod_cam_from_rig = self._ring_cameras[ring]
 
     def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> bool:
-        """Write the ``truth`` of a dataset taken with this twin: solid, skeleton, true poses and masks.
+        """Write the ``truth`` folder of a dataset that was taken with this twin.
+
+        It contains the solid, the skeleton, the true poses and the masks.
 
         Returns
         -------
@@ -206,7 +211,7 @@ class Twin:
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
     def repair(self) -> None:
-        """Perform the repairs of a user before an interrupted scan is resumed.
+        """Prepare the rig as a user would before resuming an interrupted scan.
 
         All faults are removed, the arm is parked, and the board is reset if it has halted.
         """
@@ -226,7 +231,7 @@ class Twin:
             self._reset("External Reset")
 
     def on_board_opened(self) -> None:
-        """Simulate the board's reaction to the opening of its port."""
+        """Reset the board if it resets whenever its port is opened."""
         if self._resets_on_open:
             self._reset("External Reset")
 
@@ -235,7 +240,7 @@ class Twin:
         return min([self.pending.next_s(), *(at_s for at_s, _ in self._later)])
 
     def advance_to(self, now_s: float) -> None:
-        """Advance the devices to the given time (s), then apply due faults."""
+        """Advance the devices to the given time in seconds, then apply the faults that are due."""
         self.world.advance(now_s - self._was_s)
         self._was_s = now_s
         for name in self.lines:

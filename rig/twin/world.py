@@ -1,4 +1,7 @@
-"""True state of the devices, in the frames of `scenes.frames`, which determines the twin's pictures."""
+"""True state of the devices, from which the twin's pictures are computed.
+
+The frames are those of `scenes.frames`.
+"""
 
 import hashlib
 from dataclasses import dataclass
@@ -19,35 +22,39 @@ from rhizotwin.scenes.model import Scene
 _SERVO, _SUPPLY, _TABLE, _LAMP, _START = 101, 102, 103, 104, 105
 
 FILTER_DEG = 5.0
-"""Maximum deviation of the filter wheel from a band's angle, deg, for the filter to cover the light path."""
+"""Maximum deviation of the filter wheel from the angle of a band, deg, at which the filter still covers the light
+path."""
 GRIPPER = 1
 GRIPPER_CELSIUS = 47.0
 _MASSES = np.array([0.06, 0.06, 0.12])
-"""Masses at elbow, wrist and camera, kg."""
+"""Masses at the elbow, wrist and camera in that order, kg."""
 _FALLING_STEP_S = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """True state of the rig that determines a picture."""
+    """True state of the rig from which a picture is computed."""
 
     cam_from_rig: frames.Array
     rig_from_canister: frames.Array
     table_deg: float
-    """True table angle, deg, without the offset and tilt of the canister."""
+    """True table angle, deg. The table angle does not include the offset and tilt of the canister."""
     panel: float
     front: float
-    """Levels of the lamps relative to those in the scene."""
+    """Levels of the panel and the front light, relative to those of the scene."""
     exposure: float = 1.0
-    """Product of exposure time and gain, relative to its nominal value."""
+    """Product of the exposure time and the gain, relative to its nominal value."""
     band: str = ""
-    """Band of the camera to which lamps and filter are set; empty for none."""
+    """Name of the band to which the lamps and the filter are set. It is empty if they match no band."""
     twist_deg: float = 0.0
-    """Twist of the lowest root tips relative to the pot, deg. The twist decreases linearly towards the top."""
+    """Twist of the lowest root tips relative to the pot, deg. It decreases linearly to 0 at the top of the roots."""
 
     @property
     def place_key(self) -> bytes:
-        """Digest of the poses of camera, canister and roots, rounded to a millionth of a millimetre."""
+        """Digest of the poses of the camera and the canister, and of the twist of the roots.
+
+        All values are rounded to six decimals (mm, deg).
+        """
         return _digest(self.cam_from_rig, self.rig_from_canister, *self._twist)
 
     @property
@@ -58,12 +65,16 @@ class Sight:
 
     @property
     def _twist(self) -> list[frames.Array]:
-        """Twist of moving roots, deg; empty at rest, so that pictures at rest have the same digest."""
+        """Twist of the roots, deg.
+
+        The list is empty if the roots are at rest, so that the digest of a picture at rest does not depend on the
+        twist.
+        """
         return [np.array([self.twist_deg])] if self.twist_deg else []
 
 
 class TwinWorld:
-    """True state of table, arm and lamps.
+    """True state of the table, the arm and the lamps.
 
     Parameters
     ----------
@@ -84,7 +95,8 @@ class TwinWorld:
         self.rig = rig
         self.table_from_canister = table_from_canister
         self.tripod_cam_from_rig = plan.views(scene)[0].cam_from_rig
-        """True pose of the camera for a rig without an arm, 4x4."""
+        """True transform ``cam_from_rig`` of the camera on its tripod, 4x4. It is used only for a rig without an
+        arm."""
         self.table = Stepper(full_step_deg=rig.turntable.full_step_deg, imperfections=imperfections, key=(seed, _TABLE))
         self.swing = Swing(hz=imperfections.swing_hz, damping=imperfections.swing_damping)
         self._table_start_deg = float(np.random.default_rng([seed, _START]).uniform(0.0, 360.0))
@@ -92,7 +104,7 @@ class TwinWorld:
         self.panel = Lamp(full_rgb=lights.panel_rgb, imperfections=imperfections, key=(seed, _LAMP, 0))
         self.front = Lamp(full_rgb=lights.front_rgb, imperfections=imperfections, key=(seed, _LAMP, 1))
         self.outputs_on: set[int] = set()
-        """Numbers of the board's switched outputs that are on."""
+        """Numbers of the outputs of the board that are switched on."""
         self.supply = Supply(key=(seed, _SUPPLY))
         self.servos: dict[int, Servo] = {}
         if rig.arm is not None:
@@ -105,7 +117,7 @@ class TwinWorld:
             self._weigh()
 
     def lamp(self, strip: int) -> Lamp:
-        """Return the lamp that is connected as a given strip of the board."""
+        """Return the lamp that is connected to the given strip output of the board."""
         return self.panel if strip == self.rig.lights.panel_strip else self.front
 
     def advance(self, dt_s: float) -> None:
@@ -129,42 +141,51 @@ class TwinWorld:
         self.supply.load_volt = 0.08 * sum(servo.moving for servo in self.servos.values())
 
     def brown_out(self, for_s: float) -> None:
-        """Interrupt the arm's supply for a time (s), or momentarily (0). All servos restart without torque."""
+        """Interrupt the arm's supply for the given time in seconds.
+
+        All servos restart without torque, even if the time is 0.
+        """
         self.supply.brown_out(for_s)
         for servo in self.servos.values():
             servo.power_up()
         self._weigh()
 
     def put_arm_to_rest(self) -> None:
-        """Move the unpowered arm to its parking position by hand."""
+        """Move the unpowered arm to its parking position, as if by hand."""
         for joint, rest_deg in _rest(self.rig):
             self.servos[joint.servo].turn_by_hand(_counts(joint, rest_deg))
         self._weigh()
 
     @property
     def table_deg(self) -> float:
-        """True table angle, deg. It is 0 when the strip's seam faces the camera."""
+        """True table angle, deg.
+
+        It is 0 if the seam of the marker strip faces the camera.
+        """
         return self._table_start_deg + self.table.true_deg
 
     @property
     def joints_deg(self) -> tuple[float, ...]:
-        """True joint angles from base to wrist roll, deg; empty without an arm."""
+        """True joint angles from the base to the wrist roll, deg.
+
+        The tuple is empty if the rig has no arm.
+        """
         return () if (arm := self.rig.arm) is None else self._angles(arm, [self.servos[j.servo].true_counts for j in arm.joints])
 
     @property
     def cam_from_rig(self) -> frames.Array:
-        """True pose of the camera (4, 4), from the rig frame to the camera's frame."""
+        """True transform (4, 4) from the rig frame to the camera's frame."""
         if self.rig.arm is None:
             return self.tripod_cam_from_rig
         return kinematics.cam_from_rig(self.rig.arm, self.joints_deg)
 
     @property
     def rig_from_canister(self) -> frames.Array:
-        """True pose of the canister (4, 4), from the canister's frame to the rig frame."""
+        """True transform (4, 4) from the canister's frame to the rig frame."""
         return plan.rig_from_table(self.scene, self.table_deg) @ self.table_from_canister
 
     def sight(self, *, exposure: float = 1.0) -> Sight:
-        """Return the true state that determines a picture taken now."""
+        """Return the present true state of the rig, from which a picture can be computed."""
         band, panel, front = self._light()
         return Sight(
             cam_from_rig=self.cam_from_rig,
@@ -178,10 +199,10 @@ class TwinWorld:
         )
 
     def _light(self) -> tuple[str, float, float]:
-        """Return the band to which lamps, outputs and filter are set, and its levels of panel and front light.
+        """Return the name of the band that the rig is set to, and the levels of the panel and the front light.
 
-        A lamp on a switched output of a band counts as full panel and front light. States that match no band count as
-        white light.
+        The band is determined from the lamps, the outputs of the board and the filter. If the band uses a lamp at a
+        switched output, both levels are 1. States that match no band count as white light.
         """
         for part in self.rig.camera.bands:
             if self.outputs_on != ({part.output} - {None}) or not self._filter_is_at(part.filter_deg):
@@ -196,14 +217,17 @@ class TwinWorld:
         return "", self.panel.level, self.front.level
 
     def _in_colour(self, lamp: Lamp, rgb: tuple[int, int, int], level: float | None) -> float | None:
-        """Return the level of a lamp in a band's colour; None if the lamp shows a different colour."""
+        """Return the level of a lamp relative to a band's colour.
+
+        The result is None if the lamp does not show this colour, or if it should be dark but is not.
+        """
         if level == 0.0 or lamp.goal == 0.0:
             return lamp.level if level == 0.0 and lamp.goal == 0.0 else None
         share = lamp.share_of(rgb)
         return None if share is None else lamp.level * share
 
     def _filter_is_at(self, angle_deg: float | None) -> bool:
-        """Return whether the filter wheel is at a band's angle."""
+        """Return whether the filter wheel is at the given angle of a band."""
         wheel = None if self.rig.arm is None else self.rig.arm.filter
         if angle_deg is None or wheel is None:
             return angle_deg is None
@@ -213,7 +237,7 @@ class TwinWorld:
         return tuple(joint.sign * (at - joint.zero_counts) / joint.counts_per_deg for joint, at in zip(arm.joints, counts, strict=True))
 
     def _weigh(self) -> None:
-        """Update the torques that gravity exerts on the pitch servos in the present pose."""
+        """Update the torques that gravity exerts on the shoulder, elbow and wrist pitch servos in the present pose."""
         if (arm := self.rig.arm) is None:
             return
         lean_rad = np.cumsum(np.deg2rad(self._angles(arm, [self.servos[j.servo].unbent_counts for j in arm.joints])[1:4]))
@@ -226,7 +250,10 @@ class TwinWorld:
 
 
 def _rest(rig: RigFile) -> list[tuple[Joint, float]]:
-    """Return the joints with their parking angles (deg); empty without an arm."""
+    """Return each joint with its parking angle, deg.
+
+    The list is empty if the rig has no arm.
+    """
     return [] if rig.arm is None else list(zip(rig.arm.joints, rig.arm.park_deg, strict=True))
 
 
