@@ -137,17 +137,16 @@ def _intervals(given: argparse.Namespace) -> int:
         table = intervals_table.table_of(intervals.measure(numbers, processes=given.processes, device=given.device, say=say))
     else:
         table = intervals_table.read(given.table)
-    factors = conformal.calibrate(table[conformal.is_calibration(table)])
+    factors = conformal.calibrate(table)
     text = intervals_page.page(table, factors, widest=TrustSettings.widest)
     say("\n" + text)
     output = (given.output or _results() / "intervals.csv").with_suffix(".csv")
     for path in (output, *([HERE / "intervals.csv"] if given.calibrate else [])):
         atomic.write_text(path, table.to_csv(index=False))
     atomic.write_text(output.with_suffix(".md"), text)
-    intervals_page.draw(table, factors, output.with_suffix(".png"))
+    intervals_page.draw(table, output.with_suffix(".png"))
     if given.calibrate:
-        calibrating = int(conformal.is_calibration(table).sum())
-        source = f"benchmarks/intervals.csv: split conformal prediction from {calibrating} of {len(table)} random scans"
+        source = f"benchmarks/intervals.csv: conformal prediction from {len(table)} random scans"
         atomic.write_json(calibration.TABLE, {"source": source, "confidence": conformal.CONFIDENCE, "factors": factors})
     say(f"every number: {output}")
     return 0

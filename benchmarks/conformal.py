@@ -26,8 +26,8 @@ GEOMETRIC = ("wide_interval",)
 """Reason codes that follow from the interval, and not from a check of the scan."""
 
 
-def is_calibration(table: pd.DataFrame) -> pd.Series:
-    """Return which scans are used for calibration: every other block of six, so that both halves have all profiles."""
+def is_first_half(table: pd.DataFrame) -> pd.Series:
+    """Return which scans belong to the first half: every other block of six scans, so that both have all profiles."""
     return (table["number"] // 6) % 2 == 0
 
 
@@ -48,14 +48,19 @@ def calibrate(table: pd.DataFrame) -> Factors:
     Returns
     -------
     dict of dict of float
-        Factors by regime and trait; regimes with fewer than `LEAST_SCANS` scans are missing.
+        Factors by regime and trait. A factor is 1 if the coverage without it does not differ significantly from
+        `CONFIDENCE`, since the scatter of the factor would then be larger than the correction. Regimes with fewer than
+        `LEAST_SCANS` scans are missing.
     """
     found: dict[str, dict[str, float]] = {}
     for trait in TRAITS:
         ratio = ratios(table, trait).abs()
         for regime, some in ratio[is_eligible(table) & ratio.notna()].groupby(table["regime"]):
             if len(some) >= LEAST_SCANS:
-                found.setdefault(str(regime), {})[trait] = float(f"{conformal_quantile(some.to_numpy()):.3g}")
+                low, high = binomial_band(int((some <= 1.0).sum()), len(some))
+                nominal = low <= CONFIDENCE <= high
+                factor = 1.0 if nominal else conformal_quantile(some.to_numpy())
+                found.setdefault(str(regime), {})[trait] = float(f"{factor:.3g}")
     return found
 
 
@@ -91,6 +96,13 @@ def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFra
         refused = ~(is_eligible(table) if trait == "volume_mm3" else table[f"{trait}.reliable"].astype("boolean").fillna(False) | before)
         made[f"{trait}.reliable"] = ~(wide | refused)
     return made
+
+
+def cross_apply(table: pd.DataFrame, *, widest: float) -> pd.DataFrame:
+    """Return a table in which each half of the scans has intervals calibrated on the other half."""
+    first = is_first_half(table)
+    halves = [apply(table[mine], calibrate(table[~mine]), widest=widest) for mine in (first, ~first)]
+    return pd.concat(halves).sort_values("number", ignore_index=True)
 
 
 def holds(table: pd.DataFrame, trait: str) -> pd.Series:

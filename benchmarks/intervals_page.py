@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -48,20 +49,20 @@ def page(table: pd.DataFrame, factors: conformal.Factors, *, widest: float) -> s
     table : DataFrame
         All scans, with intervals without calibration.
     factors : dict of dict of float
-        Factors by regime and trait.
+        Factors from all scans, by regime and trait. The coverage is that of cross-validation: each half of the scans
+        has the factors of the other half.
     widest : float
         Maximum relative half-width of the interval of a reliable trait.
     """
-    table = table[table["volume_mm3.value"].notna()]
-    judged = table[~conformal.is_calibration(table)]
-    before, after = (conformal.apply(judged, some, widest=widest) for some in ({}, factors))
+    table = table[table["volume_mm3.value"].notna()].sort_values("number", ignore_index=True)
+    before, after = conformal.apply(table, {}, widest=widest), conformal.cross_apply(table, widest=widest)
     lines = [
         "| trait | regime | factor | scans | hold | 90 % band | median width | score | uncalibrated: hold | score |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for trait, label in LABELS.items():
         for regime in ("all", *sorted(factors)):
-            some = slice(None) if regime == "all" else (judged["regime"] == regime).to_numpy()
+            some = slice(None) if regime == "all" else (table["regime"] == regime).to_numpy()
             new, old = (conformal.coverage(one[some], trait) for one in (after, before))
             factor = "" if regime == "all" else f"{factors[regime].get(trait, 1.0):.2f}"
             low, high = new["band"]
@@ -69,7 +70,7 @@ def page(table: pd.DataFrame, factors: conformal.Factors, *, widest: float) -> s
                 f"| {label} | {regime} | {factor} | {new['scans']} | {_share(new)} | {100 * low:.0f}-{100 * high:.0f} % "
                 f"| {100 * new['width']:.1f} % | {new['score']:.3f} | {_share(old)} of {old['scans']} | {old['score']:.3f} |"
             )
-    return "\n".join([*lines, "", *_totals(conformal.apply(table, factors, widest=widest)), ""])
+    return "\n".join([*lines, "", *_totals(after), ""])
 
 
 def _share(found: Mapping[str, float]) -> str:
@@ -103,30 +104,27 @@ def _names_cause(row: pd.Series) -> bool:
     return any(cause in present for code in str(row["reasons"]).split() for cause in CAUSES.get(code, ()))
 
 
-def draw(table: pd.DataFrame, factors: conformal.Factors, path: Path) -> None:
+def draw(table: pd.DataFrame, path: Path) -> None:
     """Draw reliability diagrams and histograms of the probability integral transform, by trait and regime.
 
     Parameters
     ----------
     table : DataFrame
         All scans, with intervals without calibration.
-    factors : dict of dict of float
-        Factors by regime and trait.
     path : Path
         PNG file to write.
     """
-    judged = table[~conformal.is_calibration(table) & conformal.is_eligible(table)]
+    judged = conformal.cross_apply(table[conformal.is_eligible(table)], widest=math.inf)
     drawn = figure(13.0, 6.2)
     axes = drawn.subplots(2, len(TRAITS))
     for column, (trait, label) in enumerate(LABELS.items()):
         diagram, histogram = axes[0, column], axes[1, column]
         values, names = [], []
-        for regime in sorted(factors):
+        for regime in sorted(judged["regime"].dropna().unique()):
             some = judged[(judged["regime"] == regime) & ratios(judged, trait).notna()]
             if not len(some):
                 continue
-            scaled = conformal.apply(some, factors, widest=np.inf)
-            pit = conformal.probability_integral(scaled, trait)
+            pit = conformal.probability_integral(some, trait)
             observed = [float((np.abs(pit - 0.5) <= 0.5 * level).mean()) for level in LEVELS]
             diagram.plot(LEVELS, observed, marker=".", label=f"{regime} ({len(some)})")
             values.append(pit.to_numpy())
