@@ -70,8 +70,8 @@ class Water:
 def spread(count: int) -> list[int]:
     """Return the indices of views, ordered so that successive views have very different directions.
 
-    The camera moves around the canister by a fixed angle between successive views, a turn divided by the golden ratio.
-    With this order, most nodes are carved early.
+    The indices are sorted by the fractional part of their product with the inverse of the golden ratio. With this
+    order, most nodes are carved early.
     """
     return [int(k) for k in np.argsort((np.arange(count) * _GOLDEN) % 1.0, kind="stable")]
 

@@ -18,10 +18,11 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _SEARCHES = 2
-"""Number of searches of the residual. The second search finds laterals of roots that were found in the first."""
+"""Number of searches for missing roots in the residual coverage. The second search finds laterals of roots that were
+found in the first."""
 _STEPS = 4
-"""Number of iterations of each fit. Full convergence is not required, since new tubes are assessed before and all
-remaining tubes are fitted repeatedly."""
+"""Number of iterations of each fit. Convergence is not required, since new tubes can be assessed before it is reached,
+and all remaining tubes are fitted again."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,9 @@ class TreeRefinement:
         return self.link_ends(tips.place_tips(self.whole, self.remove_unsupported(tree).tubes, self.px_a_mm))
 
     def remove_unsupported(self, tree: Tubes) -> Fit:
-        """Fit a tree, and remove tubes that explain little by themselves.
+        """Fit a tree, and remove tubes whose coverage is mostly explained by other tubes.
 
-        Such tubes are duplicates of a root or pieces of its flank.
+        Such tubes are duplicates of a root, or they run along the side of a thicker root.
         """
         fit = self.fit(tree)
         gone = ghosts.find_unsupported_starts(
