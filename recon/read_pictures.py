@@ -22,7 +22,7 @@ LeftOut = tuple[Frame, str]
 
 @dataclass(frozen=True, kw_only=True)
 class CurveFound:
-    """Transfer curve with which pictures are decoded, and its agreement with the edges of the markers."""
+    """Transfer curve with which pictures are decoded, and its verification from grey values at the markers' edges."""
 
     curve: Curve
     """Transfer curve with which the pictures are decoded."""
@@ -39,7 +39,7 @@ class CurveFound:
 
     @property
     def is_known(self) -> bool:
-        """Return whether the curve in use is the stated curve, linear, or sRGB."""
+        """Return whether the curve in use is one of the known curves, which are the stated curve, linear and sRGB."""
         return self.curve.same(self.stated) or any(self.curve.same(known) for known in (transfer.LINEAR, transfer.SRGB))
 
     @property
@@ -65,7 +65,7 @@ class Pictures:
     images: tuple[Grey, ...] = field(repr=False)
     """(F,) pictures with shape (H, W), linear in light."""
     curve: CurveFound | None = None
-    """Transfer curve with which the pictures were decoded. None if no marker edges were measured."""
+    """Transfer curve with which the pictures were decoded. It is None if no marker edges were measured."""
     bands: Mapping[str, float] = field(default_factory=dict)
     """Signal-to-noise ratio of each band of the camera, keyed by the band's name, with the selected band first. Empty
     if the camera has no bands, or if the band was specified in the settings."""

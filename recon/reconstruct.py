@@ -118,7 +118,7 @@ def _finish_roots(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Came
 
 
 def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
-    """Reset the pass counters, and return a monitor that releases unused memory after each stage."""
+    """Reset the counters of passes, and return a monitor that releases unused memory after each stage."""
     passes.begin()
     made = Monitor.of(monitor)
     made.after_stage = release
@@ -195,8 +195,8 @@ def _hull_and_tree(
 def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.CarvedHull:
     """Carve the hull, and carve it again without the views that contradict all others.
 
-    If the hull is empty, the reasons of failed picture checks are appended to the error message, because they are
-    usually the cause.
+    If the hull is empty, the reasons why checks of the pictures failed are appended to the error message, because they
+    are usually the cause.
     """
     dataset = pictures.dataset
     hull: shaping.CarvedHull | UserError

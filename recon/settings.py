@@ -60,7 +60,7 @@ class CoverageSettings:
     by chance."""
     dim: float = bounded(0.25, 0.0, 1.0)
     """Minimum brightness of the background at a usable pixel. It is relative to the 90 % quantile of the background's
-    brightness in all pictures of the same ring of views. Darker pixels occur at the canister's flanks and in
+    brightness in all pictures of the same turn of the table. Darker pixels occur at the canister's flanks and in
     shadows."""
     glare: float = bounded(0.05, 0.001, 1.0)
     """Brightness in excess of the smoothed panel, as a fraction of the panel's brightness, above which a pixel is
@@ -90,10 +90,10 @@ class PictureSettings:
     """
 
     def joined(self, other: PictureSettings) -> PictureSettings:
-        """Return settings that combine these settings with others.
+        """Combine these settings with other settings.
 
-        Pictures that either settings exclude are excluded, and unreadable pictures are tolerated if either settings
-        tolerate them. The band of these settings takes precedence.
+        A picture is excluded if either of them excludes it, and unreadable pictures are tolerated if either tolerates
+        them. The band of these settings takes precedence.
         """
         return PictureSettings(
             leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant, band=self.band or other.band
@@ -166,9 +166,10 @@ class TrustSettings:
     but if it varies by a third, the brightness of the panel exceeds the camera's range."""
     uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
     """Fair and bad limits for the variation in brightness of the panel beside the canister after the exposure has been
-    normalised row by row. The variation is the standard deviation between parts of the panel, relative to the mean
-    panel of all pictures. Without the normalisation, brightness bands of 7 % made a printed phantom 6.8 % too large:
-    the relative error of the volume is about that of the brightness (`docs/log/2026-11-22-damages.md`)."""
+    normalised row by row. The variation is the standard deviation between parts of the panel, relative to the mean of
+    all pictures from the same camera position. Without the normalisation, brightness bands of 7 % made a printed
+    phantom 6.8 % too large: the relative error of the volume is about that of the brightness
+    (`docs/log/2026-11-22-damages.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
     """Fair and bad limits for the standard deviation of the blur, px, including 0.29 px of the pixel itself. At 800
     pixels across 250 mm, a root of 0.3 mm is one pixel wide. Blurred by 2.5 px, the root darkens the panel by a sixth.

@@ -53,9 +53,9 @@ class Agreement:
     missed: Array
     """Covered area in each view that is not explained by any cube, shape (V,), px."""
     sees: NDArray[np.bool_]
-    """Whether each cube projects onto usable pixels of each view, shape (V, N)."""
+    """Whether each cube is projected onto usable pixels in each view, shape (V, N)."""
     excluded: NDArray[np.bool_]
-    """Whether each cube projects onto empty pixels of each view, shape (V, N)."""
+    """Whether each cube is projected only onto empty pixels in each view, shape (V, N)."""
 
     @property
     def missed_share(self) -> Array:

@@ -140,7 +140,7 @@ def mark_nodes(
 def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, tested: Bool, min_votes: int) -> Bool:
     """Return the mask of nodes for which enough views show a corner, although too few show the centre.
 
-    Such nodes intersect the boundary of the blind zone.
+    Such nodes lie at the boundary of the region that too few views show.
 
     Parameters
     ----------

@@ -136,14 +136,14 @@ class Result:
     """Signal-to-noise ratio of the roots in each band of the camera, starting with the band that was used. Empty if the
     camera has no bands, or if the band is specified in the settings."""
     fill: Mapping[str, float]
-    """Fraction of the usable pixels that is covered by roots, keyed by the file name of the frame."""
+    """Fraction of the usable pixels that roots cover, keyed by the file name of the frame."""
     rig: Json
     """Calibration of cameras and canister from all views. It is empty if the dataset specifies the poses."""
     warnings: tuple[str, ...]
     checks: tuple[Check, ...] = ()
     """Checks that determine whether the volume is reliable."""
     estimates: tuple[Estimate, ...] = ()
-    """Length, number of tips and mean diameter, each with an interval and a verdict. Empty without roots."""
+    """Length, number of tips and mean diameter, each with an interval and a verdict. Empty if there are no roots."""
     timings_s: dict[str, float]
     """Duration of each stage, s."""
     passes: Mapping[str, int] = field(default_factory=dict)

@@ -46,7 +46,7 @@ class TreeRefinement:
         return link_pieces(tree.keep(tree.prune_mask(gone)))
 
     def search(self, tree: Tubes, outside: Cells) -> Tubes:
-        """Add roots that the tree leaves unexplained, and refine the result.
+        """Add roots that are visible in the pictures but missing from the tree, and refine the result.
 
         Parameters
         ----------
@@ -95,5 +95,5 @@ class TreeRefinement:
 
 
 def link_pieces(tree: Tubes) -> Tubes:
-    """Link the pieces of a tree, fill gaps, and remove stubs and the hidden parts of laterals."""
+    """Link the pieces of a tree, fill gaps, merge short pieces, and shorten laterals that begin inside a parent."""
     return tubes.trim_inside_parents(tubes.fill_gaps(tubes.merge_stubs(linking.link(tree)[0])))

@@ -83,7 +83,7 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Arra
 
 
 def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
-    """Add to a tree the roots that its tubes leave unexplained.
+    """Trace missing roots in the coverage that the tubes of a tree do not explain, and add them to the tree.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class RootTree:
 
 @dataclass(frozen=True, kw_only=True)
 class RootSystem(RootTree):
-    """Refined root tree with assessed ends."""
+    """Refined root tree, in which uncertain branch ends are marked."""
 
     uncertain: Mask
     """Mask of nodes at branch ends that are probably not root tips, shape (N,)."""
