@@ -16,7 +16,8 @@ from rhizotwin.scenes.monitor import Monitor
 _VIEWS = 6
 """Number of views in which the bands are compared, evenly spaced over the scan."""
 _WIDEST = 20
-"""Maximum width of structures that contribute to the signal, expressed as the ratio of the picture's width to it."""
+"""Ratio of the width of the picture to the maximum width of a structure that contributes to the signal. Wider
+structures are treated as background."""
 _SIGMAS = 4.0
 """Minimum darkening that contributes to the signal, in standard deviations of the noise. The default threshold for
 silhouettes is the same (`CoverageSettings.noise_sigmas`)."""

@@ -52,7 +52,8 @@ _TOP_MM, _RISE_MM = 1.0, 6.0
 """Height below the highest cell within which the top of a plant is searched, mm, and height above the visible stem up
 to which laterals are ignored in this search, mm."""
 _THIN_MM = (0.05, 0.3)
-"""Limits of the initial radii, which are derived from shadows, mm. In thicker roots, the cells shade each other."""
+"""Lower and upper limit of the initial radii, which are derived from shadows, mm. In roots thicker than the upper
+limit, cells shade each other, so that shadows do not indicate the radius."""
 
 
 @dataclass(frozen=True)
