@@ -31,7 +31,7 @@ _FLANK_PX = 0.5
 """Distance from the core, in addition to `CORE_PX`, within which cells are part of the taproot or hypocotyl, px."""
 _BEYOND_PX = 1.25
 """Distance from the core, in addition to `CORE_PX`, within which the outermost parts of a taproot may lie, px. It is
-half a pixel for the outline, plus the dilation of the outline from which the search space is carved."""
+half a pixel for the outline, plus the dilation."""
 _LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
 """Number of iterations of the last fit for opaque roots, and for translucent roots. Translucent roots require more
 iterations, since their attenuation and root hairs were fitted before all roots had been found."""
