@@ -16,7 +16,8 @@ from rhizotwin.scenes.monitor import Monitor
 _VIEWS = 6
 """Number of views in which the bands are compared, evenly spaced over the scan."""
 _WIDEST = 20
-"""Ratio of the picture's width to the maximum width of structures that contribute to the signal."""
+"""Ratio of the width of the picture to the maximum width of a structure that contributes to the signal. Wider
+structures are treated as background."""
 _SIGMAS = 4.0
 """Minimum darkening that contributes to the signal, in standard deviations of the noise. The default threshold for
 silhouettes is the same (`CoverageSettings.noise_sigmas`)."""
@@ -25,9 +26,9 @@ silhouettes is the same (`CoverageSettings.noise_sigmas`)."""
 def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str, float]:
     """Measure the signal-to-noise ratio in each band of the camera.
 
-    Bands are compared only if the panel and the front light are on and a picture of every view was taken. The signal is
-    the Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in white noise
-    (Kay 1998, Detection Theory, section 4.3).
+    A band is measured only if the panel and the front light are on and every view was photographed in this band. The
+    signal is the Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in
+    white noise (Kay 1998, Detection Theory, section 4.3).
 
     Parameters
     ----------
@@ -86,7 +87,10 @@ def _ratio(dataset: Dataset, frame: Frame) -> float:
 
 
 def _rows(scene: Scene, frame: Frame) -> slice:
-    """Return the picture rows below the net pot (roots) or above it (shoot), predicted from the planned camera."""
+    """Return the picture rows that show the roots, below the net pot, or the shoot, above it.
+
+    The rows are predicted from the camera's nominal position according to the plan of the scan.
+    """
     ring, pot = scene.plan.rings[frame.ring], scene.net_pot
     z_mm = pot.skirt_bottom_mm if frame.kind == "root" else pot.top_mm
     rim = np.array([[pot.outer_radius_mm, 0.0, z_mm], [-pot.outer_radius_mm, 0.0, z_mm]])

@@ -45,8 +45,8 @@ _ALIGNED = 64
 
 
 TO_LAST = 1.01
-"""Minimum distance of interpolated positions from the right and lower border of the picture, px. Interpolation then
-stays within the last sample, with a margin for float32 rounding."""
+"""Minimum distance of an interpolated position from the right and the lower border of the picture, px. With this
+distance, the interpolation uses only samples of the picture, even after float32 rounding."""
 
 
 _BELOW_HALF = 1e-9

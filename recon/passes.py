@@ -22,7 +22,7 @@ def begin() -> None:
 
 
 def add(kind: Pass) -> None:
-    """Count one pass of the given kind; do nothing before `begin` is called."""
+    """Count one pass of the given kind. Nothing is counted before `begin` is called."""
     counts = _counts.get()
     if counts is not None:
         counts[kind] += 1

@@ -22,29 +22,29 @@ LeftOut = tuple[Frame, str]
 
 @dataclass(frozen=True, kw_only=True)
 class CurveFound:
-    """Transfer curve with which pictures are decoded, and its agreement with the edges of the markers."""
+    """Transfer curve with which pictures are decoded, and its verification from grey values at the markers' edges."""
 
     curve: Curve
     """Transfer curve with which the pictures are decoded."""
     stated: Curve
     """Transfer curve stated in the picture files or in the scene."""
     bend: float | None
-    """Excess brightness of medium greys at the markers' edges, relative to the contrast, after decoding with ``curve``.
-    None if too few markers were measured."""
+    """Amount by which medium grey values at the markers' edges are too bright after decoding with ``curve``, relative
+    to the contrast. It is None if too few markers were measured."""
     stated_bend: float | None
-    """Excess brightness of medium greys at the markers' edges, relative to the contrast, after decoding with
-    ``stated``. None if too few markers were measured."""
+    """Amount by which medium grey values at the markers' edges are too bright after decoding with ``stated``, relative
+    to the contrast. It is None if too few markers were measured."""
     markers: int
     """Number of markers whose edges were measured."""
 
     @property
     def is_known(self) -> bool:
-        """Return whether the curve in use is the stated curve, linear, or sRGB."""
+        """Return whether the curve in use is one of the known curves, which are the stated curve, linear and sRGB."""
         return self.curve.same(self.stated) or any(self.curve.same(known) for known in (transfer.LINEAR, transfer.SRGB))
 
     @property
     def warning(self) -> str | None:
-        """Return a warning if the curve in use differs from the stated one; otherwise None."""
+        """Return a warning if the curve in use differs from the stated curve, and None if they are the same."""
         if self.curve.same(self.stated):
             return None
         off = 100.0 * (self.stated_bend or 0.0)
@@ -65,17 +65,17 @@ class Pictures:
     images: tuple[Grey, ...] = field(repr=False)
     """(F,) pictures with shape (H, W), linear in light."""
     curve: CurveFound | None = None
-    """Transfer curve with which the pictures were decoded. None if no marker edges were measured."""
+    """Transfer curve with which the pictures were decoded. It is None if no marker edges were measured."""
     bands: Mapping[str, float] = field(default_factory=dict)
     """Signal-to-noise ratio of each band of the camera, keyed by the band's name, with the selected band first. Empty
     if the camera has no bands, or if the band was specified in the settings."""
     warnings: tuple[str, ...] = ()
-    """Warnings for the user about excluded pictures and contradictory transfer curves."""
+    """Warnings for the user, for example about excluded pictures or inconsistent transfer curves."""
     left_out: tuple[LeftOut, ...] = ()
     """Frames whose pictures are excluded, each with the reason."""
     measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
-    """`Markers` of the pictures that were measured to determine the transfer curve, keyed by the index of the picture.
-    """
+    """Markers found in the pictures from which the transfer curve was determined (`Markers`), keyed by the index of the
+    picture."""
 
 
 def read_pictures(
@@ -146,7 +146,10 @@ def _files_to_leave_out(dataset: Dataset, names: Sequence[str]) -> set[str]:
 
 
 def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | str]:
-    """Read one picture; if it cannot be read and ``tolerant`` is True, return the error message instead."""
+    """Read one picture.
+
+    If it cannot be read and ``tolerant`` is true, return the error message instead of the picture.
+    """
     try:
         return frame, read_image(dataset, frame)
     except UserError as error:
@@ -156,12 +159,15 @@ def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey |
 
 
 def picture_hash(dataset: Dataset, frame: Frame) -> str:
-    """Return the SHA-256 hash of a picture's file, as stated in the dataset or else computed from the file."""
+    """Return the SHA-256 hash of a picture's file. It is computed from the file if the dataset does not state it."""
     return frame.sha256.lower() or file_sha256(dataset.folder / frame.file)
 
 
 def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:
-    """Return the transfer curve stated in the first picture's file or, if there is none, in the scene."""
+    """Return the transfer curve stated in the first picture's file.
+
+    If the file states none, return that of the scene.
+    """
     return transfer.read_stated_curve(dataset.folder / frames[0].file) or transfer.camera_curve(dataset.scene.camera)
 
 

@@ -40,8 +40,8 @@ from rhizotwin.scenes.schema import to_plain
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 """Packages whose versions are recorded in the result."""
 _SWAYS = 3
-"""Maximum number of times that hull and roots are reconstructed again because the roots sway. A sway of half a
-millimetre at the tips hides a third of the roots in the first reconstruction."""
+"""Maximum number of times that the hull and the roots are reconstructed again because the roots moved between the
+pictures. If the tips move by half a millimetre, a third of the roots is missing in the first reconstruction."""
 _WIDTH_VIEWS = 6
 """Number of views in which the width of thin roots is measured."""
 _ON_DEVICE = ("evidence", "bank", "maps", "silhouettes")
@@ -112,13 +112,13 @@ def reconstruct(
 
 
 def _finish_roots(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
-    """Calibrate the cameras with the roots and refine the roots; return both."""
+    """Calibrate the cameras from the roots, and refine the roots. Return the cameras and the refined roots."""
     tree = rooting.calibrate(tree, monitor=monitor)
     return tree.cameras, crown.mark_hidden(rooting.finish_tree(tree, monitor=monitor), top_mm)
 
 
 def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
-    """Reset the pass counters, and return a monitor that releases unused memory after each stage."""
+    """Reset the counters of passes, and return a monitor that releases unused memory after each stage."""
     passes.begin()
     made = Monitor.of(monitor)
     made.after_stage = release
@@ -126,7 +126,10 @@ def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
 
 
 def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult, ...], tuple[str, ...]]:
-    """Assign roots to plants; return the solid with assigned roots, the results per plant, and warnings."""
+    """Assign the roots to plants.
+
+    Return the solid with the assigned roots, the results of the individual plants, and warnings.
+    """
     if not scene.plants:
         return solid, (), ()
     if not solid.roots:
@@ -156,7 +159,7 @@ def _root_warnings(solid: Solid, roots: RootSystem | None) -> tuple[str, ...]:
 
 
 def _volume_objections(solid: Solid) -> tuple[str, ...]:
-    """Return the reasons why the volume is not trusted; empty if it is trusted."""
+    """Return the reasons why the volume is not trusted. The tuple is empty if the volume is trusted."""
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
@@ -176,7 +179,7 @@ def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tu
 def _hull_and_tree(
     pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
 ) -> tuple[shaping.CarvedHull, RootTree | None]:
-    """Reconstruct the hull and the root tree, and repeat both if the roots sway between pictures."""
+    """Reconstruct the hull and the root tree. Both are reconstructed again if the roots moved between the pictures."""
     dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     for _ in range(_SWAYS):
@@ -192,8 +195,8 @@ def _hull_and_tree(
 def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.CarvedHull:
     """Carve the hull, and carve it again without the views that contradict all others.
 
-    If the hull is empty, the reasons of failed picture checks are appended to the error message, because they are
-    usually the cause.
+    If the hull is empty, the reasons why checks of the pictures failed are appended to the error message, because they
+    are usually the cause.
     """
     dataset = pictures.dataset
     hull: shaping.CarvedHull | UserError
@@ -216,7 +219,7 @@ def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settin
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
     """Check the quality of the pictures.
 
-    Some checks are skipped for masks and for pictures with given cameras.
+    Some checks are skipped if the dataset contains masks instead of pictures, or if it specifies the cameras.
     """
     dataset, found, order = pictures.dataset, cameras.markers, sorted(cameras.order)
     drawn = [coverage.silhouettes[k] for k in order]

@@ -71,11 +71,12 @@ def scatter(scores: Array, *clusters: Numbers, curvatures: Array | None = None, 
 
 
 def sandwich(normal: Array, meat: Array, least: Array) -> Array:
-    """Return the covariance (K, K) of a least-squares solution from its normal matrix and gradient covariance.
+    """Return the covariance (K, K) of a least-squares solution whose residuals are correlated.
 
-    ``meat`` is the covariance of the gradient, and ``least`` the covariance of the solution for independent residuals.
-    The variances are at least those in ``least``, because random scatter must not reduce them. MacKinnon, Nielsen and
-    Webb (2024) use the largest of several estimates for the same reason.
+    It is computed from the normal matrix ``normal`` and from ``meat``, the covariance of the gradient. ``least`` is the
+    covariance of the solution for independent residuals. The variances are at least those in ``least``, because random
+    scatter must not reduce them. MacKinnon, Nielsen and Webb (2024) use the largest of several estimates for the same
+    reason.
     """
     bread = inverse(normal)
     found = bread @ meat @ bread

@@ -59,12 +59,13 @@ class CoverageSettings:
     picture is first smoothed by a Gaussian of one pixel. With the default, 15 of 480 000 empty pixels count as covered
     by chance."""
     dim: float = bounded(0.25, 0.0, 1.0)
-    """Minimum brightness of the background for a pixel to be usable, relative to the 90 % quantile of the background's
-    brightness in the ring. Darker pixels occur at the canister's flanks and in shadows."""
+    """Minimum brightness of the background at a usable pixel. It is relative to the 90 % quantile of the background's
+    brightness in all pictures of the same turn of the table. Darker pixels occur at the canister's flanks and in
+    shadows."""
     glare: float = bounded(0.05, 0.001, 1.0)
-    """Excess brightness over the smoothed panel, relative to the panel, above which a pixel is classified as a
-    reflection. The reflected light is subtracted if roots in front of the reflection confirm that the excess light does
-    not come from the panel. Otherwise, the pixels are not usable."""
+    """Brightness in excess of the smoothed panel, as a fraction of the panel's brightness, above which a pixel is
+    classified as a reflection. If roots in front of the panel show the same excess, it is light that the wall reflects,
+    and it is subtracted. Otherwise, the pixels are not usable."""
     film_depth: float = bounded(0.03, 0.001, 2.0)
     """Minimum optical depth of films that are detected on the wall. Optical depths of films in the profile `harsh` are
     measured to within 0.01 (`docs/log/silhouettes-from-coverage.md`)."""
@@ -89,10 +90,10 @@ class PictureSettings:
     """
 
     def joined(self, other: PictureSettings) -> PictureSettings:
-        """Return settings that combine these settings with others.
+        """Combine these settings with other settings.
 
-        Pictures that either settings exclude are excluded, and unreadable pictures are tolerated if either settings
-        tolerate them. The band of these settings takes precedence.
+        A picture is excluded if either of them excludes it, and unreadable pictures are tolerated if either tolerates
+        them. The band of these settings takes precedence.
         """
         return PictureSettings(
             leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant, band=self.band or other.band
@@ -135,11 +136,11 @@ class TrustSettings:
     """Fair and bad limits for the fraction of the root zone that thin roots cover in the pictures. Above one half,
     silhouettes no longer distinguish roots from gaps."""
     missed: tuple[float, float] = bounded((0.05, 0.3), 0.0, 1.0)
-    """Fair and bad limits for the fraction of the coverage that lies outside the hull of all views. Views with
-    inconsistent geometry carve roots away. The fraction is at most 0.03 for simulated plants and printed phantoms.
-    Between 0.1 and 0.3, correct and wrong volumes occur alike, and the intervals have a calibration of their own
-    (`recon.uncertainty.calibration`). Above 0.3, more than a third of the volume was lost in most random scans
-    (`docs/intervals.md`)."""
+    """Fair and bad limits for the fraction of the coverage that lies outside the visual hull of all views. If the
+    geometry of the views is inconsistent, carving removes roots. The fraction is at most 0.03 for simulated plants and
+    printed phantoms. Between 0.1 and 0.3, correct and wrong volumes occur alike, and the intervals have a calibration
+    of their own (`recon.uncertainty.calibration`). Above 0.3, more than a third of the volume was lost in most random
+    scans (`docs/intervals.md`)."""
     sway_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
     """Fair and bad limits for the root mean square displacement of the roots in single pictures from their common
     position, mm. The displacement is 0.023 to 0.059 mm for static plants in the twin. The volume lost by motion grows
@@ -149,11 +150,11 @@ class TrustSettings:
     dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
     """Fair and bad limits for the fraction of the wall in front of the roots that films, bubbles and glare cover."""
     spread: tuple[float, float] = bounded((0.02, 0.04), 0.0, 1.0)
-    """Fair and bad limits for the scattered light, which is the light missing beside roots relative to the light that
-    the roots absorb (`recon.uncertainty.scattered_light`). The ratio is 0.000 to 0.007 for printed phantoms and plants
-    in the profiles `clean`, `bench` and `camera`. When a quarter of the light was scattered over 20 px, the ratio was
-    0.19, and the volume of a printed phantom was 5.9 % too large. The limits therefore correspond to volume errors of
-    0.6 and 1.2 % (`docs/log/2026-11-22-damages.md`)."""
+    """Fair and bad limits for the fraction of scattered light. It is the light that is missing in pixels beside the
+    roots, divided by the light that the roots absorb (`recon.uncertainty.scattered_light`). The ratio is 0.000 to 0.007
+    for printed phantoms and plants in the profiles `clean`, `bench` and `camera`. When a quarter of the light was
+    scattered over 20 px, the ratio was 0.19, and the volume of a printed phantom was 5.9 % too large. The limits
+    therefore correspond to volume errors of 0.6 and 1.2 % (`docs/log/2026-11-22-damages.md`)."""
     clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
     """Fair and bad limits for the fraction of the panel's pixels at full scale. Where the panel is clipped, the
     absorption by roots is unknown."""
@@ -161,23 +162,24 @@ class TrustSettings:
     """Fair and bad lower limits for the brightness of the panel, relative to full scale. At a twentieth of full scale,
     an 8-bit picture resolves 13 levels, and a root half a pixel wide spans three of these levels."""
     wander: tuple[float, float] = bounded((0.05, 0.3), 0.0, 10.0)
-    """Fair and bad limits for the standard deviation of the exposure over the pictures. The exposure is normalised, but
-    a variation by a third moves the panel out of the camera's range."""
+    """Fair and bad limits for the standard deviation of the exposure between the pictures. The exposure is normalised,
+    but if it varies by a third, the brightness of the panel exceeds the camera's range."""
     uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
-    """Fair and bad limits for the brightness variation of the panel beside the canister that remains after row-by-row
-    normalisation of the exposure. The variation is the standard deviation relative to the same panel in all pictures.
-    Without the normalisation, brightness bands of 7 % made a printed phantom 6.8 % too large: the relative error of the
-    volume is about that of the brightness (`docs/log/2026-11-22-damages.md`)."""
+    """Fair and bad limits for the variation in brightness of the panel beside the canister after the exposure has been
+    normalised row by row. The variation is the standard deviation between parts of the panel, relative to the mean of
+    all pictures from the same camera position. Without the normalisation, brightness bands of 7 % made a printed
+    phantom 6.8 % too large: the relative error of the volume is about that of the brightness
+    (`docs/log/2026-11-22-damages.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
     """Fair and bad limits for the standard deviation of the blur, px, including 0.29 px of the pixel itself. At 800
     pixels across 250 mm, a root of 0.3 mm is one pixel wide. Blurred by 2.5 px, the root darkens the panel by a sixth.
     """
     refocus_px: tuple[float, float] = bounded((0.5, 1.0), 0.0, 100.0)
-    """Fair and bad limits for the additional blur of the least sharp picture relative to the sharpest, px, computed
-    from the difference of the variances. All pictures are fitted with the same blur. When half of a printed phantom's
-    pictures were blurred by an additional 1.5 px, 9.3 % of its volume was lost. The loss grows with the square of the
-    blur, so the limits correspond to 1 % and 4 %. The additional blur is 0.1 px for simulated plants and printed
-    phantoms."""
+    """Fair and bad limits for the difference in blur between the least sharp and the sharpest picture, px. It is the
+    square root of the difference of the two variances. All pictures are fitted with the same blur. When half of a
+    printed phantom's pictures were blurred by an additional 1.5 px, 9.3 % of its volume was lost. The loss grows with
+    the square of the blur, so the limits correspond to 1 % and 4 %. The additional blur is 0.1 px for simulated plants
+    and printed phantoms."""
     inset_px: tuple[float, float] = bounded((0.03, 0.045), 0.0, 10.0)
     """Fair and bad limits for the apparent enlargement of the markers on each side, px. In linear light, blur does not
     move the markers' edges. The enlargement is 0.001 to 0.005 px for correct scans of the twin, and 0.028 px for an
@@ -189,8 +191,8 @@ class TrustSettings:
     The measured distance is at most 0.06 px for fitted corners. For OpenCV's corners, the distance is at most 0.2 px in
     pictures 800 pixels wide, and 0.4 px in pictures 400 pixels wide."""
     radius_share: tuple[float, float] = bounded((0.002, 0.006), 0.0, 1.0)
-    """Fair and bad limits for the relative deviation of the canister's outer radius from its nominal value that remains
-    after correction. The refractive power of the canister changes by the same fraction."""
+    """Fair and bad limits for the difference between the canister's fitted outer radius and its nominal value, as a
+    fraction of the nominal value. The refractive power of the canister changes by the same fraction."""
     edge_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
     """Fair and bad limits for the median deviation of the canister's edges from the fitted oval, mm."""
     oval_mm: tuple[float, float] = bounded((0.12, 0.3), 0.0, 10.0)

@@ -30,14 +30,14 @@ _NEAR_PX = 1.5
 _COVERED = 0.1
 """Coverage above which a pixel shows a root (see `silhouettes`)."""
 _COARSE, _FINER = 32, 4
-"""Number of coarse cubes along each edge of the water (about 32^3 in total), and number of fine cubes along each edge
-of a coarse cube (4^3 per cube).
+"""Number of coarse cubes along the edge of a cube with the same volume as the water, and number of fine cubes along
+each edge of a coarse cube. There are about 32^3 coarse cubes, and each can be divided into 4^3 fine cubes.
 
-Only coarse cubes that at most one view excludes are divided into fine cubes, on which the views are compared. In the
-canister of the thesis, the fine cubes have an edge of 1 mm, or 4 px in pictures of 800 px."""
+Only coarse cubes that no view or a single view excludes are divided. The views are then compared on the fine cubes. In
+the canister of the thesis, the fine cubes have an edge of 1 mm, or 4 px in pictures of 800 px."""
 _WRONG, _WRONG_TIMES = 0.1, 4.0
-"""Absolute and relative threshold of a view's inconsistency. A wrong view exceeds both; the second is a multiple of the
-median over all views.
+"""Absolute and relative threshold above which a view is wrong. The inconsistency of a wrong view exceeds 0.1, and it
+exceeds four times the median over all views.
 
 The inconsistency is the larger of two fractions: the coverage of the view that no cube explains, and the cubes accepted
 by all other views that the view excludes. The maximum in a correct scan is 0.013; a mirrored view of a printed root has
@@ -49,22 +49,25 @@ class Agreement:
     """Agreement of V views with a shape made of N cubes."""
 
     shown: Array
-    """Total coverage of the usable pixels of each view, shape (V,), px."""
+    """Total covered area among the usable pixels of each view, shape (V,), px."""
     missed: Array
-    """Coverage of each view that no cube explains, shape (V,), px."""
+    """Covered area in each view that is not explained by any cube, shape (V,), px."""
     sees: NDArray[np.bool_]
-    """Whether each cube projects onto usable pixels of each view, shape (V, N)."""
+    """Whether each cube is projected onto usable pixels in each view, shape (V, N)."""
     excluded: NDArray[np.bool_]
-    """Whether each cube projects onto empty pixels of each view, shape (V, N)."""
+    """Whether each cube is projected only onto empty pixels in each view, shape (V, N)."""
 
     @property
     def missed_share(self) -> Array:
-        """Unexplained fraction of each view's coverage, shape (V,). It is 0 for a view without coverage."""
+        """Fraction of each view's covered area that is not explained by any cube, shape (V,).
+
+        It is 0 for a view without coverage.
+        """
         return self.missed / np.maximum(self.shown, 1e-9)
 
     @property
     def share(self) -> float:
-        """Unexplained fraction of the total coverage of all views."""
+        """Fraction of the covered area, summed over all views, that is not explained by any cube."""
         return float(self.missed.sum() / max(float(self.shown.sum()), 1e-9))
 
 
@@ -97,7 +100,7 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
 
 
 def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edge_mm: Array) -> NDArray[np.bool_]:
-    """Return the mask (H, W) of covered pixels in a single view that no cube explains.
+    """Return the mask (H, W) of pixels that are covered in a single view but are not explained by any cube.
 
     Parameters
     ----------
@@ -111,7 +114,7 @@ def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edg
 
 
 def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the flattened pixel index (N,) of each point in a single view, and the mask (N,) of points in the picture.
+    """Project points into a single view. Return their flattened pixel indices (N,) and whether they are visible (N,).
 
     Parameters
     ----------
@@ -129,8 +132,8 @@ def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[N
 def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> list[int]:
     """Return the indices of views that contradict all others, such as a mirrored or truncated picture.
 
-    The views are compared with a hull in which each cube may be excluded by at most one view. The least consistent view
-    is removed and the comparison is repeated, until no view is wrong.
+    The views are compared with a tolerant hull, from which a cube is removed only if at least two views exclude it. The
+    least consistent view is removed and the comparison is repeated, until no view is wrong.
 
     Parameters
     ----------
@@ -172,14 +175,17 @@ def _find_worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water)
 
 
 def _candidate_cubes(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the cubes (M, 3) that enough views show and at most one view excludes, with their exclusions (V, M)."""
+    """Select the cubes (M, 3) that enough views show and that no more than one view excludes.
+
+    Also return whether each view excludes each of these cubes (V, M).
+    """
     found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
     kept = (found.excluded.sum(axis=0) <= 1) & (found.sees.sum(axis=0) >= least_votes(bank.count))
     return cubes[kept], found.excluded[:, kept]
 
 
 def _fill_with_cubes(water: Water, edge_mm: float) -> Array:
-    """Return the centres (N, 3) of equal cubes that fill the water."""
+    """Fill the water with cubes of equal size, and return their centres (N, 3)."""
     across = np.arange(-water.radius_mm + 0.5 * edge_mm, water.radius_mm, edge_mm)
     along = np.arange(water.bottom_mm + 0.5 * edge_mm, water.top_mm, edge_mm)
     cubes = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -201,7 +207,7 @@ class _ProjectedCubes:
     edge_mm: Array
     row: NDArray[np.int64]
     column: NDArray[np.int64]
-    """Column of the pixel nearest to each cube's centre, shape (N,). Both row and column are 0 for cubes outside the
+    """Column of the pixel nearest to each cube's centre, shape (N,). Row and column are both 0 for a cube outside the
     picture."""
     reach_px: Array
     """Distance from each cube's projected centre to its farthest corner, shape (N,), px."""
@@ -220,7 +226,10 @@ class _ProjectedCubes:
         return _ProjectedCubes(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
 
     def distance(self) -> NDArray[np.float32]:
-        """Return the distance (H, W) of each pixel from the nearest projected cube, px; infinite without cubes."""
+        """Return the distance (H, W) of each pixel from the nearest projected cube, px.
+
+        It is infinite if there are no cubes.
+        """
         beyond = np.full(self.shape, np.inf, np.float32)
         for edge in np.unique(self.edge_mm):
             chosen = (self.edge_mm == edge) & self.inside

@@ -1,4 +1,4 @@
-"""Sets of lattice cells, encoded as single integers for fast comparison, look-up and connectivity analysis."""
+"""Sets of lattice cells. Each cell is encoded as an integer for fast comparison, look-up and connectivity analysis."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Box:
 
     @property
     def step(self) -> NDArray[np.int64]:
-        """Difference between the numbers of adjacent cells along x, y and z, shape (3,)."""
+        """Increment of the cell number from a cell to its neighbour along x, y and z, shape (3,)."""
         return np.array([self.span[1] * self.span[2], self.span[2], 1], np.int64)
 
     def number(self, index: Whole) -> NDArray[np.int64]:
@@ -83,9 +83,10 @@ class CellSet:
         return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)
 
     def neighbours(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-        """Yield step (3,), cell indices (M,) and neighbour indices (M,) for 13 of the 26 neighbour directions.
+        """Yield pairs of neighbouring cells for 13 of the 26 neighbour directions.
 
-        The other 13 directions are the reverse of these.
+        For each direction, the offset (3,), the indices (M,) of the first cells and the indices (M,) of the second
+        cells are yielded. The other 13 directions are the reverse of these.
         """
         place = np.arange(len(self.number))
         for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
@@ -97,10 +98,10 @@ class CellSet:
             yield step, self.order[some], self.order[place[some]]
 
     def components(self) -> NDArray[np.int64]:
-        """Return the label (N,) of the connected component of each cell, with 26 neighbours per cell.
+        """Label the connected components of the set. Return the label (N,) of each cell.
 
-        Consecutive cells along z are first merged into rows. Two rows are connected if the first cell of either has a
-        neighbour in the other row.
+        Each cell is connected with its 26 neighbours. Consecutive cells along z are first merged into rows. Two rows
+        are connected if the first cell of either has a neighbour in the other row.
         """
         first = np.append(True, np.diff(self.number) > 1)[: len(self.number)]
         row, begin = np.cumsum(first) - 1, self.number[first]
@@ -118,7 +119,10 @@ class CellSet:
         return found
 
     def faces(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the indices (M,) of cells with an empty face neighbour, and the empty neighbours (K, 3)."""
+        """Return the indices (M,) of cells on the surface, and the empty cells (K, 3) next to them.
+
+        A cell is on the surface if at least one of the six cells that share a face with it is empty.
+        """
         beside = [self.number + step for step in (*self.box.step, *-self.box.step)]
         empty = [~self.contains_numbers(number) for number in beside]
         beyond = np.unique(np.concatenate([number[some] for number, some in zip(beside, empty, strict=True)]))

@@ -29,10 +29,10 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.memory import MIB, total_mib
 
 _BLIND_MM = 2.5
-"""Edge length above which a blind node is divided, mm, since parts of it may be visible."""
+"""Edge length above which a node that too few views show is still divided, mm, since parts of it may be visible."""
 BY_PARENT_MM = 1.0
-"""Maximum edge length of nodes that are projected with the Jacobian at their parent's centre, mm
-(`marks.mark_nodes`)."""
+"""Maximum edge length of nodes that are not projected individually, mm. Instead, the centre of their parent is
+projected, and they are located with the Jacobian of this projection (`marks.mark_nodes`)."""
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 """Inverse of the golden ratio. Views at multiples of this fraction of a turn are evenly distributed for any number of
 views."""
@@ -43,7 +43,8 @@ _CHUNK = 1 << 21
 _BYTES_A_NODE = 150
 """Measured peak memory per node of the finest level, bytes.
 
-The number of nodes is limited accordingly, since Dr.Jit aborts the process if memory is exhausted."""
+From this value, the number of nodes that fit in memory is computed before each level, since Dr.Jit aborts the process
+if memory is exhausted."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,10 @@ class Water:
 
 
 def spread(count: int) -> list[int]:
-    """Return view indices, ordered so that successive views are far apart on the turn.
+    """Return the indices of views, ordered so that successive views have very different directions.
 
-    Successive views differ by a fixed fraction of a turn, the inverse of the golden ratio. With this order, most nodes
-    are carved early.
+    The indices are sorted by the fractional part of their product with the inverse of the golden ratio. With this
+    order, most nodes are carved early.
     """
     return [int(k) for k in np.argsort((np.arange(count) * _GOLDEN) % 1.0, kind="stable")]
 
@@ -140,10 +141,10 @@ class _Classified:
     size: Index
     """Edge length of each node, shape (N,), in units of the finest nodes."""
     occupancy: NDArray[np.float32]
-    """Occupied fraction of each node, shape (3, N): best estimate, with outlines moved in, and with outlines moved
-    out."""
+    """Occupied fraction of each node, shape (3, N). The three rows are the best estimate, the fraction if the outlines
+    are moved in, and the fraction if they are moved out."""
     blind_mm3: float
-    """Volume of nodes that too few views show, mm3."""
+    """Total volume of the nodes that too few views show, mm3."""
     split: list[Int32] | None
     """Nodes that must be divided further, or None on the finest level."""
 
@@ -229,7 +230,7 @@ def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:
 
 
 def _compress(arrays: list[Kernel], mask: Bool) -> list[Kernel]:
-    """Return the entries of each array selected by a mask."""
+    """Select the same entries, given by a mask, from each of several arrays."""
     chosen = dr.compress(mask)
     return [dr.gather(type(a), a, chosen) for a in arrays]
 

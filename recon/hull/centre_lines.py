@@ -17,10 +17,11 @@ _SKELETON_MM = 0.5
 """Approximate edge length of the voxels used for thinning, mm. Finer voxels cause spurious branches on rough
 surfaces."""
 _SPACING_MM = 0.16
-"""Maximum spacing of points along a centre line, mm. Spheres in roots with a diameter of 0.5 mm then overlap by more
-than half."""
+"""Maximum spacing of points along a centre line, mm. At this spacing, the spheres around successive points in a root
+with a diameter of 0.5 mm overlap by more than half."""
 _BESIDE = 1.5
-"""Distance from a known centre line, in voxels, within which a voxel found on the shifted lattice is a duplicate."""
+"""Distance from a centre line of the first thinning, in voxels, within which a voxel of the second thinning is a
+duplicate. The second thinning uses a lattice shifted by half a voxel."""
 
 
 def centre_lines(leaves: Leaves) -> Array:
@@ -49,7 +50,10 @@ def centre_lines(leaves: Leaves) -> Array:
 
 
 def _shifted_curves(volume: NDArray[np.float32], curves: Array) -> Array:
-    """Return the curve voxels (M, 3) of a lattice shifted by half a voxel that are absent from known curves (N, 3)."""
+    """Thin the hull on a lattice shifted by half a voxel. Return the voxels (M, 3) of curves that are not yet known.
+
+    The known curves (N, 3) are those found on the original lattice.
+    """
     aside = (
         ndimage.uniform_filter(volume, 2, mode="constant") > 0.5
     )  # element i covers the last half of voxel i - 1 and the first half of voxel i

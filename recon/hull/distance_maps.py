@@ -1,4 +1,7 @@
-"""Signed distance maps of all silhouettes: distances from the outline, and interpolation between pixels."""
+"""Signed distance maps of all silhouettes.
+
+The distance is measured from the outline and interpolated between pixels.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,8 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.monitor import Monitor
 
 TELLS_PX = 1e-3 * UNSEEN_PX
-"""Interpolated distance above which a pixel is unusable, px, since the interpolation includes `UNSEEN_PX`."""
+"""Distance above which an interpolated value of a distance map is invalid, px. Such a value is affected by a
+neighbouring unusable pixel, whose distance is set to `UNSEEN_PX`."""
 _VOTES, _FEWEST = 0.3, 3
 """Minimum fraction of the views, and minimum number of views, that must show a point of the shape.
 
@@ -29,14 +33,14 @@ Two views alone do not constrain the shape along their lines of sight."""
 
 @dataclass(frozen=True)
 class DistanceMaps:
-    """Signed distance to the silhouette's outline in all views, px, positive inside.
+    """Maps of the signed distance from the silhouette's outline, one per view.
 
-    Unusable pixels have the value `UNSEEN_PX`.
+    The distance is in pixels, and positive inside.
     """
 
     values: Kernel
-    """Flattened distance maps of all views, mi.Float16, shape (V, 2 h, 2 w), with infinity in place of `UNSEEN_PX`.
-    They cover a window of w x h pixels that contains all usable pixels.
+    """Flattened distance maps of all views (mi.Float16, from shape (V, 2 h, 2 w)). They cover a window of w x h pixels
+    that contains all usable pixels. The distance at unusable pixels is infinite.
 
     Half precision has a relative accuracy of 1/2048: 0.0003 px within one pixel of an outline, and 0.03 px at a
     distance of 100 px, where the maps themselves are accurate to 0.4 px."""
@@ -57,7 +61,9 @@ class DistanceMaps:
 
     @staticmethod
     def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
-        """Transfer distance maps (V, 2 h, 2 w) to the device. Unusable pixels are infinite or `UNSEEN_PX`.
+        """Transfer distance maps (V, 2 h, 2 w) to the device.
+
+        The distance at unusable pixels is infinite or `UNSEEN_PX`.
 
         Parameters
         ----------
@@ -106,14 +112,17 @@ class DistanceMaps:
         return replace(self, values=select_parts(self.values, which, self.samples_wh[0] * self.samples_wh[1]))
 
     def picture(self, view: int) -> Image:
-        """Return one view's distance map with 2 h rows and 2 w columns, px. Unusable pixels are infinite."""
+        """Return the distance map of one view, an image with 2 h rows and 2 w columns, px.
+
+        The distance at unusable pixels is infinite.
+        """
         width, height = self.samples_wh
         return np.array(mi.Float(self.select_views([view]).values)).reshape(height, width)
 
     def sample(self, px: Vector2f) -> Vector2f:
-        """Convert pixel coordinates to sample coordinates of a map (both mi.Vector2f).
+        """Convert pixel coordinates to positions in a distance map, in samples (both mi.Vector2f).
 
-        Samples are at integer coordinates.
+        The centres of the samples are at integer positions.
         """
         return (px - self._low + 0.5) * UPSAMPLING - 0.5
 
@@ -157,7 +166,7 @@ def project_and_read(
 
 
 def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[Float, Bool]:
-    """Read a view's distance map at given pixels.
+    """Read the distance map of a view at given positions in the picture.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ class Leaves:
         return self.select(near)
 
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
-        """Return the occupied volume of all leaves, mm3. Other occupancies (N,) of the same leaves may be given."""
+        """Return the occupied volume of all leaves, mm3, optionally with other occupancies (N,) than those stored."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
         return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
 

@@ -1,4 +1,4 @@
-"""Classification of octree nodes by all views: empty, partly outside, or inside, with the number of votes."""
+"""Classification of octree nodes from the silhouettes of all views. A node is empty, partly outside or inside."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
 _EMPTY, _PARTIAL = 1 << 31, 1 << 30
-"""Bit masks for `Marks.empty` and `Marks.partial` in the packed flags. The lower bits contain the number of votes."""
+"""Bits for `Marks.empty` and `Marks.partial` in the integer that stores the classification of a node. The lower bits
+contain the number of views that show the node."""
 
 
 def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
@@ -48,7 +49,7 @@ class Marks:
     """Image scale in the view that determines `depth`, px/mm (mi.Float)."""
 
     def add_view(self, distance: Float, visible: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
-        """Update the classification of nodes that are not yet empty with one view.
+        """Update the classification with one more view. Nodes that are already empty are not changed.
 
         Parameters
         ----------
@@ -73,7 +74,10 @@ class Marks:
         self.empty |= visible & clear & (distance < -reach - slack_px)
 
     def flags(self) -> UInt32:
-        """Return the number of votes with the bits `_EMPTY` and `_PARTIAL`, packed into one integer per node."""
+        """Pack the classification of each node into one integer, which consists of the number of votes and two bits.
+
+        The bits are `_EMPTY` and `_PARTIAL`.
+        """
         zero = mi.UInt32(0)
         return self.votes | dr.select(self.empty, mi.UInt32(_EMPTY), zero) | dr.select(self.partial, mi.UInt32(_PARTIAL), zero)
 
@@ -81,11 +85,11 @@ class Marks:
 def mark_nodes(
     bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float, ignore_blindness: bool
 ) -> Marks:
-    """Classify nodes in all views, stopping at the first view in which a node is empty.
+    """Classify nodes in all views. A node is not tested further after the first view in which it is empty.
 
-    Only ``point`` is projected through the water. Nodes around it are located with the Jacobian of that projection. The
-    error is half the change of the scale over the offset (3 % per mm, as in `_footprint_px`) times the offset. It is at
-    most 0.011 of an edge for edges shorter than `carve.BY_PARENT_MM`.
+    Only ``point`` is projected with refraction at the canister. Nodes around it are located with the Jacobian of that
+    projection. The error is half the change of the scale over the offset (3 % per mm, as in `_footprint_px`) times the
+    offset. It is at most 0.011 of an edge for edges shorter than `carve.BY_PARENT_MM`.
 
     Parameters
     ----------
@@ -136,7 +140,7 @@ def mark_nodes(
 def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, tested: Bool, min_votes: int) -> Bool:
     """Return the mask of nodes for which enough views show a corner, although too few show the centre.
 
-    Such nodes intersect the boundary of the blind zone.
+    Such nodes lie at the boundary of the region that too few views show.
 
     Parameters
     ----------
@@ -183,7 +187,7 @@ def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half
 def corners(half_mm: Float) -> list[Vector3f]:
     """Return the offsets from a node's centre to its eight corners, in the order of the children in `carve`.
 
-    The signs are opaque variables, so that all corners share one kernel.
+    The signs of the coordinates are stored as opaque variables, so that one compiled kernel serves all corners.
     """
     signs = [dr.opaque(mi.Float, sign) for sign in (-1.0, 1.0)]
     return [mi.Vector3f(*(half_mm * signs[c] for c in corner)) for corner in np.ndindex(2, 2, 2)]

@@ -25,15 +25,15 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _STEP = 1e-3
-"""Cost of each cell of a path, added to the fraction of views that exclude the cell. It selects the shortest of several
-equally good paths."""
+"""Cost of each cell on a path outside the hull, in addition to the fraction of views that exclude the cell. It ensures
+that the shortest of several equally good paths is selected."""
 _INSIDE = 1e-9
 """Cost of each cell of a path inside the hull. It is not zero, since an edge without a cost would be missing from the
 sparse graph."""
 
 
 def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) -> Leaves:
-    """Add to a hull the cells required by one silhouette and by connectivity.
+    """Add cells to a hull, so that it explains the reference silhouette and forms a single connected component.
 
     Parameters
     ----------
@@ -64,7 +64,11 @@ def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) ->
 
 
 def _cover(bank: ViewBank, silhouette: Silhouette, kept: Leaves, free: Leaves, objection: Array) -> NDArray[np.bool_]:
-    """Return the mask (N,) of candidate cells that best explain the uncovered pixels of a single view's silhouette."""
+    """Return the mask (N,) of candidate cells that are added to explain the reference silhouette.
+
+    For each pixel of the silhouette onto which the hull does not project, the candidate that the fewest views exclude
+    is selected among those that project onto this pixel.
+    """
     size_mm = kept.grid.size_mm
     missed = agreement.missed_pixels(bank, silhouette, kept.middles_mm, size_mm * kept.size.astype(np.float64))
     pixel, inside = agreement.pixels(bank, free.middles_mm, silhouette.coverage.shape)
@@ -79,8 +83,8 @@ def _cover(bank: ViewBank, silhouette: Silhouette, kept: Leaves, free: Leaves, o
 def _connect(kept: Leaves, free: Leaves, objection: Array, added: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the mask (N,) of candidate cells that join all components to the largest component.
 
-    Components consist of kept and added cells. Each component is one node of a graph, and each remaining candidate cell
-    is another. Shortest paths are computed from the largest component.
+    The components consist of the hull's cells and the cells already added. Each component is one node of a graph, and
+    each remaining candidate cell is another. Shortest paths are computed from the largest component.
     """
     solid = np.concatenate([to_unit_cubes(kept.index, kept.size), free.index[added]])
     part = CellSet.from_cells(solid).components()

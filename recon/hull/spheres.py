@@ -16,13 +16,14 @@ from rhizotwin.recon.hull.leaves import Grid, Leaves
 Array = NDArray[np.float64]
 
 _HALF_DIAGONAL = 0.87
-"""Half the diagonal of a cube with an edge length of 1, sqrt(3) / 2, rounded up. A cube whose centre is this deep lies
-entirely inside."""
+"""Half the diagonal of a cube with an edge length of 1, sqrt(3) / 2, rounded up. If the depth of a cube's centre below
+a surface exceeds this multiple of the edge length, the whole cube lies below the surface."""
 _BIN_MM = 4.0
 """Edge length of the bins used to look up spheres, mm. A sphere with a diameter up to this length overlaps at most
 eight bins."""
 _NEIGHBOURS = 4
-"""Number of nearest centres tested in each group of spheres with similar radii (within a factor of two)."""
+"""Number of nearest sphere centres that are tested in the search for the nearest sphere. They are searched separately
+in each group of spheres whose radii differ by less than a factor of two."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def subdivide_leaves(
 
 
 def fill(spheres: Spheres, grid: Grid) -> Leaves:
-    """Fill spheres with leaves: leaves as large as possible inside, and finest nodes at the surface."""
+    """Fill spheres with leaves. The leaves are as large as possible inside, and finest nodes at the surface."""
     low, shape = np.asarray(grid.origin_mm), np.array(grid.coarse_shape)
     edge = 2**grid.levels
     if not len(spheres.radius_mm):
@@ -112,13 +113,16 @@ class _Bins:
     low_mm: Array
     shape: NDArray[np.int64]
     entries: UInt32
-    """Centre coordinates and radius of the spheres in all bins, flattened bin by bin."""
+    """Centre coordinates and radii of the spheres in all bins, flattened and ordered by bin (mi.Float)."""
     begins: UInt32
     """Index of the first entry of each bin, followed by the total number of entries (mi.UInt32)."""
 
     @staticmethod
     def build(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Bins:
-        """Create the index for the box from ``low`` to ``high``, with spheres dilated by ``beside_mm``."""
+        """Create the index for the box between the corners ``low`` and ``high``.
+
+        A sphere is listed in all bins within ``beside_mm`` of its surface.
+        """
         shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
         reach = spheres.radius_mm[:, None] + beside_mm
         first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)

@@ -11,8 +11,8 @@ from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.hull.leaves import Leaves
 
 _BRICK = 96
-"""Edge length of the blocks in which the surface is extracted, in voxels. A block takes 3.5 MB, of which 3 % overlap
-with other blocks."""
+"""Edge length of the blocks in which the surface is extracted, in voxels. A block requires 3.5 MB, and 3 % of its
+voxels are shared with adjacent blocks."""
 
 
 def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
@@ -96,9 +96,9 @@ def _bricks(
 def surface(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32], *, origin_mm: NDArray[np.float64], voxel_mm: float
 ) -> trimesh.Trimesh:
-    """Return the surface at an occupancy of one half as a closed mesh, canister frame, mm.
+    """Return the surface of a shape as a closed mesh, canister frame, mm.
 
-    The surface is extracted block by block with marching cubes.
+    The surface is extracted at an occupancy of one half, block by block, with marching cubes.
 
     Parameters
     ----------

@@ -33,25 +33,27 @@ _FLAT = 0.01
 """Minimum squared slope of a distance map for its gradient direction to be defined. The squared slope is 1 beside an
 outline and smaller on a ridge."""
 _REACH_PX = 0.75
-"""Distance on both sides of a pixel at which the slope of a distance map is evaluated, px: one and a half samples."""
+"""Offset, on both sides of a pixel, at which a distance map is read to compute its slope, px. It is one and a half
+samples."""
 _MISSING = 0.02
-"""Minimum difference between a leaf's occupancies in the hull and in the spheres for the leaf to be examined. The
-occupancy is approximated as linear in the depth and is not more accurate than this."""
+"""Minimum decrease of a leaf's occupancy from the hull to the spheres for the leaf to be examined further. Smaller
+decreases are within the accuracy of the occupancy, which is approximated as a linear function of the depth."""
 _STEPS_MM = (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025)
-"""Step lengths of the search for sphere centres, mm. Their sum of 1.4 mm is half a skeleton voxel plus the deviation of
-the skeleton in wide roots. The last step is a tenth of the diameter of the thinnest roots."""
+"""Step lengths of the search for sphere centres, mm. Their sum of 1.4 mm is the largest expected distance from the
+skeleton to the centre line, which is half a voxel plus the error of the skeleton in wide roots. The last step is a
+tenth of the diameter of the thinnest roots."""
 _TIGHT_PX = 0.4
-"""Maximum distance between a sphere and an outline for the outline to bound the sphere, px. It allows for noise of the
-outlines, and for rounding of the distance map's crease by sampling. The weight of the bound is 1 at half this distance
-and 0 at one and a half times this distance."""
+"""Maximum distance between a sphere and the outline in a view for the view to bound the sphere, px. It allows for noise
+of the outlines and for sampling, which flattens the ridge of the distance map on a root's centre line. The weight of
+the bound is 1 at half this distance and 0 at one and a half times this distance."""
 _TIGHT_SHARE = 0.05
-"""Lower limit of `_TIGHT_PX` for large spheres, as a fraction of the radius.
+"""Minimum tolerance that replaces `_TIGHT_PX` for large spheres, as a fraction of the sphere's radius.
 
-An off-the-shelf canister that is half a millimetre out of round moves outlines by half a pixel or more. With 0.4 px
-alone, no sphere covered the upper half of a carrot with a diameter of 18 mm."""
+An off-the-shelf canister that is half a millimetre out of round displaces the outlines by half a pixel or more. With
+0.4 px alone, no sphere covered the upper half of a carrot with a diameter of 18 mm."""
 _HELD = 0.25, 5.0 / 12.0
-"""Two thresholds of the fraction of views that bound a sphere. Below the first, the sphere is removed. Above the
-second, it is kept. In between, it is shrunk.
+"""Two thresholds for the fraction of the views that bound a sphere. If the fraction is below the first threshold, the
+sphere is removed. Above the second, it is kept. In between, it is shrunk.
 
 Every view that shows a root alone bounds its sphere. A sphere in a web between roots is bounded only by the few views
 with lines of sight along the web."""
@@ -71,15 +73,15 @@ class TrimmedHull:
     spheres: Spheres
     """Spheres along the centre lines."""
     doubtful: Spheres
-    """Spheres bounded by too few views, including those removed for this reason, with the radius that the outlines
-    allow."""
+    """Spheres that are bounded by too few views, with the radius that the outlines allow. They include the spheres that
+    were removed for this reason."""
     kept: NDArray[np.float32]
-    """Part of each leaf's occupancy that is kept from the hull because the spheres do not explain a silhouette, shape
-    (N,)."""
+    """Occupancy that each leaf retains from the hull although no sphere covers it, shape (N,). It is required to
+    explain a silhouette."""
 
     @property
     def kept_mm3(self) -> float:
-        """Return the volume kept from the hull, mm3."""
+        """Return the volume that is retained from the hull although no sphere covers it, mm3."""
         return self.leaves.volume_mm3(self.kept)
 
 
@@ -106,10 +108,10 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
 
 
 def _perpendicular(points: Array) -> Array:
-    """Return eight unit vectors (N, 8, 3) perpendicular to the local direction of the curve at each point (N, 3).
+    """Return eight unit vectors (N, 8, 3) perpendicular to the centre line at each point (N, 3).
 
-    They are constructed from the coordinate axis least aligned with the direction, since a straight curve has no
-    normal.
+    They are constructed from the coordinate axis that is least parallel to the centre line, since a straight line has
+    no unique normal.
     """
     near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
     cloud = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -122,10 +124,11 @@ def _perpendicular(points: Array) -> Array:
 
 
 def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Spheres, Spheres]:
-    """Move points (N, 3) perpendicular to their centre line to where the largest spheres fit into all silhouettes.
+    """Find the largest spheres that fit into all silhouettes near given points (N, 3) of centre lines.
 
-    Return two sets of spheres: all spheres, shrunk where few views bound them, and those bounded by few views, at full
-    size.
+    The points are moved perpendicular to the centre line to the centres of these spheres. Two sets of spheres are
+    returned: the spheres of the trimmed shape, which are smaller where few views bound them, and the spheres that few
+    views bound, at full size.
     """
     if not len(points):
         return Spheres(points, np.zeros(0)), Spheres(points, np.zeros(0))
@@ -147,7 +150,7 @@ def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Sph
 
 
 def _move_to_maximum(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
-    """Move points (N, 3) along any of their directions (N, D, 3) to the centres of the largest spheres.
+    """Move points (N, 3) in steps along given directions (N, D, 3) to where the surrounding spheres are largest.
 
     Return the new points (N, 3) and the radii of the spheres (N,), mm.
     """
@@ -168,13 +171,13 @@ def _find_largest(points: Array, radius: Array) -> NDArray[np.int64]:
 
 
 def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
-    """Return the radius (N,) of the largest sphere around each point (N, 3) inside all silhouettes, mm.
+    """Return the radius (N,) of the largest sphere around each point (N, 3) that lies inside all silhouettes, mm.
 
-    Let D be the distance of the projected point from the outline in a view, and (a, b) the outline's normal. The plane
-    of sight through the outline has the normal g = a du + b dv in space, so that the radius of the sphere is D / |g|.
-    On a root's centre line, D has a crease; |a| and |b| are those of the steeper side. Sampling rounds the crease. For
-    points on a crease, ``sharpen`` restores its height from the slopes on both sides. Points that fewer than
-    `distance_maps.least_votes` views show have the radius 0.
+    In each view, let D be the distance of the projected point from the outline, and (a, b) the normal of the outline.
+    The plane of sight through the outline has the normal g = a du + b dv in space, so that the radius of the sphere is
+    D / |g|. On a root's centre line, D has a crease; |a| and |b| are those of the steeper side. Sampling rounds the
+    crease. For points on a crease, ``sharpen`` restores its height from the slopes on both sides. Points that fewer
+    than `distance_maps.least_votes` views show have the radius 0.
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
@@ -189,7 +192,11 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
 
 
 def _bounding_fraction(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
-    """Return the fraction (N,) of views that bound each sphere, among the views that show its centre."""
+    """Return the fraction (N,) of the views that bound each sphere.
+
+    A view bounds a sphere if the sphere touches the outline in this view. Only views that show the centre of the sphere
+    are counted.
+    """
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, usable = _view_radius(bank, maps, view, point, sharpen=False)

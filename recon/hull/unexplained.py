@@ -22,26 +22,26 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
 _DEEP_PX = 0.75
-"""Depth inside an outline at which an unexplained pixel requires the hull to be kept, px. The weight of the pixel is 0
-at two thirds of this depth and 1 at four thirds."""
+"""Minimum distance inside the outline at which an unexplained pixel requires a part of the hull to be retained, px. The
+weight of the pixel increases from 0 at two thirds of this distance to 1 at four thirds."""
 _NEAREST = 1.5, 2.5
-"""Range of a distance difference, in node edges, over which the weight of a node decreases from 1 to 0. The difference
-is that between the node's distance from the spheres and the smallest such distance on the same line of sight.
+"""Limits between which the weight of a node decreases from 1 to 0, in node edges. The limits apply to the node's
+distance from the spheres minus the smallest such distance among all nodes on the same line of sight.
 
 Nodes in the cross-section of a single line of sight are up to 1.4 edges apart."""
 _LEAST_EDGE_PX = 0.5
-"""Minimum width of a line of sight, px: one sample of the distance maps."""
+"""Minimum width of the lines of sight on which nodes are compared, px. It is one sample of the distance maps."""
 
 
 def required_fraction(
     bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres
 ) -> NDArray[np.float32]:
-    """Return the fraction (N,) of each uncertain node that the silhouettes require beyond the trimmed shape.
+    """Return the fraction (N,) of each uncertain node that must be added for the shape to explain the silhouettes.
 
-    The second-largest residual over all views is used, since a single view may be wrong. Of all nodes on a line of
-    sight, a view requires those nearest to the spheres. A node of a solid is the nearest in views perpendicular to the
-    direction from the node to its sphere. A spike of the hull, where a root hides behind another in those views, is not
-    the nearest in any view.
+    A residual is computed for each view. The second-largest residual is used, since a single view may be wrong. Of all
+    nodes on a line of sight, a view requires those nearest to the spheres. A node of a solid is the nearest in views
+    perpendicular to the direction from the node to its sphere. A spike of the hull, where a root hides behind another
+    in those views, is not the nearest in any view.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def required_fraction(
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
-    """Return the smallest distance from the spheres among all nodes on each node's line of sight, in node edges.
+    """Return the smallest distance from the spheres on the line of sight through each node, in node edges.
 
-    A line of sight is as wide as a node, ``edge_px``.
+    The minimum is taken over all nodes on the line of sight, whose width ``edge_px`` is that of a node.
     """
     width, height = (int(count / edge_px) + 1 for count in maps.image_wh)
     # Opaque, since literal values would require a new kernel for every view.
@@ -111,7 +111,7 @@ def _masked_maximum(value: Float, active: Bool) -> float:
 
 
 def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
-    """Dilate an image (H, W) with a square of odd edge length, and smooth its steps."""
+    """Dilate an image (H, W) with a square of odd edge length, and blur it with a 3 x 3 box filter."""
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 
 
@@ -124,7 +124,7 @@ def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
 def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
     """Project points into a view.
 
-    Return pixels, image scale (px/mm), and visibility within the view's distance map.
+    Return pixel coordinates, image scale in px/mm, and whether the view's distance map shows each point.
     """
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)

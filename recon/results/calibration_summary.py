@@ -12,7 +12,8 @@ if TYPE_CHECKING:  # results are read without loading the reconstruction
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 SWAY_AT_MM = 100.0
-"""Depth at which the sway is reported, mm, approximately that of the tips of a grown plant."""
+"""Depth at which the horizontal displacement of swaying roots is reported, mm. It is approximately the depth of the
+root tips of a grown plant."""
 
 
 def summarize_cameras(cameras: Cameras) -> Json:
@@ -71,9 +72,9 @@ def _summarize_markers(found: MarkerCalibration) -> Json:
 def _summarize_roots(cameras: Cameras, focal_scale: float) -> Json:
     """Return the calibration from the roots as JSON values.
 
-    ``focal_scale`` is the correction of the focal length from the markers. It is multiplied by the correction from the
-    roots if the cameras were corrected from the roots. The standard deviation of the refractive index is None without
-    roots.
+    ``focal_scale`` is the correction factor of the focal length that was determined from the markers. It is multiplied
+    by the correction from the roots if the cameras were corrected from the roots. The standard deviation of the
+    refractive index is None without roots.
     """
     found_by_roots, given = cameras.roots, cameras.optics.n_water
     if found_by_roots is None:

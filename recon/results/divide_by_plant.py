@@ -98,7 +98,8 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
     """Return the 90 % interval of a plant's volume, mm3.
 
-    ``least_mm3`` is the volume without, and ``most_mm3`` the volume with all parts that may belong to another plant.
+    Its limits are computed from two volumes. ``least_mm3`` excludes all parts that may belong to another plant, and
+    ``most_mm3`` includes them.
     """
     (low, _), (_, high) = (
         part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part, calibration=shape.calibration)
@@ -108,7 +109,7 @@ def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
 
 
 def warnings(planted: PlantedRoots, found: Sequence[PlantResult]) -> tuple[str, ...]:
-    """Return warnings about plants without a base, and about roots whose plant is uncertain."""
+    """Return warnings about plants for which no root base was found, and about roots with an uncertain plant."""
     texts = [
         f"plant {name}: no root base was found near its position; its roots may have been assigned to another plant"
         for name in planted.missing
@@ -122,7 +123,10 @@ def warnings(planted: PlantedRoots, found: Sequence[PlantResult]) -> tuple[str, 
 
 
 def _height_mm(points_mm: Floats, roots: Sequence[Root]) -> Floats:
-    """Return the signed distance (P,) of points (P, 3) from the nearest root surface, mm; infinite without roots."""
+    """Return the signed distance (P,) of points (P, 3) from the surface of the nearest root, mm.
+
+    It is positive outside the roots, and infinite if there are no roots.
+    """
     if not roots:
         return np.full(len(points_mm), np.inf)
     tubes = tube_surface.stations(roots)

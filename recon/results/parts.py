@@ -1,4 +1,4 @@
-"""Parts of a result folder: shapes in memory and as files, names of pictures, and schema version."""
+"""Contents of a result folder: shapes in memory and as files, paths of pictures, and the version of the schema."""
 
 import io
 from dataclasses import dataclass

@@ -28,12 +28,12 @@ OF_CHECK = {
 }
 """Reason code for each check of a scan, used if the state of the check is ``bad``."""
 NO_UNCERTAINTY = "no_uncertainty"
-"""Reason code: the method used, such as a baseline method, does not estimate an uncertainty."""
+"""Reason code: the reconstruction method does not estimate an uncertainty. This applies to the baseline methods."""
 FEW_VIEWS = "few_views"
 """Reason code: the number of used views is less than the setting ``trust.least_views``."""
 WIDE = "wide_interval"
-"""Reason code: the 90 % interval extends farther to one side than ``trust.widest`` allows. For traits other than the
-volume, the default of this setting applies."""
+"""Reason code: a limit of the 90 % interval differs from the value by more than the setting ``trust.widest`` allows.
+For traits other than the volume, the default of this setting applies."""
 OTHER = "other"
 """Reason code: none of the other codes applies. The reason is described by the sentence in ``result.json``."""
 MAX_SENTENCE = 280
@@ -71,7 +71,7 @@ def reasons_for_volume(summary: Json) -> tuple[str, ...]:
 
 
 def is_wide(summary: Json, value: float, interval: Sequence[float]) -> bool:
-    """Return whether an interval extends farther to one side than the setting ``trust.widest`` allows for a volume."""
+    """Return whether a limit of an interval differs from the value by more than the setting ``trust.widest`` allows."""
     most = _trust(summary).get("widest", TrustSettings.widest) * value
     return max(value - interval[0], interval[1] - value) > most
 

@@ -56,7 +56,7 @@ def triple(values: NDArray[np.float64]) -> Triple:
 POSES = ("cam_from_canister", "cam_from_tank")
 """Keys of a camera's poses in ``result.json``."""
 _VIEW_KEYS = ("file", "ring", "used", "reason", *POSES, "sway", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
-"""Keys of a camera in ``result.json``, in addition to those of markers, turntable and silhouette."""
+"""Keys of a camera in ``result.json``, besides those that describe its markers, its table angle and its silhouette."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ class Solid:
     """Centre lines and diameters of the roots. Parents come before children. Empty if there are no roots."""
     warnings: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
-    """Consistency checks between views and shape."""
+    """Checks of the consistency between the views and the shape."""
 
     @property
     def voxel_mm(self) -> float:
@@ -136,14 +136,14 @@ class Result:
     """Signal-to-noise ratio of the roots in each band of the camera, starting with the band that was used. Empty if the
     camera has no bands, or if the band is specified in the settings."""
     fill: Mapping[str, float]
-    """Fraction of the usable pixels that is covered by roots, keyed by the file name of the frame."""
+    """Fraction of the usable pixels that roots cover, keyed by the file name of the frame."""
     rig: Json
-    """Calibration of cameras and canister from all views. Empty if the poses were given."""
+    """Calibration of cameras and canister from all views. It is empty if the dataset specifies the poses."""
     warnings: tuple[str, ...]
     checks: tuple[Check, ...] = ()
     """Checks that determine whether the volume is reliable."""
     estimates: tuple[Estimate, ...] = ()
-    """Length, number of tips and mean diameter, each with an interval and a verdict. Empty without roots."""
+    """Length, number of tips and mean diameter, each with an interval and a verdict. Empty if there are no roots."""
     timings_s: dict[str, float]
     """Duration of each stage, s."""
     passes: Mapping[str, int] = field(default_factory=dict)

@@ -21,8 +21,8 @@ from rhizotwin.scenes.traits import Traits, measure_traits
 Floats = NDArray[np.float64]
 
 THICK_CELLS = 3.0
-"""Minimum radius of roots whose surface area is measured on the mesh, in finest voxels. The mesh of thinner roots is
-too small: the area of roots of 0.3 mm is underestimated by 10 %."""
+"""Minimum radius of roots whose surface area is measured on the mesh, in voxels of the finest size. On the mesh, the
+area of thinner roots is underestimated, by 10 % for roots of 0.3 mm."""
 
 
 def measure_shape(
@@ -151,9 +151,10 @@ def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
 
 
 def height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
-    """Return the signed distance (P,) of points (P, 3) from the surface at the nearest centre-line point, mm.
+    """Return the distance (P,) of points (P, 3) from the root surface, mm.
 
-    The distance is infinite without centre-line points.
+    The distance is that from the nearest centre-line point minus the root radius at this point. It is infinite if there
+    are no centre-line points.
     """
     if not len(centre_mm):
         return np.full(len(points_mm), np.inf)

@@ -24,41 +24,43 @@ Index = NDArray[np.int64]
 Top = tuple[float, float, float]
 
 HIDDEN_MM = 8.0
-"""Height below the grid of the net pot within which the top of a plant is searched, mm.
+"""Vertical range below the net pot in which the visible top of a plant is searched, mm.
 
 From a camera at the height of the roots, the dark net pot hides the topmost 2.4 mm of thin roots, and a few diameters
 more of a thick base (docs/accuracy.md)."""
 _BEYOND_MM = 3.0
-"""Length by which the crown extends beyond the outermost plants, mm, so that these plants are also attached to it as
-laterals."""
+"""Length by which the crown extends beyond the outermost plants, mm. Because of this extension, these plants are
+attached along the crown like all others, and not at its ends."""
 _LEFT = 0.5
-"""Minimum radius for a node to be part of a real root, relative to the median radius of its branch. Artificial nodes
-within the field of view cover empty pixels, so that the fit shrinks them below this limit."""
+"""Minimum ratio of a node's radius to the median radius of its branch for the node to be part of a real root. Fitting
+reduces the radius of artificial nodes below this limit, since they cover pixels that show no root."""
 _FEW = 3
 """Minimum number of views that must show a node for it to be part of a real root. Two views barely determine the
 position of a point."""
 
 
 def tops(scene: Scene) -> tuple[Top, ...]:
-    """Return the attachment points of several plants, halfway between the grid and the top of the opaque net pot.
+    """Return the points at which several plants are attached to the crown.
 
-    The tuple is empty for a single plant.
+    They lie halfway between the grid and the top of the opaque net pot. The tuple is empty for a single plant.
     """
     z_mm = 0.5 * (scene.net_pot.grid_z_mm + scene.net_pot.top_mm)
     return tuple((*plant.at_mm, z_mm) for plant in scene.plants) if len(scene.plants) > 1 else ()
 
 
 def reach_mm(at_mm: Array) -> float:
-    """Return the maximum horizontal distance of a plant's base from its given position (P, 2), mm.
+    """Return the maximum horizontal distance of a plant's base from the given position of the plant, mm.
 
-    It is half the smallest distance between two plants.
+    It is half the smallest distance between the positions (P, 2) of two plants.
     """
     apart = np.linalg.norm(at_mm[:, None] - at_mm[None], axis=2)
     return 0.5 * float(apart[~np.eye(len(at_mm), dtype=bool)].min())
 
 
 def find_top_cells(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
-    """Return the dense cells among which the top of each plant is searched, keyed by the index of the plant.
+    """Return the indices of the cells in which the top of each plant is searched, keyed by the index of the plant.
+
+    All of these cells contain roots.
 
     Parameters
     ----------
@@ -122,9 +124,9 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
 
 
 def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
-    """Mark as solid the nodes that no view shows: the crown of several plants, or the base of a single plant.
+    """Mark nodes without evidence in the pictures as solid, so that they are not part of any root and add no volume.
 
-    Solid nodes are not part of any root and add no volume.
+    These are the nodes of the crown if there are several plants, or else the hidden nodes at the base of the plant.
 
     Parameters
     ----------

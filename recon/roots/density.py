@@ -1,9 +1,9 @@
 """Estimation of the root density in small cells of the water from the coverage of all views.
 
-Each cell of the search space casts a shadow of area ``a`` (mm2). The coverage of a pixel is the sum of the shadows that
-fall on it, at most 1. The shadows are estimated by multiplicative algebraic reconstruction (MART; Gordon, Bender and
-Herman 1970, J. Theor. Biol. 29:471), which is also used in tomographic particle velocimetry to find sparse particles
-from few views (Elsinga et al. 2006, Exp. Fluids 41:933):
+The roots in a cell of the search space cast a shadow of area ``a`` (mm2), which represents the density. The coverage of
+a pixel is the sum of the shadows that fall on it, at most 1. The shadows are estimated by multiplicative algebraic
+reconstruction (MART; Gordon, Bender and Herman 1970, J. Theor. Biol. 29:471), which is also used in tomographic
+particle velocimetry to find sparse particles from few views (Elsinga et al. 2006, Exp. Fluids 41:933):
 
     a <- a * exp( mean over views of log( measured / explained ) )
 
@@ -34,8 +34,8 @@ from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 Array = NDArray[np.float64]
 
 STEPS = 30
-"""Number of iterations. With 60 iterations, roots become thinner and darker and lose 8 % of their shadow area, which
-the pictures do not constrain."""
+"""Number of iterations of the density estimation. With 60 iterations, roots would be thinner and darker, and their
+shadow area would decrease by 8 %. The pictures do not constrain this decrease."""
 _VIEWS_A_STEP = 10
 """Number of views per iteration (ordered subsets). One pass over all views therefore comprises several iterations."""
 _THIN_OUT = (6, 12, 20)
@@ -43,13 +43,15 @@ _THIN_OUT = (6, 12, 20)
 _NOTHING = 1e-5
 """Shadow area below which a cell is negligible, as a fraction of the area of a cell's face."""
 _LEAST_RATIO, _MOST_RATIO = 0.05, 3.0
-"""Lower and upper bound of the factor by which one iteration changes a shadow."""
+"""Limits of the ratio between measured and explained coverage, by which the shadow of a cell changes in one
+iteration."""
 _LEAST_COVERAGE = 3e-3
-"""Lower bound of the coverage in the initial estimate, so that a single empty view does not exclude a cell."""
+"""Lower limit of the coverage in the initial estimate. It prevents a single empty view from removing a cell."""
 _START = 2.5
 """Initial shadow area of a cell that is covered in all views, relative to the area of a cell's face."""
 _FLOOR = 1e-3
-"""Coverage added to the numerator and the denominator of each ratio, approximately the noise of a picture."""
+"""Constant added to the measured and to the explained coverage before their ratio is computed. It is approximately the
+noise of a picture."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,10 @@ class Cells:
 
 
 def split_leaves(leaves: Leaves) -> Cells:
-    """Divide leaves that are more than half occupied into cells of equal size with zero shadows."""
+    """Divide leaves into cells of equal size, whose shadows are set to zero.
+
+    Leaves that are at most half full are ignored.
+    """
     some = leaves.occupancy > 0.5
     index = to_unit_cubes(leaves.index[some], leaves.size[some])
     return Cells(leaves.grid, index, np.zeros(len(index), np.float32))
@@ -138,9 +143,10 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
 
 
 def schedule(views: int) -> list[int]:
-    """Return the number of subsets into which the views are divided in each pass.
+    """Return the number of subsets into which the views are divided in each pass over all views.
 
-    The subsets of all passes add up to `STEPS` iterations. The last passes use larger subsets.
+    One iteration is made per subset, so that the subsets of all passes add up to `STEPS` iterations. The last passes
+    use larger subsets.
     """
     most = max(1, views // _VIEWS_A_STEP)
     last = [most // 2, most // 4]
@@ -151,7 +157,7 @@ def schedule(views: int) -> list[int]:
 def _subsets(views: int, count: int) -> list[range]:
     """Split the views into subsets of consecutive indices.
 
-    Consecutive views are assumed to be spread over the turn.
+    Consecutive views are assumed to have very different directions.
     """
     ends = [views * k // count for k in range(count + 1)]
     return [range(*pair) for pair in pairwise(ends)]

@@ -1,9 +1,10 @@
 """Compact footprints of cells in all views, used to project shadows and to sample pictures.
 
-The footprint of a cell in a view takes six bytes: column and row in steps of a fraction of a pixel, with 16 bits each,
-and the area in half precision. Only the window of each picture that contains cells is stored, one view after another,
-so that the work depends on the size of the plant and not on the size of the picture. All views are processed in a loop
-within one kernel, since compiling a kernel per view would take longer than running it.
+The footprint of a cell in a view consists of the position of the cell's centre in the picture, and the area that 1 mm2
+covers there. It takes six bytes: column and row in steps of a fraction of a pixel, with 16 bits each, and the area in
+half precision. Only the window of each picture that contains cells is stored, one view after another, so that the work
+depends on the size of the plant and not on the size of the picture. All views are processed in a loop within one
+kernel, since compiling a kernel per view would take longer than running it.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ _STEPS = 65535
 """Number of quantisation steps along the longer side of a picture for stored positions. One step is 1/80 px for a side
 of 800 px."""
 _PIXELS_AT_ONCE = 1_000_000
-"""Maximum number of window pixels for which shadows are summed at once, unless a single view has more. Each thread
-needs four numbers per pixel."""
+"""Maximum number of pixels in the windows of the views that are processed together. At least one view is processed at a
+time. Each thread needs memory for four numbers per pixel."""
 _PARTS = 256
-"""Number of groups of cells per view whose bounds are searched in parallel, without copying the cells."""
+"""Number of groups into which the cells of a view are divided. The bounds of the footprints are searched in all groups
+in parallel, without copying the cells."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class Footprints:
     """Column and row of each cell in each view, in steps of a fraction of a pixel, 16 bits each (mi.UInt32, flattened
     (V, N))."""
     px2_a_mm2: Kernel
-    """Projected area of 1 mm2 at each cell in each view, px2 (mi.Float16, flattened (V, N)). It is 0 where the view
-    does not show the cell."""
+    """Ratio of the projected area, px2, to the area in space, mm2, for each cell in each view (mi.Float16, flattened
+    (V, N)). It is 0 in a view that does not show the cell."""
 
     @staticmethod
     def project(evidence: Evidence, centre_mm: Array) -> Footprints:
@@ -101,9 +103,9 @@ class Footprints:
         return Footprints(views, count, (width, height), steps_a_px, place, area)
 
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the lowest and the highest pixel (V, 2) of the footprints in each view.
+        """Return the lowest and the highest column and row of the footprints in each view, two arrays (V, 2).
 
-        In a view without footprints, the highest pixel is far below the lowest.
+        In a view without footprints, the highest values are far below the lowest.
         """
         lane = dr.arange(mi.UInt32, self.views * _PARTS)
         view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
@@ -161,8 +163,9 @@ class Table:
     def _few_shadows(self, views: range, amount: Float) -> Float:
         """Project the cells' shadows into the windows of a few views.
 
-        The four parts of a shadow are added as one packet at its upper left pixel, in a copy per thread, and then
-        summed over the pixels. This takes a quarter of the time of four atomic additions.
+        Each shadow is distributed over four pixels. The four values are stored together at the upper left pixel, in a
+        separate copy for each thread, and are then summed for every pixel. This takes a quarter of the time of four
+        atomic additions.
         """
         corners = dr.zeros(mi.Float, 4 * self.windows.pixels * len(views))
         dr.eval(corners)

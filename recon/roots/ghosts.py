@@ -1,9 +1,9 @@
 """Detection of tube nodes that are not parts of roots.
 
-These are ghosts, which explain no pixels, duplicates inside other tubes, and short ends without evidence. Each function
-returns a mask (N,) of the nodes to be removed, which `Tubes.prune_mask` converts to cuts from the tips. The exception
-is `find_uncertain_ends`, whose nodes are mostly parts of real roots with hidden ends. They are kept, but their ends are
-not counted as tips.
+Three kinds of nodes are detected: nodes of ghosts, which explain no pixels, nodes of duplicates, which lie inside other
+tubes, and nodes of short ends without evidence. Each function returns a mask (N,) of the nodes to be removed, which
+`Tubes.prune_mask` converts to cuts from the tips. The exception is `find_uncertain_ends`, whose nodes are mostly parts
+of real roots with hidden ends. They are kept, but their ends are not counted as tips.
 """
 
 from __future__ import annotations
@@ -20,42 +20,44 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLANK_PX = 1.0
-"""Margin around taproot and hypocotyl, whose spheres are less precise than tubes, and around the root's upper end where
-it leaves the field of view, px."""
+"""Margin added to the radius of some nodes in the search for duplicates, px. It applies to taproot and hypocotyl, whose
+spheres are less precise than tubes, and to the first node of the tree, where the root leaves the field of view."""
 _EXPLAINED = 0.5
-"""Minimum fraction of the coverage in the pixels of a branch that the branch must explain. Below this fraction, the
-rest of the branch is a ghost."""
+"""Minimum ratio of the squared coverage that a node explains to the sum of explained and residual squared coverage in
+its pixels. A node with a lower ratio is part of a ghost."""
 _EXPLAINED_PX = 1.0
-"""Minimum squared coverage that a node must explain, summed over all views, px."""
+"""Minimum squared coverage that a node must explain, integrated across the root and summed over all views, px."""
 _END_NODES = 3
-"""Number of nodes over which the evidence is averaged, which corresponds to 2 mm."""
+"""Number of neighbouring nodes over which explained and residual coverage are averaged. Three nodes represent a length
+of 2 mm."""
 _INSIDE = 0.9
 """Fraction of a root's radius within which another centre line is a duplicate of the root."""
 _SHARED = 0.3
-"""Minimum fraction of its coverage that a branch must explain without other branches. Below this fraction, the branch
-is a duplicate of a root or a ghost among roots."""
+"""Minimum fraction of its squared coverage that the beginning of a branch must explain in addition to all other tubes.
+With a lower fraction, it is a duplicate of a root or a ghost among roots."""
 _THINNER = 0.5
-"""Minimum ratio between the radius at the beginning of a root and the radius of its remainder. A thinner beginning is a
-detour, since roots taper towards their tips."""
+"""Minimum ratio of the radius of a weakly supported beginning of a branch to the radius of the rest of the branch. A
+thinner beginning is a detour of the traced path, since roots taper towards their tips."""
 _SHORT_MM = 1.5
-"""Minimum length by which a branch must protrude from its parent, mm. A shorter branch is kept only if its neighbours,
-fitted without it, leave its pixels unexplained."""
+"""Minimum length by which a branch must protrude from its parent to be kept without a test, mm. A shorter branch is
+kept only if its pixels remain unexplained after its neighbours have been fitted without it."""
 _LONG_MM, _TIP_NODES = 8.0, 5
-"""Length of an end above which its tip is always accepted, mm, and number of last nodes over which the residual at a
-tip is computed."""
+"""Length above which the end of a branch is always accepted as a root tip, mm, and number of last nodes from which the
+residual at a tip is computed."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
-"""Parameters of the evidence for a tip: a distance of 1 mm to other roots counts as much as an additional visibility of
-a quarter, and a residual larger than usual by a factor of e reduces the evidence by a tenth. The last value is added to
-the relative residual to bound its logarithm."""
+"""Parameters of the evidence for a tip, which is the sum of three terms. The first term is the visible fraction of the
+tip. The second is 0.25 times the distance from other roots, which is limited to 1 mm. The third is -0.1 times the
+logarithm of the residual relative to that of other ends, plus 0.25 to bound the logarithm."""
 _CERTAIN = 0.15
 """Minimum evidence for a tip. At this threshold, the numbers of rejected true tips and accepted false tips are equal
 (docs/decisions/tubes-for-thin-roots.md)."""
 
 
 def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes that are surrounded by the margin `FLANK_PX`.
+    """Return the mask (N,) of nodes whose radius is increased by `FLANK_PX` in the search for duplicates.
 
-    These are the nodes of taproot and hypocotyl, and the upper end of the plant, where it leaves the field of view.
+    These are the nodes of taproot and hypocotyl, and the first node of the tree, where the root leaves the field of
+    view.
     """
     top = np.zeros(len(organ), bool)
     top[tubes.branches[0][0]] = True
@@ -63,9 +65,9 @@ def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:
 
 
 def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes that explain no pixels by themselves.
+    """Return the mask (N,) of nodes of ghosts, which explain too little of the coverage in their pixels.
 
-    The explained coverage is averaged over neighbouring nodes of the same branch.
+    Explained and residual coverage are averaged over neighbouring nodes of the same branch.
     """
     gone = np.zeros(len(organ), bool)
     for k in range(len(tubes.branches)):
@@ -79,9 +81,9 @@ def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
 
 
 def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
-    """Return the mask (N,) of nodes that lie inside an earlier branch.
+    """Return the mask (N,) of nodes that lie inside a branch with a lower index.
 
-    Around taproot, hypocotyl and the upper end of the plant, nodes within a margin are included. All these nodes are
+    Around taproot, hypocotyl and the first node of the tree, nodes within a margin are included. All these nodes are
     parts of a second path along the same root.
 
     Parameters
@@ -101,9 +103,10 @@ def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
 
 
 def find_unsupported_starts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes at the beginning of branches that explain too little of their own coverage.
+    """Return the mask (N,) of nodes at the beginning of branches whose coverage is mostly explained by other tubes.
 
-    Such nodes are parts of second tubes along a root, of ghosts among roots, and of detours along other roots.
+    Such nodes are parts of a second tube along the same root, of a ghost among roots, or of a detour along another
+    root.
     """
     found = np.zeros(len(tubes.radius_mm), bool)
     for k in range(1, len(tubes.branches)):
@@ -116,7 +119,10 @@ def find_unsupported_starts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
 
 
 def find_short_leaves(tubes: Tubes, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes of short branches without laterals, which may be artefacts of their neighbours."""
+    """Return the mask (N,) of nodes of short branches without laterals.
+
+    Such branches may compensate for errors of neighbouring branches and are therefore tested.
+    """
     gone = np.zeros(len(organ), bool)
     for k, line in _free_ends(tubes):
         if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
@@ -169,7 +175,10 @@ def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
 
 
 def _free_ends(tubes: Tubes) -> list[tuple[int, Index]]:
-    """Return index and end nodes of each branch, except the first, that continues beyond its last lateral."""
+    """Return the part of each branch beyond its last lateral, as branch index and nodes.
+
+    The first branch, and branches that end at their last lateral, are omitted.
+    """
     return [(k, line) for k, line in enumerate(tubes.ends) if k > 0 and len(line) > 1]
 
 

@@ -1,8 +1,8 @@
-"""Parent assignment: correction of the orders and parents of roots that were traced through a crossing.
+"""Parent assignment: correction of the orders and parents of roots that were traced incorrectly at crossings.
 
-Tracing connects roots that touch. Three criteria distinguish a contact from a branching point: a root continues along
-the thickest line, a lateral leaves its parent in the direction of growth, and no lateral leaves in the basal zone of
-its parent (Leitner et al. 2010, Plant and Soil 332:177). Points are not moved.
+Where roots touch, tracing connects them. Three criteria distinguish a contact from a branching point: a root continues
+along the thickest line, a lateral leaves its parent in the direction of growth, and no lateral leaves in the basal zone
+of its parent (Leitner et al. 2010, Plant and Soil 332:177). Points are not moved.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ _Point = tuple[Array, float]
 _REACH_MM = 5.0
 """Length over which directions and diameters beyond a fork are averaged, mm."""
 _THICKER = 1.25
-"""Minimum ratio between the diameters of a lateral and of the continuing line for the root to continue in the lateral.
-Over 5 mm, estimated diameters vary by less than this ratio."""
+"""Ratio of the diameter of a lateral to that of its parent beyond the fork, above which the root is assumed to continue
+in the lateral. Diameters averaged over 5 mm vary by less than this ratio."""
 _ROUNDS = 10
 """Maximum number of iterations. Three or four usually suffice."""
 _BASAL_MM = 2.0
-"""Distance of a lateral's base from its grandparent, mm, below which the lateral is reassigned to the grandparent. Such
-a lateral merely runs along its parent at first."""
+"""Distance from the base of a lateral to the surface of its grandparent, mm, below which the grandparent becomes its
+parent. Such a lateral runs along its former parent at first, but does not originate from it."""
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
@@ -43,7 +43,10 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
 
 def _move_up(roots: list[Root]) -> None:
-    """Reassign laterals in the basal zone of their parent to the parent's parent, until none is left."""
+    """Reassign laterals that begin in the basal zone of their parent to the parent of that parent.
+
+    This is repeated until no such lateral is left.
+    """
     moved = True
     while moved:
         moved = False
@@ -80,7 +83,10 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
             leaving.setdefault((root.parent, _nearest(roots[root.parent], root.points_mm[0])), []).append(index)
 
     def lines_at(line: int, at: int) -> list[int]:
-        """Return the lines that leave from a point, including lines that leave from the first points of these lines."""
+        """Return the lines that leave a root at a point.
+
+        Lines that leave at the first point of such a line are included.
+        """
         found = list(leaving.get((line, at), []))
         for k in found:  # the list grows during the loop
             if np.array_equal(roots[k].points_mm[0], roots[line].points_mm[at]):
@@ -107,9 +113,9 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
 
 
 def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) -> tuple[int, int, list[tuple[int, int]]]:
-    """Return the line that continues from a point, its next point, and the lines that begin there.
+    """Return the line in which a root continues from a point, its next point, and the lines that begin there.
 
-    Each line that begins at the point is returned with the index of its next point.
+    Each of the lines that begin there is returned with the index of its next point.
     """
     if not laterals:
         return line, at + 1, []
@@ -124,12 +130,15 @@ def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) ->
 
 
 def _own_diameter(root: Root, first: int) -> float:
-    """Return the initial diameter of a line at a fork, mm: the diameter of the line itself and not of its parent."""
+    """Return the diameter of a line at the point with index ``first``, mm.
+
+    It is used as the diameter at the fork, instead of that of the parent.
+    """
     return float(root.diameters_mm[min(first, len(root.diameters_mm) - 1)])
 
 
 def _thickness(root: Root, first: int) -> float:
-    """Return the mean diameter over the next 5 mm of a root, mm, or 0 if the rest of the root is shorter."""
+    """Return the mean diameter over the next 5 mm of a root, mm. It is 0 if the rest of the root is shorter."""
     points = root.points_mm[first:]
     if len(points) < 2:
         return 0.0

@@ -25,16 +25,16 @@ Mask = NDArray[np.bool_]
 _REACH_MM = 4.0
 """Maximum distance between two pieces that are connected, mm."""
 _GAP_MM, _MISS_MM = 4.0, 0.5
-"""Length of a gap and lateral displacement, mm, each of which costs as much as a bend of one radian."""
+"""Gap and lateral offset between two pieces, mm, each of which costs as much as a bend of one radian."""
 _OVERLAP_MM = 0.6
 """Maximum overlap of two connected pieces, mm, which equals the spacing of the nodes. The ends of pieces are uncertain
 where roots touch."""
 _FRAYED_NODES, _FRAYED = 3, 0.1
-"""Maximum number of uncertain nodes that may be dropped at the end of each piece before two pieces are joined, and cost
-of each dropped node."""
+"""Maximum number of uncertain nodes that may be dropped at each of the two ends to be joined, and cost of each dropped
+node."""
 _BESIDE_MM, _BESIDE_NODES = 0.7, 9
-"""Maximum distance from another branch, mm, and maximum number of nodes, for the beginning of a branch to be a
-duplicate of the other branch."""
+"""Maximum distance from another branch, mm, and maximum number of nodes. The beginning of a branch is a duplicate of
+the other branch if it exceeds neither of them."""
 _BRANCH, _UNCERTAIN = 1.0, 2.0
 """Cost of each branch, and additional cost of each branch with an uncertain end."""
 _GAIN = 0.1
@@ -46,7 +46,7 @@ suffice."""
 
 @dataclass(frozen=True)
 class _Tangents:
-    """Tangents and radii of the branches on both sides of each node."""
+    """Tangents and mean radii of the branches before and after each node."""
 
     centre: Array
     """Positions of the nodes, shape (N, 3), mm."""
@@ -55,7 +55,7 @@ class _Tangents:
     leaving: Array
     """Unit vectors from each node to the following nodes, shape (N, 3)."""
     log_before: Array
-    """Mean logarithm of the radius over the preceding nodes, shape (N,)."""
+    """Mean logarithm of the radius over each node and the nodes before it, shape (N,)."""
     log_after: Array
     owner: Index
     """Index of the branch that contains each node, shape (N,)."""
@@ -113,7 +113,10 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
 
 
 def _worth(tangents: _Tangents, branches: list[Index | None], uncertain: Mask) -> Array:
-    """Return the cost (N,) that is saved if the branch of each node continues instead of ending."""
+    """Return the cost (N,) that is saved if the branch of each node is joined to another branch instead of ending.
+
+    The cost is higher for a branch with an uncertain end.
+    """
     ends = np.array([nodes is not None and bool(uncertain[nodes[-1]]) for nodes in branches])
     return np.where(ends[tangents.owner], _BRANCH + _UNCERTAIN, _BRANCH)
 
@@ -141,7 +144,9 @@ def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
 
 
 def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
-    """Return the cost (M,) of connecting pairs of pieces. It is infinite where one piece does not follow the other.
+    """Return the cost (M,) of joining each pair of pieces.
+
+    It is infinite if the second piece is not ahead of the first.
 
     Parameters
     ----------
@@ -160,7 +165,10 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
 
 
 class _Kind(IntEnum):
-    """Treatment of the branch in which another branch continues."""
+    """Kind of a change in which one branch continues in another branch.
+
+    The other branch is cut in two, reversed, exchanged with its child, or appended without its beginning.
+    """
 
     CUT = 0
     TURNED = 1
@@ -169,12 +177,16 @@ class _Kind(IntEnum):
 
 
 _Change = tuple[float, int, int, int, _Kind]
-"""Change of the tree: cost difference (negative), node at which a branch ends, node at which it continues, branch in
-which the interrupted branch continues (or -1), and kind."""
+"""Change of the tree, stored as a tuple. The elements are, in order, the change of the cost (negative), the node at
+which a branch ends, the node of a second branch at which it continues, the third branch, in which the beginning of the
+second branch continues, and the kind of the change. The third branch is -1 if there is none."""
 
 
 def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the changes in which a tip continues in a nearby branch or meets another tip. End nodes may be dropped."""
+    """Return the changes in which a branch is extended from its tip by a nearby branch.
+
+    The nearby branch begins near the tip, or it ends there and is reversed. Uncertain nodes at the ends may be dropped.
+    """
     tips, tip_fray = _ends(tangents, branches, last=True)
     starts, start_fray = _ends(tangents, branches, last=False)
     found: list[_Change] = []
@@ -197,9 +209,10 @@ def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -
 
 
 def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> tuple[Index, Index]:
-    """Return the nodes (M,) at which branches may end, or begin if ``last`` is false.
+    """Return the nodes (M,) at which branches may end if uncertain nodes are dropped.
 
-    The second array (M,) is the number of nodes that are dropped in each case. Nodes with laterals are never dropped.
+    If ``last`` is false, the nodes at which branches may begin are returned. The second array (M,) contains the number
+    of nodes dropped in each case. Nodes with laterals are never dropped.
     """
     bearing = np.zeros(len(tangents.centre), bool)
     bearing[[nodes[0] for k, nodes in enumerate(branches) if nodes is not None and k > 0]] = True
@@ -220,7 +233,7 @@ def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> t
 
 
 def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the changes in which a tip continues in the remainder of a branch that it runs into."""
+    """Return the changes in which a tip meets an inner node of a branch and continues in the rest of that branch."""
     tips, fray = _ends(tangents, branches, last=True)
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
@@ -256,7 +269,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
 
 
 def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: int, node: int) -> bool:
-    """Return whether the beginning of a branch, up to a given node, duplicates the root of branch ``first``."""
+    """Return whether the beginning of a branch, up to ``node``, runs along the same root as the branch ``first``."""
     second, place = int(tangents.owner[node]), int(tangents.place[node])
     line, beside = branches[first], branches[second]
     assert line is not None
@@ -267,7 +280,7 @@ def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: in
 
 
 def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Change]:
-    """Return the changes in which a branch continues in one of its children instead of its own remainder."""
+    """Return the changes in which a parent continues in its child, and the rest of the parent becomes the child."""
     found: list[_Change] = []
     for k, line in enumerate(branches):
         if line is None or k == 0 or len(line) <= TANGENT_NODES:
@@ -290,9 +303,9 @@ def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Chang
 
 
 def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
-    """Return the branches in which a root that ends at a node could continue, keyed by the node.
+    """Return the branches in which an interrupted branch could continue, keyed by its last node.
 
-    Each branch is returned with the (negative) change of the cost.
+    Each branch is returned with the change of the cost, which is negative.
     """
     starts = np.array([line[1] for k, line in enumerate(branches) if line is not None and k > 0 and len(line) > 2], np.int64)
     if not len(starts):
@@ -322,9 +335,10 @@ def _unit(vectors: Array) -> Array:
 
 
 def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
-    """Return the branches after a change in which one branch continues at a node of another.
+    """Return the branches after a change in which one branch continues at a node of a second branch.
 
-    The interrupted part of the other branch continues in a third branch, if there is one.
+    The second branch is interrupted at this node. If there is a third branch, the beginning of the second branch
+    continues in it.
     """
     changed = list(branches)
     a, b, place = int(tangents.owner[end]), int(tangents.owner[node]), int(tangents.place[node])
@@ -351,7 +365,7 @@ def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, n
 
 
 def _reattach(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
-    """Reattach the children of dropped nodes to the nearest nodes of a line."""
+    """Attach the laterals of dropped nodes to the nearest nodes of a line."""
     nearest = dict(zip(dropped.tolist(), line[cKDTree(centre[line]).query(centre[dropped])[1]].tolist(), strict=True))
     return [
         nodes if k == 0 or nodes is None or int(nodes[0]) not in nearest else np.concatenate([[nearest[int(nodes[0])]], nodes[1:]])
@@ -360,7 +374,10 @@ def _reattach(centre: Array, branches: list[Index | None], dropped: Index, line:
 
 
 def _update_owners(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
-    """Return the branch (N,) that contains each node after some branches changed. It is -1 for dropped nodes."""
+    """Return the index (N,) of the branch that contains each node after some branches have changed.
+
+    It is -1 for dropped nodes.
+    """
     now = owner.copy()
     for branches, gone in ((before, True), (after, False)):
         for k in changed:

@@ -17,20 +17,24 @@ Array = NDArray[np.float64]
 _SAMPLES = 9
 """Number of samples in a profile across a tube."""
 _FLANK_PX = 0.5
-"""Distance beyond a tube's edge up to which the tube explains coverage, px."""
+"""Distance by which each profile extends beyond the edges of the tube, px."""
 
 
 @dataclass(frozen=True)
 class Support:
-    """Squared coverage explained by each node (N,), summed over the profiles across the node in all views, px."""
+    """Support of each tube node (N,) by the pictures.
+
+    All quantities are squared coverages that were integrated along profiles across the node and summed over all views,
+    px.
+    """
 
     explained: Array
-    """Increase of the squared residual if the node is removed, shape (N,), px."""
+    """Increase of the squared residual coverage if the node is removed, shape (N,), px."""
     residual: Array
-    """Squared residual that remains in the pixels that the node covers, shape (N,), px."""
+    """Squared residual coverage in the pixels that the node covers, shape (N,), px."""
     own: Array
-    """Squared coverage of the node, shape (N,), px. This is the amount that it explains in the absence of other
-    tubes."""
+    """Squared coverage of the node itself, shape (N,), px. In the absence of other tubes, the node would explain this
+    amount."""
 
     def select(self, nodes: NDArray[np.bool_]) -> Support:
         """Return the support of a subset of the nodes (N,)."""

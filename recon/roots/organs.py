@@ -27,14 +27,15 @@ THICK_PX = 3.0
 """Minimum radius of a thick root, px. Above this radius, every view resolves both edges of the root despite the
 blur."""
 _RIM_PX = CORE_PX + 0.5
-"""Distance between the surface of a root and its core, px. The outermost half pixel is not fully covered."""
+"""Distance between the surface of a root and the surface of its core, px. It includes half a pixel at the surface of
+the root, which is not fully covered."""
 _GAP_NODES = 3
-"""Minimum number of consecutive nodes outside the core that interrupt a thick root."""
+"""Minimum number of consecutive nodes outside the core for a thick root to be interrupted there."""
 
 
 @dataclass(frozen=True)
 class Core:
-    """Cells deep inside full coverage in every view."""
+    """Cells that are projected deep inside the fully covered area in every view."""
 
     cells: Cells
     depth_mm: Array
@@ -46,10 +47,10 @@ class Core:
 
 
 def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
-    """Set the radius of each node inside a core to that of the largest sphere within the core that contains the node.
+    """Set the radii of the nodes inside a core.
 
-    A branch that runs inside the core for more than its own width is a thick root. Other branches merely begin inside a
-    thick root.
+    The radius of a node is that of the largest sphere that fits into the core and contains the node. A branch that runs
+    inside the core for more than its own width is a thick root. Other branches merely begin inside a thick root.
 
     Parameters
     ----------
@@ -83,10 +84,7 @@ def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
 
 
 def _inner_radius(core: Core, points_mm: Array) -> Array:
-    """Return the radius (N,) of the largest sphere within a core that contains each point (N, 3), mm.
-
-    It is 0 if no sphere contains the point.
-    """
+    """Return the radius (N,) of the largest sphere that contains each point (N, 3) and fits into a core, mm."""
     found, depth, edge_mm = np.zeros(len(points_mm)), core.depth_mm, core.cells.grid.size_mm
     if not len(depth):
         return found

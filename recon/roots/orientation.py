@@ -79,9 +79,10 @@ def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: A
 
 
 def _should_reverse(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
-    """Return whether a branch leaves its parent against the direction of growth, but would leave another root along it.
+    """Return whether a branch is attached to its parent with the wrong end.
 
-    ``root`` is the node of the other root next to the branch's tip.
+    In this case, it leaves its parent against the direction of growth, but would leave another root at its tip in the
+    direction of growth. ``root`` is the node of the other root next to the tip.
     """
     centre, reach = tubes.centre_mm, min(TANGENT_NODES, len(line) - 1)
     away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]

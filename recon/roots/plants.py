@@ -23,9 +23,10 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _DIRECTION_MM = 5.0
-"""Length over which directions and diameters along a path are averaged, mm, as for parent assignment (`hierarchy`)."""
+"""Length over which directions and diameters are averaged along a path, mm. It is the same as in parent assignment
+(`hierarchy`)."""
 _SURE = 2.0
-"""Minimum ratio between the distances to the second-nearest and the nearest plant for a detached piece to be assigned
+"""Ratio of the distances to the second-nearest and to the nearest plant, above which a piece without a base is assigned
 with certainty. Below this ratio, it is assigned to the nearest plant and marked as uncertain."""
 
 
@@ -35,7 +36,7 @@ class PlantedRoots:
 
     roots: tuple[Root, ...]
     open: tuple[bool, ...]
-    """Whether each root may equally well be part of another plant."""
+    """Whether each root may also be part of another plant."""
     missing: tuple[str, ...]
     """Names of the plants for which no base was found."""
 
@@ -93,7 +94,10 @@ def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], mis
 
 
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
-    """Return root index and point index of each plant's base in a tree, keyed by the index of the plant."""
+    """Find the bases of the plants in a tree.
+
+    Return the root index and the point index of each base, keyed by the index of the plant.
+    """
     reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}
     for plant, place in enumerate(at_mm):
         away = [
@@ -107,7 +111,7 @@ def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
 
 
 def _owner(tree: Tree, at_mm: Array) -> int:
-    """Return the index of the plant whose base is in a divided tree, or -1 if there is none."""
+    """Return the index of the plant whose base is in a divided tree. It is -1 if the tree contains no base."""
     return next(iter(_bases(tree, at_mm)), -1)
 
 
@@ -134,7 +138,7 @@ def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:
 
 
 def _cut(points_mm: Array, diameters_mm: Array) -> int:
-    """Return the step of a path (N, 3) between two bases at which the path changes from one plant to the other.
+    """Return the step at which a path (N, 3) between the bases of two plants passes from one plant to the other.
 
     Notes
     -----
@@ -157,7 +161,7 @@ def _cut(points_mm: Array, diameters_mm: Array) -> int:
 
 
 def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tuple[list[int], list[bool]]:
-    """Assign detached pieces to the nearest plant, in the order of their distance.
+    """Assign pieces without a base to the nearest plant. The piece that is nearest to a plant is assigned first.
 
     Returns
     -------
@@ -189,5 +193,8 @@ def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tupl
 
 
 def _ends(tree: Tree) -> Array:
-    """Return the points (N, 3) at which a detached piece may be connected: both ends of its first root."""
+    """Return the points (N, 3) at which a piece without a base may be attached.
+
+    These are the ends of its first root.
+    """
     return tree.roots[0].points_mm[[0, -1]]

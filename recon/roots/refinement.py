@@ -18,10 +18,11 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _SEARCHES = 2
-"""Number of searches of the residual. The second search finds laterals of roots that were found in the first."""
+"""Number of searches for missing roots in the residual coverage. The second search finds laterals of roots that were
+found in the first."""
 _STEPS = 4
-"""Number of iterations of each fit. Full convergence is not required, since new tubes are assessed before and all
-remaining tubes are fitted repeatedly."""
+"""Number of iterations of each fit. Convergence is not required, since new tubes can be assessed before it is reached,
+and all remaining tubes are fitted again."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class TreeRefinement:
         return link_pieces(tree.keep(tree.prune_mask(gone)))
 
     def search(self, tree: Tubes, outside: Cells) -> Tubes:
-        """Add roots that the tree leaves unexplained, and refine the result.
+        """Add roots that are visible in the pictures but missing from the tree, and refine the result.
 
         Parameters
         ----------
@@ -61,9 +62,9 @@ class TreeRefinement:
         return self.link_ends(tips.place_tips(self.whole, self.remove_unsupported(tree).tubes, self.px_a_mm))
 
     def remove_unsupported(self, tree: Tubes) -> Fit:
-        """Fit a tree, and remove tubes that explain little by themselves.
+        """Fit a tree, and remove tubes whose coverage is mostly explained by other tubes.
 
-        Such tubes are duplicates of a root or pieces of its flank.
+        Such tubes are duplicates of a root, or they run along the side of a thicker root.
         """
         fit = self.fit(tree)
         gone = ghosts.find_unsupported_starts(
@@ -94,5 +95,5 @@ class TreeRefinement:
 
 
 def link_pieces(tree: Tubes) -> Tubes:
-    """Link the pieces of a tree, fill gaps, and remove stubs and the hidden parts of laterals."""
+    """Link the pieces of a tree, fill gaps, merge short pieces, and shorten laterals that begin inside a parent."""
     return tubes.trim_inside_parents(tubes.fill_gaps(tubes.merge_stubs(linking.link(tree)[0])))

@@ -35,7 +35,7 @@ class Tree:
         return [cls(_renumber(roots, chosen)) for chosen in members]
 
     def joint(self, line: int) -> Place:
-        """Return the place at which a root is attached to its parent."""
+        """Return the parent of a root, and the index of the parent's point to which the root is attached."""
         root = self.roots[line]
         parent = self.roots[root.parent].points_mm
         return root.parent, int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
@@ -78,7 +78,7 @@ class Tree:
         return Tree(tuple(made), is_turned=True)
 
     def split(self, before: Place, behind: Place) -> tuple[Tree, Tree]:
-        """Split a tree between two adjacent places on a path from its base.
+        """Split a tree between two adjacent points on a path from its base.
 
         Returns
         -------

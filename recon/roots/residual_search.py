@@ -32,24 +32,30 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Array = NDArray[np.float64]
 
 _SURE = 0.25
-"""Minimum residual coverage of a root, which corresponds to a width of a third of a pixel."""
+"""Minimum residual coverage for a cell to be part of a missing root. It corresponds to a root that is a third of a
+pixel wide."""
 _OWN_CELLS = 0.9
-"""Distance from a centre line, in cell edges, within which a cell contains the root regardless of its radius. Half the
-diagonal of a cell is 0.87 edges."""
+"""Minimum distance from a centre line within which cells belong to the root, in cell edges. It applies if the radius of
+the root is smaller. Half the diagonal of a cell is 0.87 edges."""
 _LEAST_VIEWS = 4.0
-"""Minimum sum of the weights u^2 over all views for the residual coverage of a point to be estimated."""
+"""Minimum sum of the weights over all views for the residual coverage of a point to be estimated. The weight of a view
+is u^2, where u is the fraction of the pixel that the tubes leave free."""
 _THINNEST_MM = 0.05
 """Minimum radius of a new root, mm."""
 _LEAST_MM = 0.4
-"""Minimum length of a new branch outside of the existing tubes, mm."""
+"""Minimum length of a new branch outside the existing tubes, mm."""
 _BEGIN_MM = 1.0
-"""Cost of beginning a new branch on the flank of a root, expressed as an additional length at the root's tip, mm."""
+"""Length that is added to a path that begins on the side of a root and not at its tip, mm. With this addition,
+extending a root costs less than beginning a new branch."""
 _TIP_MM = 0.4
-"""Maximum distance between the beginning of a new branch and a tip for the branch to extend the existing root, mm."""
+"""Maximum distance between the beginning of a new branch and the tip of a root, mm, for the branch to be an extension
+of that root."""
 
 
 def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
-    """Return the residual coverage (N,) at points (N, 3), averaged over the views; 0 where too few views contribute.
+    """Return the residual coverage (N,) at points (N, 3), estimated from all views.
+
+    It is 0 at points for which too few views contribute.
 
     Parameters
     ----------
@@ -77,7 +83,7 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Arra
 
 
 def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
-    """Add to a tree the roots that its tubes leave unexplained.
+    """Trace missing roots in the coverage that the tubes of a tree do not explain, and add them to the tree.
 
     Parameters
     ----------
@@ -126,7 +132,10 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
 
 
 def _sample_tubes(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return points (P, 3) along the tubes, with tube radius (P,) and index of the nearest node (P,) at each point."""
+    """Sample points (P, 3) along the tubes.
+
+    Return the points, the tube radius at each point (P,), and the index of the node nearest to each point (P,).
+    """
     a, b = found.segments.T
     count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
     segment = np.repeat(np.arange(len(a)), count)

@@ -28,10 +28,10 @@ class RootTree:
     solid: Mask
     """Mask of nodes inside solids that no root explains, such as balls, boxes and bulbs, shape (N,)."""
     solids_mm: Array
-    """Points deep inside the solids, shape (M, 3), canister frame, mm. The trimmed hull defines the shape of the
-    solids."""
+    """Points inside the solids, far from their surface, shape (M, 3), canister frame, mm. The shape of the solids is
+    that of the trimmed hull."""
     margin_mm: float
-    """Distance from the points in `solids_mm` within which the whole solids lie, mm."""
+    """Maximum distance of any point of the solids from the points in `solids_mm`, mm."""
     px_a_mm: float
     attenuation: TubeAttenuation
     """Attenuation of light by the roots."""
@@ -50,7 +50,7 @@ class RootTree:
 
 @dataclass(frozen=True, kw_only=True)
 class RootSystem(RootTree):
-    """Refined root tree with assessed ends."""
+    """Refined root tree, in which uncertain branch ends are marked."""
 
     uncertain: Mask
     """Mask of nodes at branch ends that are probably not root tips, shape (N,)."""

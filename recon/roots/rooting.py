@@ -28,14 +28,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FLANK_PX = 0.5
-"""Margin around a point of the core, in addition to `CORE_PX`, that contains the flank of a taproot or hypocotyl,
-px."""
+"""Distance from the core, in addition to `CORE_PX`, within which cells are part of the taproot or hypocotyl, px."""
 _BEYOND_PX = 1.25
-"""Margin around a point of the core, in addition to `CORE_PX`, that contains the rest of a taproot's flank, px: half a
-pixel of outline plus the dilation."""
+"""Distance from the core, in addition to `CORE_PX`, within which the outermost parts of a taproot may lie, px. It is
+half a pixel for the outline, plus the dilation."""
 _LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
-"""Number of iterations of the last fit for opaque roots and for translucent roots. Translucent roots need more, since
-their attenuation and hairs were fitted before all roots were found."""
+"""Number of iterations of the last fit for opaque roots, and for translucent roots. Translucent roots require more
+iterations, since their attenuation and root hairs were fitted before all roots had been found."""
 
 
 def find_tree(
@@ -97,7 +96,7 @@ def find_tree(
 def _trace(evidence: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Core, Tubes] | None:
     """Find the initial tubes.
 
-    Return the cells that contain roots, the cores of thick parts, and the tubes, or None if there is no root.
+    Return the cells that contain roots, the cores of thick parts, and the tubes. Return None if no root is found.
     """
     with monitor.stage("search"):
         cells, deep = search_space.carve_cells(evidence, water, px_a_mm, monitor=monitor)
@@ -115,10 +114,10 @@ def _trace(evidence: Evidence, water: Water, px_a_mm: float, margin_mm: float, *
 
 
 def _separate_solids(evidence: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[Evidence, Cells, Tubes, Mask]:
-    """Separate traced tubes from solids.
+    """Separate the solids from the traced tubes.
 
-    Return the evidence outside the solids, the cores of the solids, the tubes, and the mask (N,) of the nodes of thick
-    roots.
+    Return the evidence without the pixels of solids, the cells in the cores of the solids, the tubes, and the mask (N,)
+    of the nodes of thick roots.
     """
     start = tubes.trim_inside_parents(organs.thicken(start, core, px_a_mm)[0])
     start, thick = organs.thicken(start, core, px_a_mm)
@@ -148,7 +147,8 @@ def _fit_light(
 def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
     """Estimate the density of roots in each cell.
 
-    Return the cells that are not empty, with those of taproot and hypocotyl last, and their depth (N,), mm.
+    Return the cells that are not empty, and their depth (N,) below the surface of the core, mm. The cells of taproot
+    and hypocotyl come last.
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
@@ -159,9 +159,9 @@ def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: fl
 
 
 def has_swayed(tree: RootTree, cameras: Cameras) -> bool:
-    """Return whether the roots sway so much that they must be reconstructed again.
+    """Return whether the roots moved so much between the pictures that they must be reconstructed again.
 
-    The sway is measured relative to the given cameras.
+    The movement is measured relative to the given cameras.
     """
     return root_sway.has_moved(tree.evidence, cameras, tree.tubes, tree.px_a_mm)
 

@@ -20,10 +20,10 @@ from rhizotwin.recon.roots.density import Cells
 from rhizotwin.scenes.monitor import Monitor
 
 _CELL_PX = 0.75
-"""Edge length of the cells of the search space, px."""
+"""Edge length of the cells of the search space, as projected into the pictures, px."""
 _MOST_BRIGHT = 0.025
-"""Maximum fraction of the views, but at least one view, in which a point of a taproot or solid may lie in a bright
-spot.
+"""Maximum fraction of the views that show a point of a taproot or solid in a bright spot. A single view is always
+accepted.
 
 A bubble covers a point in one view, whereas a gap between roots is visible in several views. With 0.05, which is two of
 40 views, gaps are closed, and the length of a thick print is 7 % instead of 1 % too large."""
@@ -66,7 +66,7 @@ def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Mo
 
 
 def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -> NDArray[np.bool_]:
-    """Return the mask (N,) of cells in bright spots in more views than expected in front of a thick root."""
+    """Return the mask (N,) of cells that appear in a bright spot in too many views to be part of a thick root."""
     views = [k for k, one in enumerate(spots) if one.any()]
     bright = np.zeros(len(core.index), np.int64)
     if views and len(core.index):
@@ -79,7 +79,7 @@ def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -
 
 
 def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDArray[np.int64]:
-    """Return the number of views (N,) in which each cell is projected into the view's mask."""
+    """Return the number of views (N,) in which each cell is projected onto a pixel of that view's mask."""
     found = np.zeros(len(cells.index), np.int64)
     for begin in range(0, len(found), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
@@ -90,7 +90,7 @@ def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDA
 
 
 def _carve(evidence: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:
-    """Carve the water with the outlines of given distance maps, and return the leaves."""
+    """Carve the water with given distance maps, and return the remaining leaves."""
     hull = carve.carve(
         evidence.bank,
         maps,

@@ -32,7 +32,7 @@ have no secondary growth, are 1.2 to 3.1 times as thick."""
 
 
 def trim_buried(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the roots with laterals shortened by the part that lies deep inside thickened parents."""
+    """Return the roots after removal of the parts of laterals that lie deep inside thickened parents."""
     return tuple(_trim(root, _ancestors(roots, root)) for root in roots)
 
 
@@ -46,9 +46,9 @@ def _ancestors(roots: Sequence[Root], root: Root) -> list[Root]:
 
 
 def _trim(root: Root, above: Sequence[Root]) -> Root:
-    """Return a root without its first part if that part lies deep inside its ancestors.
+    """Remove the first part of a root if this part lies deep inside the root's ancestors.
 
-    A root that lies entirely inside its ancestors is unchanged.
+    A root that lies entirely inside its ancestors is not changed.
     """
     least_mm = 2.0 * max(BURIED_MM, 0.5 * SWOLLEN * float(np.median(root.diameters_mm)))
     wide = [ancestor.diameters_mm > least_mm for ancestor in above]

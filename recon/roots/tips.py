@@ -24,22 +24,23 @@ from rhizotwin.scenes import polyline
 Array = NDArray[np.float64]
 
 _SAMPLES = 33
-"""Number of samples along the axis of a tip: three per pixel for a root with a radius of two pixels."""
+"""Number of samples along the axis of a tip. For a root with a radius of two pixels, there are three samples per
+pixel."""
 _REACH_PX = 3.0
-"""Length of the sampled axis on each side of the last node, in addition to the radius, px. It covers the blur of the
-edge and two cells of the search space."""
+"""Length that is sampled along the axis on each side of the last node, in addition to the radius, px. It covers the
+blur of the edge and two cells of the search space."""
 _LEAST_COVERAGE = 0.15
 """Minimum coverage of a root on its own axis, which corresponds to a width of a sixth of a pixel. Thinner roots show no
 edge."""
 _OTHERS = 0.1
-"""Maximum coverage by other roots beyond a tip for a view to be used to locate the tip."""
+"""Maximum coverage by other roots beyond a tip. A view with higher coverage is not used to locate the tip."""
 _LEAST_SINE = 0.5
 """Minimum sine of the angle between a root's axis and the line of sight for a view to be used to locate the tip. At
 smaller angles, a view shows the flank of a tip before its end."""
 _LEAST_VIEWS = 4
-"""Minimum number of usable views for a tip to be moved. Fewer views may all be affected by the same root."""
+"""Minimum number of usable views for a tip to be moved. In fewer views, the same root may disturb all measurements."""
 _LEAST_LENGTH = 0.5
-"""Minimum fraction of an end's length that remains when the end is shortened. Ends are removed only as a whole."""
+"""Minimum length of an end after shortening, as a fraction of its former length. Shortening never removes an end."""
 
 
 def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
@@ -60,7 +61,10 @@ def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
 
 
 def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
-    """Return the distance (T,) of each tip beyond the last node of its branch, mm; 0 where too few views are usable."""
+    """Return the distance (T,) of each tip beyond the last node of its branch, mm.
+
+    It is 0 for tips with too few usable views.
+    """
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = tree.centre_mm[tip] - tree.centre_mm[before]
@@ -91,7 +95,10 @@ def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
 
 
 def _stretch(line: Array, more_mm: float) -> Array:
-    """Lengthen a chain of nodes (n, 3) by ``more_mm``, or shorten it if negative, with the first node fixed."""
+    """Lengthen a chain of nodes (n, 3) by ``more_mm``, or shorten it if ``more_mm`` is negative.
+
+    The first node is fixed.
+    """
     along = polyline.arc_length_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:
         return line

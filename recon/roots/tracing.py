@@ -32,27 +32,28 @@ _SMOOTH_CELLS = 0.7
 _CAP = 37.5
 """Upper limit of the density (shadow per volume, 1/mm). Higher values are not informative."""
 _BRIDGE = 0.125
-"""Density assigned to empty cells of the search space, 1/mm. For comparison, a root of 0.3 mm has a density of about
-2/mm."""
+"""Density added to that of each cell in the cost of a path, 1/mm, so that paths can cross empty cells. For comparison,
+a root of 0.3 mm has a density of about 2/mm."""
 _DENSE = 0.25
 """Density above which a cell must be part of a branch, 1/mm."""
 _IN_CORE, _BY_DEPTH = 10.0, 100.0
-"""Density at the surface of taproot and hypocotyl, 1/mm, and its increase per mm of depth, which keeps paths near the
-axis."""
+"""Density at the surface of taproot and hypocotyl, 1/mm, and its increase per millimetre of depth. The increase keeps
+paths near the axis."""
 CLAIM_CELLS = 1.5
-"""Distance from a traced root within which cells are assigned to the root, in cells."""
+"""Distance from a traced root within which cells are assigned to the root, in cell edges."""
 _STILL_OPEN = 0.5
-"""Fraction of unclaimed cells in the k-d tree below which the tree is rebuilt. With a fraction of one half, each
-rebuild costs as much as all later rebuilds together."""
+"""Minimum fraction of the cells in the k-d tree that are not yet assigned to a root. Below this fraction, the tree is
+rebuilt without the assigned cells. With one half, each rebuild takes as long as all later rebuilds together."""
 _CORE_CLAIM_MM = 0.65
-"""Distance beyond the core within which a path in a taproot or hypocotyl claims cells, mm."""
+"""Distance beyond the surface of the core within which cells are assigned to a path in the taproot or hypocotyl, mm."""
 _LEAST_MM = 1.0
 """Minimum length of a traced root, mm."""
 _TOP_MM, _RISE_MM = 1.0, 6.0
-"""Height below the highest cell within which the plant's top is searched, mm, and maximum height by which laterals may
-exceed the visible stem, mm."""
+"""Height below the highest cell within which the top of a plant is searched, mm, and height above the visible stem up
+to which laterals are ignored in this search, mm."""
 _THIN_MM = (0.05, 0.3)
-"""Range to which initial radii derived from shadows are limited, mm. The cells of thicker roots shade each other."""
+"""Lower and upper limit of the initial radii, which are derived from shadows, mm. In roots thicker than the upper
+limit, cells shade each other, so that shadows do not indicate the radius."""
 
 
 @dataclass(frozen=True)
@@ -144,10 +145,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
 
 
 def _bridge_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
-    """Return graph edges (N, N) across the gap behind the net pot, at the cost of empty cells.
+    """Return the edges of the graph (N, N) that connect separate parts of the search space behind the net pot.
 
-    A part of the search space is connected to a plant if the distance of its dense cells from the plant's top does not
-    exceed the maximum length of a hidden base.
+    Their cost per millimetre is that of empty cells. A part is connected to a plant if the distance of its dense cells
+    from the plant's top does not exceed the maximum length of a hidden base.
     """
     centre, part = cells.centre_mm, CellSet.from_cells(cells.index).components()
     begun, top_mm = np.isin(part, part[starts]), centre[starts, 2].min()
@@ -169,7 +170,7 @@ def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> i
 
 
 def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
-    """Return the highest cells of a plant, ignoring laterals that are slightly higher than its taproot or hypocotyl."""
+    """Return the highest cells of a plant. Laterals that rise slightly above the taproot or hypocotyl are ignored."""
     highest = float(height_mm[plant].max())
     core_mm = float(height_mm[plant[depth_mm[plant] > 0.0]].max(initial=-np.inf))
     if highest - _RISE_MM < core_mm < highest - _TOP_MM:
@@ -178,7 +179,10 @@ def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
 
 
 def _smooth(cells: Cells) -> Array:
-    """Return the density (N,) of cells, shadow per volume in 1/mm, smoothed with a Gaussian of 0.7 cells."""
+    """Return the density (N,) of cells after smoothing with a Gaussian of 0.7 cells, 1/mm.
+
+    The density is the shadow area per volume.
+    """
     density = cells.shadow_mm2.astype(np.float64) / cells.grid.size_mm**3
     beside = np.exp(-0.5 / _SMOOTH_CELLS**2)
     middle = 1.0 / (1.0 + 2.0 * beside)  # the Gaussian is truncated after the neighbours
@@ -211,7 +215,10 @@ def _concatenate(parts: list[NDArray[T]]) -> NDArray[T]:
 
 
 def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
-    """Compute the path length (N,) from each cell to the top, mm, by pointer doubling; -1 for cells without a path."""
+    """Compute the length (N,) of the path from each cell to the top by pointer doubling, mm.
+
+    It is -1 for a cell without a path.
+    """
     start = before < 0
     jump = np.where(start, np.arange(len(before)), before)
     length = np.where(start, 0.0, np.linalg.norm(centre - centre[jump], axis=1))
@@ -271,7 +278,11 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
 
 
 def _select_spaced(line: Array, claim_mm: Array) -> list[int]:
-    """Select cells along a line that are at most a third of their claim distance apart, including the last cell."""
+    """Select cells along a line at a spacing of about a third of their claim distance.
+
+    The claim distance is the distance within which other cells are assigned to the line. The last cell is always
+    selected.
+    """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     chosen, begin = [0], 0
     for k in range(1, len(line)):
@@ -282,7 +293,7 @@ def _select_spaced(line: Array, claim_mm: Array) -> list[int]:
 
 
 def first_radius(path: Path) -> Array:
-    """Return initial radii (N,) along a path, mm. The shadow area per millimetre of length is the diameter."""
+    """Return initial radii (N,) along a path, mm. The diameter is the shadow area per millimetre of length."""
     way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
     share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
     radius: Array = np.clip(0.5 * share, *_THIN_MM)

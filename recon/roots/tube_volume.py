@@ -24,16 +24,16 @@ _SAMPLES_A_NODE = 1.8
 _FINEST_SPACING_MM = 0.05
 """Minimum spacing of points that fill a tube, mm, to limit memory."""
 _WIDE_NODES = 4.0
-"""Radius, in node edges, above which a tube is filled with spheres consisting of large leaves. Points would require too
-much memory."""
+"""Radius above which a tube is filled with spheres instead of points, in node edges. The spheres are converted to large
+leaves, which require less memory than points."""
 _APART = 0.25
-"""Spacing of the spheres that fill a wide tube, relative to their radius. The dents between them are 1/128 radius deep,
-and their mean depth is compensated."""
+"""Spacing of the spheres that fill a wide tube, as a fraction of their radius. Between two spheres, the surface of
+their union is too low by up to 1/128 of the radius, and the mean error is compensated."""
 _DENT = 24.0
-"""Coefficient of the mean dent between spheres: a union of spheres of radius r at a spacing of s is too thin by s^2 /
-(24 r) on average."""
+"""Denominator in the mean error of a union of spheres. If the spheres have the radius r and the spacing s, the radius
+of the union is too small by s^2 / (24 r) on average."""
 _SLACK_PX = 0.05
-"""Uncertainty of the tube radii assumed for the bounds of the volume, px."""
+"""Change of the tube radii from which the bounds of the volume are computed, px."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class CombinedShape:
 
     leaves: Leaves
     thick: Leaves
-    """Leaves of solids and thick roots only."""
+    """Leaves of the solids and of the thick roots, without those of thin roots."""
     thinner_mm3: float
-    """Decrease of the tubes' volume if all radii are reduced by `_SLACK_PX`, mm3."""
+    """Decrease of the volume of the tubes if their radii are reduced by `_SLACK_PX`, mm3."""
     thicker_mm3: float
-    """Increase of the tubes' volume if all radii are enlarged by `_SLACK_PX`, mm3."""
+    """Increase of the volume of the tubes if their radii are enlarged by `_SLACK_PX`, mm3."""
 
 
 def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
@@ -70,9 +70,9 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
 
 
 def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
-    """Return the mask (N,) of nodes to be filled with spheres.
+    """Return the mask (N,) of nodes that are filled with spheres.
 
-    These are wide nodes, except at the flat end of the first branch.
+    These are the nodes of wide tubes, except those at the flat upper end of the first branch.
     """
     wide = np.asarray(tubes.radius_mm > _WIDE_NODES * node_mm)
     first = tubes.branches[0]
@@ -81,18 +81,22 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
 
 
 def _wide_spheres(tubes: Tubes, wide: Mask) -> Spheres:
-    """Return the largest spheres that fit into the branches along segments between wide nodes (N,)."""
+    """Return spheres that fill the wide parts of all branches.
+
+    A part of a branch is wide if the nodes at both of its ends are wide. ``wide`` is the mask (N,) of these nodes.
+    """
     found = [_inscribe(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
     centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.zeros((0, 3)), np.zeros(0))
     return Spheres(centre, radius)
 
 
 def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
-    """Return centres (M, 3) and radii (M,) of the spheres inside a branch that touch its surface, mm.
+    """Return centres (M, 3) and radii (M,) of the spheres that touch the surface of a branch from inside, mm.
 
-    The cross-sections of a branch are discs with the radius r at position s. The sphere that touches the surface at a
-    disc has its centre at s + q and the radius sqrt(r^2 + q^2), with q = (r^2)' / 2. A sphere with the centre and the
-    radius of the disc would protrude from a tapering branch. No sphere extends beyond the rim of another disc.
+    The cross-section of a branch at position s along its axis is a disc with the radius r. The sphere that touches the
+    surface at a disc has its centre at s + q and the radius sqrt(r^2 + q^2), with q = (r^2)' / 2. A sphere with the
+    centre and the radius of the disc would protrude from a tapering branch. No sphere extends beyond the rim of another
+    disc.
     """
     nodes = tubes.branches[branch]
     way, square = polyline.arc_length_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
