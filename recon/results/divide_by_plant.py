@@ -13,7 +13,7 @@ from rhizotwin.recon.results.by_plant import Pair, PlantResult
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.recon.uncertainty.budget import Term, part_interval
-from rhizotwin.recon.uncertainty.calibration import Calibration
+from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.scenes import rsml, tube_surface
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
@@ -33,7 +33,7 @@ class Shape:
     volume_mm3: float
     terms: tuple[Term, ...]
     """Error budget of the volume."""
-    calibration: Calibration
+    calibration: Calibration = NOT_CALIBRATED
     """Calibration of the scan's intervals."""
 
 

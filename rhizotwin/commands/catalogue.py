@@ -310,7 +310,8 @@ def _report(catalogue: Path, made: "Added") -> None:
         print(f"not added: {sentence}")
     print(f"{catalogue}: added {len(made.scans)} datasets, {len(made.results)} results and {len(made.tables)} mass tables")
     if made.failed:
-        raise UserError(f"{len(made.failed)} files could not be added to {catalogue}, for the reasons printed above")
+        entries = "1 entry" if len(made.failed) == 1 else f"{len(made.failed)} entries"
+        raise UserError(f"{entries} could not be added to {catalogue}, for the reasons printed above")
 
 
 def _show(table: "Table", csv: Path | None) -> None:

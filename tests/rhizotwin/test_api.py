@@ -141,7 +141,7 @@ def test_a_class_of_tqdm_shows_one_bar_for_the_whole_work(tmp_path: Path) -> Non
         (lambda: rt.simulate("sphere_20mm", "x", monitor=3), "monitor must be"),
         (lambda: rt.view(7), "result must be a Result or a path"),
         (lambda: rt.export(7, "x.stl"), "result must be a Result or a path"),
-        (lambda: rt.growth([], "x"), "results is empty"),
+        (lambda: rt.growth([], "x"), "results is an empty list"),
         (lambda: rt.batch([3], "x"), "datasets must be a path"),
     ],
 )

@@ -179,7 +179,7 @@ FAILURES = [
     (OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 2, "out/a.png: the disk is full; free some space"),
     (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
     (MemoryError(), 1, "not enough memory"),
-    (ValueError("shapes\ndiffer"), 1, "unexpected error (ValueError: shapes differ); run it again with RHIZOTWIN_DEBUG=1"),
+    (ValueError("shapes\ndiffer"), 1, "unexpected error (ValueError: shapes differ); run the command again with RHIZOTWIN_DEBUG=1"),
 ]
 
 

@@ -31,7 +31,7 @@ def test_from_twin_pictures_to_a_scene_with_their_lens(tmp_path: Path, monkeypat
     assert {path.name for path in (tmp_path / "twin").iterdir()} == {*pictures, "board.toml", "truth"}
     (tmp_path / "twin" / "view.png").write_bytes(b"not a picture")
     told = command.works("calibrate camera twin -o lens").out
-    assert "not used: view.png: " in told
+    assert "excluded picture: view.png: " in told
     assert "in 10 of 11 pictures" in told
     assert sorted(path.name for path in (tmp_path / "lens").iterdir()) == ["calibration.json", "camera.toml", "report.html"]
     true = json.loads((tmp_path / "twin" / "truth" / "camera.json").read_text(encoding="utf-8"))["camera"]

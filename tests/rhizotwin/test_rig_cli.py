@@ -44,7 +44,7 @@ def test_scan_of_the_twin(scene: Path, tmp_path: Path, command: Command) -> None
     assert dataset.seed == 2
     wire = [json.loads(line) for line in record.read_text().splitlines()]
     assert {entry.get("device") for entry in wire} == {None, "turntable", "arm"}
-    command.fails(*words, named=["contains a finished scan: choose a new folder"])
+    command.fails(*words, named=["contains a finished scan; choose a new folder"])
     assert "all 3 pictures exist" in command.works(*words, "--resume").out
     assert load_dataset(tmp_path / "d").frames == dataset.frames
 
@@ -62,7 +62,7 @@ def test_plan_of_another_file(scene: Path, tmp_path: Path, command: Command) -> 
     words = ("scan", "--rig", "twin", "--scene", scene, *SKETCH)
     command.works(*words, "-o", tmp_path / "d", "--plan", tmp_path / "plan.toml")
     assert len(load_dataset(tmp_path / "d").frames) == 2
-    command.fails(*words, "-o", tmp_path / "e", "--plan", tmp_path / "none.toml", named=["none.toml has no [[plan.rings]]"])
+    command.fails(*words, "-o", tmp_path / "e", "--plan", tmp_path / "none.toml", named=["none.toml: the table [[plan.rings]] is missing"])
     command.fails(*words, "-o", tmp_path / "d", "--resume", named=["contains a scan with another scene.plan.rings.1.views"])
 
 

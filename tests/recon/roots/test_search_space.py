@@ -8,7 +8,7 @@ import numpy as np
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
@@ -32,7 +32,7 @@ def core_volume_mm3(silhouettes: list[Silhouette]) -> float:
     optics, views, _ = scan()
     seen = Evidence.from_silhouettes(ViewBank.pack(views, optics), silhouettes)
     water = Water(optics.inner_radius_mm, -8.0, -120.0)
-    _, core = search_space.carve_cells(seen, water, search_space.px_a_mm(seen, water), monitor=Monitor.of(None))
+    _, core = search_space.carve_cells(seen, water, projection.px_a_mm(seen.bank, water.centre_mm), monitor=Monitor.of(None))
     return len(core.index) * core.grid.size_mm**3
 
 

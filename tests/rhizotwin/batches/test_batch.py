@@ -253,7 +253,7 @@ def test_what_lies_in_the_way_of_a_batch_is_one_sentence(tmp_path: Path, monkeyp
     places.write(one.record, b"[" * 100_000)
     assert not jobs.is_done(one)
     (tmp_path / "r" / "ball").symlink_to(tmp_path)
-    command.fails("batch", scan, "-o", tmp_path / "r", named=["is a link"])
+    command.fails("batch", scan, "-o", tmp_path / "r", named=["r/ball: a batch does not write through symbolic links"])
 
 
 def test_a_batch_folder_stands_for_its_results(tmp_path: Path, ball_result: Callable[..., Path], command: Command) -> None:

@@ -155,7 +155,7 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     stored = json.loads(rows.read_text())
     rows.write_text(json.dumps({**stored, "rows": stored["rows"][:1]}))  # as if it had been stopped there
     shutil.rmtree(kept / "other")
-    assert "ball: done, from an earlier run" in command.works(*words).out
+    assert "ball: done (from an earlier run)" in command.works(*words).out
     assert [one["case"] for one in json.loads(rows.read_text())["rows"]] == ["ball", "other"]
     assert (count.read_text(), sorted(path.name for path in kept.iterdir())) == ("...", ["ball", "other"])
 
@@ -167,7 +167,10 @@ def test_a_scan_without_cameras_is_a_row(command: Command, tiny: Path, tmp_path:
     monkeypatch.setattr(run_method, "offer", fail)
     command.works("bench", "run", "tiny-1", tiny, "--method", "a {output}", "-o", tmp_path / "rows.json")
     (found,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
-    assert (found["state"], found["sentence"]) == ("failed", "the method was not run: no picture has a camera")
+    assert (found["state"], found["sentence"]) == (
+        "failed",
+        "the method was not run, because its input could not be written: no picture has a camera",
+    )
 
 
 def test_numbers_that_no_float_holds_are_left_out() -> None:

@@ -66,7 +66,7 @@ def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Com
 def test_damaged_entry_is_reported(tmp_path: Path, command: Command, make_dataset):
     make_dataset("P1", plant="P1")
     (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
-    failed = command.fails("catalogue", "add", tmp_path / "my.rhizotwin", tmp_path / "scans", named=["1 could not be added"])
+    failed = command.fails("catalogue", "add", tmp_path / "my.rhizotwin", tmp_path / "scans", named=["1 entry could not be added"])
     assert "not added:" in failed.out
 
 
@@ -80,7 +80,7 @@ def test_catalogue_in_place_of_folders(tmp_path: Path, command: Command, make_da
     assert (tmp_path / "growth" / "masses.csv").is_file()
     assert (tmp_path / "growth" / "traits.csv").read_text() == _growth_of(tmp_path, command)
     command.fails("biomass", "fit", file, "-o", tmp_path / "model.json", named=["plants"])  # two are too few, but both were found
-    command.fails("biomass", "fit", tmp_path / "none.rhizotwin", "-o", tmp_path / "model.json", named=["there is no such file"])
+    command.fails("biomass", "fit", tmp_path / "none.rhizotwin", "-o", tmp_path / "model.json", named=["the file does not exist"])
     failed = command("batch", file, "-o", tmp_path / "out")  # the datasets of the catalogue show no markers
     assert "4 of 4 scans failed" in failed.sentence
 

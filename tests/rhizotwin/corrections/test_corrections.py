@@ -185,7 +185,7 @@ def edit(**changes: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"shape_sha256": "0" * 64}, "corrections of another result"),
+        ({"shape_sha256": "0" * 64}, "corrections of a different result"),
         (edit(do="explode"), "'explode'"),
         (edit(file="/etc/passwd"), "unknown key 'file'"),
         (edit(do="delete roots", roots=["x"]), "'x'"),

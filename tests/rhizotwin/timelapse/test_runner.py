@@ -33,7 +33,7 @@ def test_every_plant_is_scanned_in_every_round(make_experiment):
     experiment, lines = load_experiment(make_experiment(plants=2, rounds=2)), list[str]()
     outcome = Runner(experiment, listener=Listener(say=lines.append)).run()
     assert (outcome.scanned, outcome.missed, outcome.open, outcome.growth) == (4, (), (), None)
-    assert any("reconstruction of 2 scans skipped: sketches" in line for line in lines)
+    assert any("reconstruction of 2 scans was skipped, because sketches" in line for line in lines)
     with Catalogue.open(experiment.catalogue_path) as catalogue:
         assert check(catalogue) == []
         assert [(one.plants, one.day, one.complete) for one in catalogue.scans()] == [
@@ -148,7 +148,7 @@ def test_blocked_carousel_is_tried_again(make_experiment):
     experiment, carousel, lines = load_experiment(make_experiment(plants=1, rounds=1)), Blocked(), list[str]()
     carousel.runner = Runner(experiment, listener=Listener(say=lines.append), changer=CarouselChanger(carousel))
     assert carousel.runner.run().scanned == 1
-    assert any("try 1 of 3 failed: carousel: the carousel does not rotate" in line for line in lines)
+    assert any("attempt 1 of 3 failed: carousel: the carousel does not rotate" in line for line in lines)
 
 
 def test_listener_stops_the_run_between_scans(make_experiment):
@@ -182,7 +182,7 @@ def test_changed_plan_contradicts_the_catalogue(make_experiment):
     Runner(experiment).prepare()
     (one, two) = experiment.plants
     swapped = replace(experiment, plants=(replace(one, treatment="low N"), two))
-    with pytest.raises(UserError, match="plant P1 has the treatment control, not low N"):
+    with pytest.raises(UserError, match="treatment of plant P1 is control in the catalogue, but low N"):
         Runner(swapped).prepare()
 
 
