@@ -1,6 +1,6 @@
-"""Guided first check of a real rig.
+"""First check of a real rig.
 
-The user is guided through tests that an emulation cannot replace. The results are written to a report.
+The user is guided through tests that an emulated rig cannot replace. The results are written to a report.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ class Finding:
 
 
 class FirstDay:
-    """Guided first check of a rig, step by step."""
+    """First check of a rig, in which the user is guided through several steps."""
 
     def __init__(self, devices: Devices, scene: Scene, *, ask: Ask, say: Say, folder: Path) -> None:
         self._scene, self._ask, self._say, self._folder = scene, ask, say, folder

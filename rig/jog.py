@@ -399,5 +399,5 @@ def require_no_arguments(words: list[str]) -> None:
 
 
 def joints_text(joints_deg: tuple[float, ...]) -> str:
-    """Format joint angles (deg), from base to wrist roll, as text."""
+    """Format joint angles (deg), in order from the base to the wrist roll, as text."""
     return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

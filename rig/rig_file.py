@@ -133,9 +133,10 @@ class ArmPart:
         Joint(servo=3, min_deg=-112.0, max_deg=112.0),
         Joint(servo=2, min_deg=-112.0, max_deg=112.0),
     )
-    """Joints in the order base, shoulder, elbow, wrist pitch, wrist roll."""
+    """Joints in this order: base, shoulder, elbow, wrist pitch, wrist roll."""
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
-    """Lengths from base plate to shoulder axis, to elbow axis, to wrist pitch axis, and to the camera's centre, mm."""
+    """Lengths of the links, mm: from the base plate to the shoulder axis, from there to the elbow axis, from there to
+    the wrist pitch axis, and from there to the centre of the camera."""
     position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
     """Centre of the base plate's underside in the rig frame, mm. The default is 145 mm above the floor, so that the arm
     can reach the rings for root and shoot."""
@@ -148,8 +149,8 @@ class ArmPart:
     dead band of the servo."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
-    """Joint angles of the parking position, deg, in which the arm's torque is switched off. Every scan begins and ends
-    there."""
+    """Joint angles of the parking position, in which the arm's torque is switched off, deg. Every scan begins and ends
+    in this position."""
     filter: Joint | None = None
     """Servo of the end effector that rotates a filter wheel in front of the lens. It is None if there is no filter
     wheel."""

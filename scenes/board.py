@@ -52,7 +52,10 @@ class CharucoBoard:
 
     @property
     def corners_mm(self) -> Array:
-        """Inner corners of the chessboard (N, 3) in the board's frame, mm, row by row. The index is the corner's id."""
+        """Inner corners of the chessboard (N, 3) in the board's frame, row by row, mm.
+
+        The index of a corner is its id.
+        """
         x, y = np.meshgrid(np.arange(1, self.squares_xy[0]), np.arange(1, self.squares_xy[1]))
         return np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 

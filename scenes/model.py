@@ -85,7 +85,7 @@ class MarkerStrip:
     """
 
     dictionary: str = "APRILTAG_36h11"
-    """ArUco dictionary of the markers, by its name in OpenCV."""
+    """ArUco dictionary of the markers, as named in OpenCV."""
     columns: int = bounded(31, 4, 500)
     """Number of markers in a row, evenly spaced around the net pot."""
     rows: int = bounded(2, 0, 10)
@@ -285,7 +285,10 @@ class CapturePlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """Errors of a real rig. Zero (or None) means no error. Profiles are files with these values and their reasons."""
+    """Errors of a real rig.
+
+    A value of zero or None means that there is no error. Profiles are files with these values and their reasons.
+    """
 
     full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
     """Full-well capacity, which is the number of electrons at full scale. The photon (Poisson) noise is computed from

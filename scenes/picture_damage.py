@@ -20,14 +20,14 @@ import simplejpeg
 import tifffile
 
 MOST_PIXELS = 2**27
-"""Maximum number of pixels of a picture. It exceeds the largest sensors (100 to 150 million pixels), and requires 0.8
-GB in 16-bit colour."""
+"""Maximum number of pixels of a picture. It exceeds the number of pixels of the largest sensors (100 to 150 million).
+In 16-bit colour, a picture of this size requires 0.8 GB."""
 _NO_PICTURE = "the file is not a supported picture; use PNG, JPEG or TIFF"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
-"""Compression schemes of TIFF (TIFF 6.0, section 3 and supplement 2)."""
+"""Compression schemes of TIFF, in this order: none, LZW, Deflate, PackBits (TIFF 6.0, section 3 and supplement 2)."""
 _WITHOUT_CODECS = (_BARE, *_DEFLATE, _PACKBITS)
 """Compression schemes that tifffile decodes without imagecodecs, which is an optional dependency of 80 MB."""
 _MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))

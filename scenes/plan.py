@@ -18,7 +18,7 @@ unknowns. With fewer markers, a wrongly identified marker could not be detected.
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """View to be taken, with the commanded positions of camera and table."""
+    """View to be taken, with the commanded positions of the camera and the table."""
 
     index: int
     ring: int

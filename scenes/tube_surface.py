@@ -13,7 +13,7 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _STEP_MM = 0.3
-"""Maximum length of a piece, mm. It is about the width of thin roots."""
+"""Maximum length of the pieces into which a tube is divided, mm. It is about the diameter of thin roots."""
 _AROUND = 8
 """Number of points on the circumference of a piece. At each of them, it is tested whether the point is inside another
 root."""

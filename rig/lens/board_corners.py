@@ -46,7 +46,7 @@ class BoardView:
     corners_px: Array
     """Corner positions, px, shape (N, 2). Pixel centres have integer coordinates."""
     sigma_px: float
-    """Median standard deviation of a corner coordinate, px, estimated by the fits."""
+    """Median standard deviation of the coordinates of a corner, as estimated by the fits, px."""
     blur_px: float
     """Median standard deviation of the blur, px. It includes the averaging over the area of a pixel, which has a
     standard deviation of 0.29 px."""

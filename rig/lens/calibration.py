@@ -56,12 +56,12 @@ class Calibration:
     board: CharucoBoard
     fit: LensFit
     rejected: dict[str, str]
-    """Reason for rejection of each unused picture, by file name."""
+    """Reason why a picture was not used. The keys are the file names of these pictures."""
     warnings: tuple[str, ...]
     coverage: float
     """Fraction of the picture's cells that contain corners."""
     tilts_deg: dict[str, float]
-    """Angle between board and image plane, deg, by file name."""
+    """Angle between the board and the image plane in each picture, deg. The keys are file names."""
 
 
 def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | None = None) -> Calibration:
@@ -169,7 +169,10 @@ def calibrate_views(
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return an array (rows, columns) that is 1 for each cell of the picture with corners, and otherwise 0."""
+    """Return an array (rows, columns) with one value per cell of the picture.
+
+    It is 1 if the cell contains corners, and otherwise 0.
+    """
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -314,7 +317,7 @@ def _refuse(made: Calibration) -> None:
 
 
 def _warnings(made: Calibration) -> list[str]:
-    """Return one sentence for each cause of a larger uncertainty of the lens parameters."""
+    """Return warnings. Each of them is a sentence about a reason why the lens parameters are less accurate."""
     fit, said = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
         said.append(f"only {len(fit.views)} pictures were used; take about 20 pictures")

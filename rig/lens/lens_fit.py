@@ -46,7 +46,7 @@ class LensFit:
 
     focal_px: tuple[float, float]
     focal_std_px: tuple[float, float]
-    """Standard deviations estimated from the residuals, px. They are 0 for values that were not fitted."""
+    """Standard deviations of the focal lengths, estimated from the residuals, px."""
     principal_px: tuple[float, float]
     principal_std_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
@@ -60,15 +60,16 @@ class LensFit:
     rms_px: float
     """Root mean square distance between measured and reprojected corners, px."""
     cam_from_board: dict[str, Array]
-    """Pose of the board in the camera's frame (4x4), by file name."""
+    """Pose of the board in the camera's frame (4x4) for each picture. The keys are file names."""
     residuals_px: dict[str, Array]
-    """Measured minus reprojected corners (N, 2), px, by file name."""
+    """Differences between the measured and the reprojected corners (N, 2) of each picture, px. The keys are file
+    names."""
     views: dict[str, BoardView]
-    """Corners used in the fit, by file name."""
+    """Corners used in the fit. The keys are file names."""
     dropped_corners: int
     """Number of corners that were excluded as outliers."""
     rejected: dict[str, str]
-    """Reason for exclusion of each picture that is inconsistent with the other pictures, by file name."""
+    """Reason why a picture was excluded as inconsistent with the other pictures. The keys are file names."""
 
     @property
     def corners(self) -> int:

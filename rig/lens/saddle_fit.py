@@ -33,7 +33,7 @@ class Saddle:
     at_px: Array
     """Position, px, shape (2,). Pixel centres have integer coordinates."""
     sigma_px: float
-    """Standard deviation of each coordinate, px, estimated from the residual."""
+    """Standard deviation of each coordinate, estimated from the residual, px."""
     blur_px: float
     """Standard deviation of the blur, px. It includes the averaging over the area of a pixel, which has a standard
     deviation of 0.29 px."""

@@ -73,7 +73,7 @@ class FlatStrip:
 
     @property
     def length_mm(self) -> float:
-        """Circumference of the strip on flat paper, mm."""
+        """Length of the strip on flat paper, mm. The ends meet when it is wrapped around the net pot."""
         return 2.0 * np.pi * self.net_pot.outer_radius_mm * self.bend
 
     @property

@@ -38,12 +38,12 @@ class Misalignment:
     """Deviation of a camera from the level, upright view through the canister's axis."""
 
     axis_mm: float
-    """Horizontal distance between the optical axis and the canister's axis, mm, positive if the optical axis is to the
-    left."""
+    """Horizontal distance between the optical axis and the canister's axis, mm. It is positive if the optical axis is
+    to the left."""
     tilt_deg: float
     """Angle of the optical axis below the horizon, deg."""
     roll_deg: float
-    """Rotation of the picture about the optical axis, deg, positive if the picture's right side is lower."""
+    """Rotation of the picture about the optical axis, deg. It is positive if the picture's right side is lower."""
 
     @property
     def is_aligned(self) -> bool:

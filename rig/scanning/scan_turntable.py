@@ -40,7 +40,7 @@ Taken = tuple[float, Path]
 
 
 class BoardFaultError(Exception):
-    """Raised if the board of table and lights fails in a way that reconnecting may correct."""
+    """Raised if the board of the table and the lights fails. Reconnecting may correct the fault."""
 
     def __init__(self, cause: RigError) -> None:
         super().__init__(str(cause))
@@ -49,7 +49,7 @@ class BoardFaultError(Exception):
 
 @contextmanager
 def convert_board_errors() -> Iterator[None]:
-    """Convert failures of the board to `BoardFaultError`, to distinguish them from failures of other devices."""
+    """Convert failures of the board to `BoardFaultError`. Other devices raise other errors."""
     try:
         yield
     except (LostError, NoAnswerError) as error:
