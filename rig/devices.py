@@ -146,7 +146,7 @@ class Carousel(Protocol):
     """Interface of a changer that places one of several canisters on the turntable. Places are numbered from 1."""
 
     def describe(self) -> str:
-        """Return a short description with firmware and number of places."""
+        """Return a short description with the firmware and the number of places."""
 
     def prepare(self) -> None:
         """Connect to the changer, and find its reference position."""

@@ -34,7 +34,7 @@ LOCK, NEW, OLD, WHOLE = ".rhizotwin-lock", ".rhizotwin-new", ".rhizotwin-old", "
 HEADS = ("dataset.json", "result.json")
 """Names of the files that identify a folder as a dataset or result."""
 LEAST_FREE_MIB = 1
-"""Minimum free disk space, MiB. No dataset or result is smaller. Thus a full disk is reported before the work
+"""Minimum free disk space, MiB. Every dataset and every result is larger. Thus a full disk is reported before the work
 starts."""
 _OWN = ".rhizotwin-"
 _SYSTEM = ("lost+found", "System Volume Information")

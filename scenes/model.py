@@ -140,8 +140,8 @@ class Tank:
 
 FAR_MM = 1.5e5
 """Distance of the pinhole camera that approximates a telecentric camera, mm. An object that is 50 mm nearer than the
-axis is magnified by 1/3000, which is a displacement of 0.08 px at 250 px from the axis. At much larger distances,
-single precision cannot resolve heights to 1e-4 mm for a camera that is tilted by a degree."""
+axis is magnified by an additional 1/3000, which is a displacement of 0.08 px at 250 px from the axis. At much larger
+distances, single precision cannot resolve heights to 1e-4 mm for a camera that is tilted by a degree."""
 
 
 @dataclass(frozen=True, kw_only=True)
