@@ -7,12 +7,15 @@ from rhizotwin.scenes.model import Scene
 
 
 def band_part(rig: RigFile, band: str) -> BandPart | None:
-    """Return the settings of a band; None if the rig file has none, or if the name is empty (white light)."""
+    """Return the settings of a band, or None if the rig file has none.
+
+    The result is also None for white light, which has an empty name.
+    """
     return next((part for part in rig.camera.bands if part.name == band), None)
 
 
 def band_levels(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
-    """Return the brightness of panel and front light in a band, each from 0 to 1."""
+    """Return the brightness of the panel and of the front light in a band, each from 0 to 1."""
     lights, part = rig.lights, part or BandPart()
     panel = lights.panel_level if part.panel_level is None else part.panel_level
     return panel, lights.front_level if part.front_level is None else part.front_level

@@ -20,9 +20,11 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 AT_REST_DEG = 5.0
-"""Maximum angle of a joint from the parking position at which the arm's torque may be switched off, deg."""
+"""Maximum deviation of each joint from the parking position, deg, at which the torque of the arm may be switched off.
+At larger deviations, the arm could drop."""
 LIT, LEAST_LIGHT = 1.3, 0.02
-"""Minimum brightening of the picture when the lamps are switched on: as a factor, and as a fraction of full scale."""
+"""Thresholds for the brightness of the picture with the lamps on. It must exceed the brightness without the lamps
+multiplied by the first value, plus the second value, which is a fraction of full scale."""
 
 T = TypeVar("T")
 
@@ -89,7 +91,7 @@ def check(
 
 
 class _Report:
-    """Writer of the check's report lines, which counts the problems."""
+    """Output of the check. One line is written per device, and the problems are counted."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
@@ -100,7 +102,10 @@ class _Report:
         self._say(f"{name:<10} {verdict:<5} {text.removeprefix(f'{name}: ')}")
 
     def look(self, name: str, action: Callable[[], tuple[T, str]]) -> T | None:
-        """Run a check that returns a result and a text, and report the text, or the problem if the check fails."""
+        """Run a check and report its text.
+
+        A failure is reported as a problem, and the result is then None.
+        """
         try:
             found, text = action()
         except UserError as error:
@@ -111,7 +116,7 @@ class _Report:
         return found
 
     def quietly(self, name: str, action: Callable[[], object]) -> None:
-        """Run an action, and report only a problem."""
+        """Run an action, and report it only if it fails."""
         try:
             action()
         except UserError as error:
@@ -149,10 +154,7 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 
 
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
-    """Take and check a picture without and one with the lamps.
-
-    If the rig has an arm, only the lamps are checked, because the camera may point in any direction.
-    """
+    """Take two pictures, with the lamps off and on, and check them."""
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
         return
@@ -170,7 +172,10 @@ def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, ri
 
 
 def _take_lit_picture(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
-    """Return a picture with the lamps on, and its description; raise an error if the lamps have no effect."""
+    """Take a picture with the lamps on, and return it with a description.
+
+    Raise an error if the lamps have no effect.
+    """
     lights.off()
     dark = camera.capture().image
     preflight.check_lights(lights, rig.lights)
@@ -196,7 +201,10 @@ def _describe_markers(image: Grey, scene: Scene) -> str:
 
 
 def _leave_table(table: Turntable) -> None:
-    """Switch the motor off, unless the table's angle would be lost, and close the table."""
+    """Switch the motor off and close the table.
+
+    The motor remains on if the table knows its angle, which would be lost otherwise.
+    """
     try:
         if not table.knows_zero():
             table.release()
@@ -205,7 +213,7 @@ def _leave_table(table: Turntable) -> None:
 
 
 def _leave_arm(arm: Arm, part: ArmPart, say: Say) -> None:
-    """Switch the torque off if the arm is parked, and close the arm."""
+    """Close the arm. If the arm is parked, its torque is switched off first."""
     try:
         joints = arm.read_joints()
         if max(abs(angle - rest) for angle, rest in zip(joints, part.park_deg, strict=True)) <= AT_REST_DEG:

@@ -11,7 +11,7 @@ from rhizotwin.rig.rig_file import BandPart
 from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
-"""Range of table angles, deg. The cables do not permit more revolutions."""
+"""Minimum and maximum table angle, deg. Rotations beyond these angles would twist the cables too far."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,37 +19,48 @@ class Shot:
     """Picture with the exposure data reported by the camera."""
 
     image: Grey
-    """(H, W) array that is linear in light: uint8, or uint16 with the bits of the converter left-aligned."""
+    """Picture (H, W), whose values are linear in light. The type is uint8, or uint16 with values left-aligned in 16
+    bits."""
     exposure_s: float | None
-    """Exposure time reported for this picture, s; None if unknown."""
+    """Exposure time reported for this picture, s. It is None if the camera does not report it."""
     gain: float | None
 
 
 class Turntable(Protocol):
-    """Interface of a turntable. Angles are in degrees of the table and are not wrapped."""
+    """Interface of a turntable.
+
+    Angles are rotations of the table in degrees. They are not reduced to one revolution.
+    """
 
     def describe(self) -> str:
         """Return a short description with firmware and position."""
 
     def prepare(self) -> None:
-        """Connect: synchronise line numbers, switch the motor on permanently, and select absolute angles."""
+        """Connect to the device.
+
+        Line numbers are synchronised, the motor is switched on permanently, and absolute angles are selected.
+        """
 
     def position_deg(self) -> float:
         """Read the table angle from the device, deg."""
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this table angle, without motion."""
+        """Set the table angle of the present position, without moving the table."""
 
     def knows_zero(self) -> bool:
-        """Return whether the device still knows its declared angle, which is lost by a power-up or reset."""
+        """Return whether the device still knows the table angle set by `declare`.
+
+        A reset or a loss of power deletes it.
+        """
 
     def accelerate(self, deg_per_s2: float) -> None:
         """Set the acceleration of subsequent moves. The initial value is that of the rig file."""
 
     def move_to(self, angle_deg: float) -> float:
-        """Rotate to an angle, always approached from the same side, wait for the end, and return the measured angle.
+        """Rotate the table to an angle, wait until it has stopped, and return the measured angle.
 
-        A `LostError` is raised if the device was reset during the move.
+        The angle is always approached from the same side. A `LostError` is raised if the device was reset during the
+        move.
         """
 
     def release(self) -> None:
@@ -96,11 +107,12 @@ def check_levels(*, panel: float, front: float) -> None:
 class Arm(Protocol):
     """Interface of the arm that positions the camera.
 
-    Joint angles are in degrees, from base to wrist roll; all are zero if the links are aligned along the base's axis.
+    Joint angles are in degrees, in order from the base to the wrist roll. All angles are zero in the position in which
+    the links are aligned along the axis of the base.
     """
 
     def describe(self) -> str:
-        """Return a short description with voltage and warmest servo."""
+        """Return a short description with the supply voltage and the highest temperature of a servo."""
 
     def prepare(self) -> None:
         """Connect, and switch the torque on in the present position without a jump.
@@ -134,7 +146,7 @@ class Carousel(Protocol):
     """Interface of a changer that places one of several canisters on the turntable. Places are numbered from 1."""
 
     def describe(self) -> str:
-        """Return a short description with firmware and number of places."""
+        """Return a short description with the firmware and the number of places."""
 
     def prepare(self) -> None:
         """Connect to the changer, and find its reference position."""

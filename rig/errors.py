@@ -4,7 +4,7 @@ from rhizotwin.scenes.errors import UserError
 
 
 class RigError(UserError):
-    """Raised if a device fails or rejects a command; the scan can be resumed."""
+    """Raised if a device fails or rejects a command. The scan can be resumed."""
 
 
 class NoAnswerError(RigError):

@@ -1,6 +1,6 @@
-"""Guided first check of a real rig.
+"""First check of a real rig.
 
-The user is guided through tests that an emulation cannot replace. The results are written to a report.
+The user is guided through tests that an emulated rig cannot replace. The results are written to a report.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,18 +24,19 @@ from rhizotwin.scenes.schema import to_plain
 
 TURN_DEG, JOINT_DEG = 9.0, 5.0
 TURN_TOLERANCE_DEG = 1.0
-"""Tolerance of the measured table angle, deg. A single picture measures the angle to a few tenths of a degree. A wrong
-direction causes an error of 18 deg, and a wrong gear ratio an error of several degrees."""
+"""Maximum difference between the commanded and the measured table angle, deg. The angle measured in a single picture
+has an error of a few tenths of a degree. A wrong direction causes an error of 18 deg, and a wrong gear ratio an error
+of several degrees."""
 BLOCKS_XY = (16, 12)
 LEAST_CONTRAST = 0.3
-"""Minimum contrast of an object in front of the panel. The net pot absorbs nearly all light, whereas the brightness of
-an empty panel varies less (see `LEAST_EVEN`)."""
+"""Minimum contrast of a picture that shows the net pot in front of the panel. The net pot absorbs nearly all light,
+whereas the contrast of the panel alone is lower (see `LEAST_EVEN`)."""
 LEAST_EVEN = 0.6
-"""Minimum ratio of the darkest to the brightest part of the panel. The reconstruction corrects an uneven panel, but its
-darker parts provide fewer photons."""
+"""Minimum ratio of the brightness of the panel's darkest part to that of its brightest part. The reconstruction
+corrects differences in brightness, but darker parts are noisier."""
 CALIPER_MM = 0.3
-"""Tolerance of calliper measurements, mm. Relative to the net pot's 159 mm, 0.3 mm is 0.2 % of every length and 0.6 %
-of the volume."""
+"""Tolerance of dimensions measured with callipers, mm. For the net pot, with a diameter of 159 mm, an error of 0.3 mm
+changes every length by 0.2 % and the volume by 0.6 %."""
 JOINTS = (
     "the base turn counter-clockwise, seen from above",
     *[f"the {name} lean toward the canister" for name in ("shoulder", "elbow", "wrist")],
@@ -55,20 +56,21 @@ class Finding:
 
 
 class FirstDay:
-    """Guided first check of a rig, step by step."""
+    """First check of a rig, in which the user is guided through several steps."""
 
     def __init__(self, devices: Devices, scene: Scene, *, ask: Ask, say: Say, folder: Path) -> None:
         self._scene, self._ask, self._say, self._folder = scene, ask, say, folder
         self._devices = devices
         self._jog = Jog(devices, scene, say=say)
         self._before_canister = devices.arm is None
-        """Whether the camera shows the strip and the water. This is assumed for a camera on a tripod."""
+        """Whether the camera is in front of the canister, so that it shows the strip and the water. A camera on a
+        tripod is assumed to be there."""
         self.findings: list[Finding] = []
 
     def walk(self, *, wrong_devices: int) -> list[Finding]:
         """Run all steps and return their results.
 
-        After an error too, the rig is left in a safe state and results are written.
+        If an error occurs, the results are written, and the rig is left in a safe state.
 
         Parameters
         ----------
@@ -114,7 +116,7 @@ class FirstDay:
         )
 
     def _arm(self) -> None:
-        """Move the camera in front of the canister, provided that every joint moves in the right direction."""
+        """Move the camera in front of the canister. The step is skipped unless every joint has passed its test."""
         if self._devices.arm is None:
             self._note(Finding(step="arm", verdict="skipped", text="this rig has no arm"))
             return
@@ -137,7 +139,7 @@ class FirstDay:
         self._record_finding("arm", self._before_canister, f"judged by eye, with the camera {where}")
 
     def _out_of_place(self, step: str) -> bool:
-        """Record a step as skipped, and return True, if the camera does not show the canister."""
+        """Return whether the camera is not in front of the canister. In this case, the step is recorded as skipped."""
         if not self._before_canister:
             self._note(Finding(step=step, verdict="skipped", text="the camera is not in front of the canister"))
         return not self._before_canister
@@ -284,9 +286,9 @@ class FirstDay:
         return read_strip(self._jog.shot(), self._scene)
 
     def _cell_px(self) -> float:
-        """Return the expected size of a marker's cell in the first ring's pictures, px.
+        """Return the expected side length of a cell of a marker in the pictures of the first ring, px.
 
-        A marker has 8x8 cells including its border (AprilTag 36h11: 10x10).
+        A marker consists of 8x8 cells including its border (AprilTag 36h11: 10x10 cells).
         """
         from rhizotwin.scenes.markers import get_dictionary
 
@@ -334,9 +336,10 @@ def report(findings: Sequence[Finding], name: str) -> str:
 
 
 def edge_width_px(image: Grey) -> float:
-    """Return the width of the sharpest vertical edges, px: the step from dark to bright divided by the steepest slope.
+    """Return the width of the sharpest vertical edges, px.
 
-    The steepest slope is the 99.9th percentile, so that single noisy pixels have no effect.
+    The width is the difference between bright and dark pixel values, divided by the steepest slope. The 99.9th
+    percentile of the slopes is used, because single noisy pixels can have steeper slopes.
     """
     numbers = image.astype(np.float64)
     slope = np.abs(numbers[:, 2:] - numbers[:, :-2]) / 2.0
@@ -345,15 +348,19 @@ def edge_width_px(image: Grey) -> float:
 
 
 def contrast(image: Grey) -> float:
-    """Return the contrast of a picture: 1 minus the ratio of its 2nd to its 98th percentile."""
+    """Return the contrast of a picture.
+
+    It is 1 minus the ratio of the 2nd to the 98th percentile of the pixel values.
+    """
     dark, bright = np.percentile(image, (2.0, 98.0))
     return float(1.0 - dark / max(bright, 1.0))
 
 
 def panel_evenness(image: Grey) -> float:
-    """Return the ratio of the panel's darker to its brighter parts, from blocks that mostly show the panel.
+    """Return the ratio of the brightness of the panel's darker parts to that of its brighter parts.
 
-    The darker and brighter parts are the 5th and the 95th percentile of the blocks' medians.
+    The picture is divided into blocks, of which those that mostly show the panel are used. The darker and brighter
+    parts are the 5th and the 95th percentile of the blocks' medians.
     """
     height, width = image.shape
     rows, columns = np.array_split(np.arange(height), BLOCKS_XY[1]), np.array_split(np.arange(width), BLOCKS_XY[0])

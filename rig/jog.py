@@ -37,7 +37,7 @@ JOINT_COUNT = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Word:
-    """Command of the interactive mode."""
+    """Command that can be typed in the interactive mode."""
 
     usage: str
     does: str
@@ -149,13 +149,13 @@ class Jog:
             self._say("turntable: the motor remains on, so that the table's angle is not lost")
 
     def _board(self) -> None:
-        """Connect to the board of table and lamps, unless connected."""
+        """Connect to the board that controls the table and the lamps, if it is not connected yet."""
         if not self._table_ready:
             self._say(preflight.check_table(self._devices.table))
             self._table_ready = True
 
     def _arm(self) -> Arm:
-        """Return the arm, and connect to it unless connected."""
+        """Return the arm. The connection is established first if necessary."""
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -281,7 +281,10 @@ class Jog:
         return left
 
     def _misalignment(self, *, search: bool = False) -> Misalignment:
-        """Take a picture and return the camera's misalignment, tilting the camera if it has to search for the strip."""
+        """Take a picture and return the misalignment of the camera.
+
+        With ``search``, the camera is tilted until the strip is visible.
+        """
         seen, why = self._look()
         here = self._arm().read_joints()
         for tilt_deg in SEARCH_DEG if search and seen is None else ():
@@ -390,11 +393,11 @@ def parse_number(text: str) -> float:
 
 
 def require_no_arguments(words: list[str]) -> None:
-    """Raise an error if a command without arguments was given any."""
+    """Raise an error if arguments were given to a command that takes none."""
     if words:
         raise ValueError(words)
 
 
 def joints_text(joints_deg: tuple[float, ...]) -> str:
-    """Format joint angles (deg), from base to wrist roll, as text."""
+    """Format joint angles (deg), in order from the base to the wrist roll, as text."""
     return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

@@ -31,7 +31,7 @@ class Devices:
     camera: Camera
     arm: Arm | None
     open_board: Callable[[], tuple[Turntable, Lights]]
-    """Function that reopens the board of table and lights after its connection was lost."""
+    """Function that creates new drivers of the table and the lights, after the connection to their board was lost."""
 
     def reconnect_board(self) -> None:
         """Close the table and the lights, and reopen them."""
@@ -93,7 +93,9 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
-    """Create the drivers of table and lights, for a Marlin board or the pins of this Raspberry Pi.
+    """Create the drivers of the table and the lights.
+
+    They are connected to a Marlin board, or to the pins of this Raspberry Pi.
 
     Parameters
     ----------
@@ -124,7 +126,7 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
 
 
 def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:
-    """Open the arm's port and create its driver; return None for a rig without an arm.
+    """Open the port of the arm and create its driver, or return None if the rig has no arm.
 
     Parameters
     ----------

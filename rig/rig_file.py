@@ -21,8 +21,8 @@ class TurntablePart:
     """Turntable and lights, driven by a Marlin 2.1 board on a serial line, or by the pins of this Raspberry Pi."""
 
     kind: Literal["marlin", "hat"] = "marlin"
-    """Electronics that drive table and lights. marlin: a Marlin board at ``port``. hat: a DRV8825 and NeoPixels on the
-    pins of this computer (``hat``), for which ``port`` and ``baud`` are not used."""
+    """Electronics that control the table and the lights. marlin: a Marlin board at ``port``. hat: a DRV8825 and
+    NeoPixels on the pins of this computer (``hat``). ``port`` and ``baud`` are then not used."""
     port: str = "/dev/ttyUSB0"
     """Serial port, or any URL supported by pyserial, such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
@@ -32,16 +32,17 @@ class TurntablePart:
     full_step_deg: float = bounded(1.8, 0.001, 30.0)
     """Table angle of one full step of the motor, deg."""
     approach_deg: float = bounded(3.6, 0.0, 45.0)
-    """Angle by which moves against the approach direction overshoot before they return, deg, so that the backlash is
+    """Overshoot of moves against the approach direction, after which the table returns, deg. The backlash is thus
     always on the same side."""
     tolerance_deg: float = bounded(0.02, 1e-4, 5.0)
-    """Maximum difference between commanded and measured table angle, deg."""
+    """Maximum difference between the commanded and the measured table angle, deg."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Pause between a move and the next picture, s, in which the water comes to rest."""
+    """Pause between a move and the next picture, s. During this pause the water comes to rest."""
     rest: Literal["given", "measured"] = "given"
-    """Source of the pause before each picture. given: ``settle_s``. measured: before its first picture, a scan rotates
-    the table a few times at this and lower accelerations, measures how long the picture moves, and uses the
-    acceleration with the shortest total time. The pause is then at least ``settle_s``."""
+    """How the pause before each picture is determined. given: it is ``settle_s``. measured: before its first picture, a
+    scan rotates the table a few times, at this acceleration and at lower accelerations, and measures how long the
+    contents of the picture move. It then uses the acceleration with which a view takes the shortest time, and a pause
+    of at least ``settle_s``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,7 @@ class LightsPart:
     """Pause between a change of the lamps and the next picture, s."""
 
     def strips(self, panel: float, front: float, band: "BandPart | None") -> tuple[tuple[int, Rgb, float], ...]:
-        """Return number, colour and level of both strips.
+        """Return the number, colour and level of each of the two strips.
 
         Parameters
         ----------
@@ -132,9 +133,10 @@ class ArmPart:
         Joint(servo=3, min_deg=-112.0, max_deg=112.0),
         Joint(servo=2, min_deg=-112.0, max_deg=112.0),
     )
-    """Joints in the order base, shoulder, elbow, wrist pitch, wrist roll."""
+    """Joints in this order: base, shoulder, elbow, wrist pitch, wrist roll."""
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
-    """Lengths from base plate to shoulder axis, to elbow axis, to wrist pitch axis, and to the camera's centre, mm."""
+    """Lengths of the links, mm: from the base plate to the shoulder axis, from there to the elbow axis, from there to
+    the wrist pitch axis, and from there to the centre of the camera."""
     position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
     """Centre of the base plate's underside in the rig frame, mm. The default is 145 mm above the floor, so that the arm
     can reach the rings for root and shoot."""
@@ -143,14 +145,15 @@ class ArmPart:
     arm leans toward +x at positive shoulder angles."""
     max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)
     tolerance_deg: float = bounded(3.0, 0.1, 30.0)
-    """Maximum difference between commanded and measured joint angle at the end of a move, deg, including sag and dead
-    band."""
+    """Maximum difference between the commanded and the measured joint angle after a move, deg. It includes sag and the
+    dead band of the servo."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
-    """Joint angles of the parking position, deg, in which the arm's torque is switched off. Every scan begins and ends
-    there."""
+    """Joint angles of the parking position, in which the arm's torque is switched off, deg. Every scan begins and ends
+    in this position."""
     filter: Joint | None = None
-    """Servo of the end effector, if it rotates a filter wheel in front of the lens."""
+    """Servo of the end effector that rotates a filter wheel in front of the lens. It is None if there is no filter
+    wheel."""
     min_volt: float = bounded(6.5, 4.5, 12.0)
     max_volt: float = bounded(8.4, 4.5, 12.0)
     max_celsius: float = bounded(65.0, 20.0, 85.0)
@@ -165,18 +168,19 @@ class BandPart:
     name: str = ""
     """Name of the band in the scene."""
     panel_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
-    """Colour of the panel at level 1. None: colour of ``[lights]``."""
+    """Colour of the panel at level 1. If it is None, the colour in ``[lights]`` is used."""
     front_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
-    """Colour of the front light at level 1. None: colour of ``[lights]``."""
+    """Colour of the front light at level 1. If it is None, the colour in ``[lights]`` is used."""
     panel_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Level of the panel. None: level of ``[lights]``."""
+    """Level of the panel. If it is None, the level in ``[lights]`` is used."""
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Level of the front light. None: level of ``[lights]``."""
+    """Level of the front light. If it is None, the level in ``[lights]`` is used."""
     output: int | None = field(default=None, metadata={"limits": (0, 27)})
-    """Switched output for a lamp that is on only in this band, such as near-infrared LEDs: the number of a fan output
-    of the Marlin board (M106), or of a GPIO pin of the Raspberry Pi (hat)."""
+    """Output that switches an additional lamp, such as near-infrared LEDs. The lamp is on only while pictures of this
+    band are taken. The number is that of a fan output of the Marlin board (M106), or of a GPIO pin of the Raspberry Pi
+    (hat)."""
     filter_deg: float | None = field(default=None, metadata={"limits": (-360.0, 360.0)})
-    """Angle of the filter wheel, deg, which is rotated by the end effector's servo (``arm.filter``)."""
+    """Angle, deg, to which the servo of the end effector (``arm.filter``) rotates the filter wheel for this band."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +211,10 @@ class Bar:
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
-    """Dimensions for collision checks of the arm, and obstacles in addition to the scene's canister and net pot."""
+    """Dimensions used in the collision checks of the arm, and additional obstacles.
+
+    The canister and the net pot of the scene are always obstacles.
+    """
 
     margin_mm: float = bounded(15.0, 0.0, 500.0)
     """Minimum distance between obstacles and the arm with its camera, mm. It allows for sag and backlash."""

@@ -1,4 +1,4 @@
-"""Reliability of a trait: 90 % interval and verdict."""
+"""Assessment of the reliability of a trait: 90 % interval and verdict."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -15,21 +15,21 @@ class Assessment:
     verdict: Verdict = "not assessed"
     """Verdict on the trait. ``not assessed`` means that the method does not estimate an uncertainty of the trait."""
     interval: tuple[float, float] | None = None
-    """90 % interval in the unit of the trait; None if the trait is not assessed."""
+    """90 % interval in the unit of the trait. It is None if the trait is not assessed."""
     reason: str = ""
-    """Reason why the trait is not reliable, as a sentence; otherwise empty."""
+    """Reason why the trait is not reliable, as a sentence. It is empty if the trait is reliable or not assessed."""
     codes: tuple[str, ...] = ()
-    """Codes of the reasons (`recon.results.reasons`) for other programs; empty if the trait is reliable or not
-    assessed."""
+    """Codes of the reasons (`recon.results.reasons`), for use by other programs. There are none if the trait is
+    reliable or not assessed."""
 
 
 NOT_ASSESSED = Assessment()
 MOST_REASONS = 3
-"""Maximum number of reasons listed in a sentence. The individual results state all of their reasons."""
+"""Maximum number of reasons in a sentence about several results. All reasons are stated in the individual results."""
 
 
 def left_out(trait: str, reasons: Iterable[str], *, total: int) -> str:
-    """Return a sentence about the excluded values of a trait; empty if no value is excluded.
+    """Return a sentence about the values of a trait that were excluded. It is empty if no value was excluded.
 
     Parameters
     ----------

@@ -114,7 +114,9 @@ def json_bytes(value: Any) -> bytes:
 
 
 def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | None = None) -> None:
-    """Write a picture atomically, in the format given by the file name's suffix (PNG, JPG, TIFF); see `write_bytes`.
+    """Write a picture atomically; see `write_bytes`.
+
+    The format (PNG, JPEG or TIFF) is given by the suffix of the file name.
 
     Parameters
     ----------
@@ -145,7 +147,10 @@ def temporary_path(path: Path) -> Path:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a rename to the disk, if the system supports this (Windows cannot open folders)."""
+    """Flush a rename to the disk, if the operating system supports this.
+
+    Windows does not, because it cannot open folders.
+    """
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -164,7 +169,7 @@ def is_full(error: OSError) -> bool:
 
 
 def write_error(error: OSError, path: Path | str) -> UserError:
-    """Convert an error of writing a file to a `UserError` with a one-sentence explanation."""
+    """Convert an error that occurred when a file was written to a `UserError` with an explanation."""
     if is_full(error):
         return UserError(f"{path}: the disk is full, and nothing was written under this name; free some space and run the command again")
     reason = error.strerror or str(error)
@@ -185,7 +190,7 @@ def _open_beside(path: Path) -> tuple[Path, int]:
 
 
 def _remove_left(path: Path) -> None:
-    """Remove the temporary files of killed processes, which are not locked."""
+    """Remove temporary files left by processes that were killed. These files are not locked."""
     begin = f".{path.name[:100]}."
     for name in os.listdir(path.parent):  # noqa: PTH208 - names are enough
         if name.startswith(begin) and re.fullmatch(TEMPORARY, name):
@@ -198,7 +203,7 @@ def _remove_left(path: Path) -> None:
 
 
 def _rename_file(temporary: Path, path: Path, *, new: bool) -> None:
-    """Rename a file to its final name. With ``new``, raise an error if the name is already in use."""
+    """Rename a file to its final name. If ``new`` is true, raise an error if the name is already in use."""
     if new:
         _link(temporary, path)
     else:

@@ -30,14 +30,15 @@ class Band:
     """Centre wavelength of the band, nm. It determines the vegetation index for which the band is used, and the
     rendering in the twin."""
     panel_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Brightness of the bare panel in this band, as a fraction of full scale; 0 if the panel is off. None: as in
-    ``[lights]``."""
+    """Brightness of the bare panel in this band, as a fraction of full scale. It is 0 if the panel is off. If it is
+    None, the brightness in ``[lights]`` is used."""
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Brightness of white paper on the strip in this band, as a fraction of full scale. None: as in ``[lights]``."""
+    """Brightness of white paper on the strip in this band, as a fraction of full scale. If it is None, the brightness
+    in ``[lights]`` is used."""
 
 
 def bands_by_range(bands: Sequence[Band]) -> dict[str, str]:
-    """Return the name of the band in each range of `RANGES_NM`. Ranges without a band are omitted.
+    """Return the name of the band in each range of `RANGES_NM`. A range without a band has no entry.
 
     If several bands are in one range, the band nearest to the typical wavelength is used.
     """
@@ -59,7 +60,10 @@ def normalised_difference(one: float, other: float) -> float:
 
 
 def vegetation_indices(reflectances: Mapping[str, float]) -> dict[str, float]:
-    """Return the indices ``ndvi`` and ``ndre``, each if the reflectances of the required ranges are known."""
+    """Return the vegetation indices ``ndvi`` and ``ndre``.
+
+    An index is omitted if the reflectances that it requires are unknown.
+    """
     pairs = {"ndvi": "red", "ndre": "red_edge"}
     return {
         name: normalised_difference(reflectances["nir"], reflectances[other])

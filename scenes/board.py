@@ -19,10 +19,10 @@ from rhizotwin.scenes.markers import black_rectangles, get_dictionary
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 MARKER_SHARE = 11.0 / 15.0
-"""Default ratio of a marker's side to the side of its square."""
+"""Default ratio of a marker's side length to that of its square."""
 LEAST_GAP = 0.05
-"""Minimum white margin between a marker and the edge of its square, as a fraction of the square's side. Corners cannot
-be measured with a narrower margin."""
+"""Minimum width of the white margin between a marker and the edge of its square, as a fraction of the square's side
+length. Corners cannot be measured if the margin is narrower."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,10 @@ class CharucoBoard:
 
     @property
     def corners_mm(self) -> Array:
-        """Inner corners of the chessboard (N, 3) in the board's frame, mm, row by row. The index is the corner's id."""
+        """Inner corners of the chessboard (N, 3) in the board's frame, row by row, mm.
+
+        The index of a corner is its id.
+        """
         x, y = np.meshgrid(np.arange(1, self.squares_xy[0]), np.arange(1, self.squares_xy[1]))
         return np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
@@ -65,7 +68,7 @@ def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
 def black_parts(board: CharucoBoard) -> Array:
     """Return the black squares and the black parts of the markers as rectangles (N, 4), mm.
 
-    The columns of the array are left, top, right and bottom, in the board's frame.
+    The columns are the left, top, right and bottom edge in the board's frame.
     """
     columns, rows = board.squares_xy
     gap_mm = (board.square_mm - board.marker_mm) / 2.0

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TELECENTRIC_TILT_DEG = 1.5
-"""Maximum camera tilt, deg, at which the pinhole model of a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in
-single precision."""
+"""Maximum tilt of a telecentric camera, deg. Up to this tilt, the pinhole model of the camera (`model.FAR_MM`) is exact
+to 1e-4 mm in single precision."""
 
 
 def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
@@ -59,7 +59,10 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
 
 
 def marker_capacity(dictionary: str) -> int | None:
-    """Return the number of markers in an OpenCV dictionary, named without ``DICT_``; None if the name is unknown."""
+    """Return the number of markers in an OpenCV dictionary, or None if its name is unknown.
+
+    The name is given without ``DICT_``.
+    """
     aruco = _aruco()
     if not hasattr(aruco, f"DICT_{dictionary}"):
         return None
@@ -153,7 +156,10 @@ def _check_tank(scene: Scene, place: Place) -> None:
 
 
 def _check_strip_above(scene: Scene, tank: Tank, ring: Ring, here: Place) -> None:
-    """Reject a camera position from which the strip is visible through the tank's liquid instead of air."""
+    """Reject a camera position from which the strip is seen through the liquid in the tank.
+
+    It must be seen through air.
+    """
     strip_mm, low_mm = scene.net_pot.outer_radius_mm, scene.strip.bottom_mm
     least_mm = low_mm + (tank.level_mm - low_mm) * (ring.distance_mm - strip_mm) / (tank.front_mm - strip_mm)
     if scene.strip.rows and tank.front_mm > strip_mm and ring.height_mm < least_mm:
@@ -218,7 +224,7 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
 
 
 def _check_bands(scene: Scene, place: Place) -> None:
-    """Check the names of bands, and that each ring has a band with both lights on."""
+    """Check the names of the bands. Each ring must have a band in which both lights are on."""
     names = [band.name for band in scene.camera.bands]
     for i, name in enumerate(names):
         if not (name.isascii() and name.isidentifier() and name == name.lower()) or name in names[:i]:
@@ -246,7 +252,10 @@ def _check_spectrum(spectrum: tuple[tuple[float, float], ...], place: Place) -> 
 
 
 def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: Place) -> None:
-    """Reject a radial distortion that is not monotonic up to the corners of the picture."""
+    """Reject a radial distortion that is not monotonic.
+
+    The distorted radius must increase with the undistorted radius up to the corners of the picture.
+    """
     import numpy as np
 
     k1, k2, _, _, k3 = distortion

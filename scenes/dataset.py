@@ -32,45 +32,46 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Picture with the commanded and measured positions at its exposure."""
+    """Picture with its commanded and its measured positions of the table and the camera."""
 
     file: str
-    """Path of the picture relative to the dataset folder, with forward slashes."""
+    """Path of the picture relative to the dataset folder, with forward slashes as separators."""
     sha256: str
-    """SHA-256 of the file in hexadecimal; empty if it was not recorded."""
+    """SHA-256 of the file in hexadecimal. It is empty if it was not recorded."""
     kind: str = "root"
     band: str = ""
-    """Name of the camera's band; empty if the camera has no bands."""
+    """Name of the camera's band. It is empty if the camera has no bands."""
     view: int | None = None
-    """Number of the view, which its pictures in several bands share; None if each picture is a separate view."""
+    """Number of the view. Pictures of a view in several bands have the same number. It is None if each picture is a
+    separate view."""
     ring: int = 0
     table_deg: float | None = None
-    """Commanded table angle, deg; None if unknown (imported pictures)."""
+    """Commanded table angle, deg. It is None if unknown, as for imported pictures."""
     table_read_deg: float | None = None
     """Table angle reported by the turntable after its move, deg."""
     placement: int = 0
-    """Number of the camera's placement in this ring. It increases whenever the camera is placed or the table's zero is
-    determined again. Within one placement the camera is static."""
+    """Number of the camera's placement in this ring. It increases whenever the camera is placed, and whenever the zero
+    of the table is determined again. Within one placement the camera is static."""
     joints_deg: tuple[float, ...] | None = None
-    """Commanded joint angles of the arm from base to wrist roll, deg."""
+    """Commanded joint angles of the arm in order from the base to the wrist roll, deg."""
     joints_read_deg: tuple[float, ...] | None = None
     exposure_s: float | None = None
     gain: float | None = None
     time_s: float | None = None
     """Time since the start of the scan, s."""
     cam_from_canister: tuple[tuple[float, ...], ...] | None = None
-    """Known pose of the camera (4 rows of 4 numbers, OpenCV axes); None if the pose is to be computed from the
-    markers."""
+    """Known pose of the camera (four rows of four numbers, OpenCV axes). It is None if the pose is to be determined
+    from the markers."""
 
     @property
     def station(self) -> tuple[int, int]:
-        """Ring and placement. Frames of the same station were taken by a static camera."""
+        """Ring and placement of the frame. The camera does not move between frames with the same ring and placement."""
         return self.ring, self.placement
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """Scan: the scene, its frames, and their origin."""
+    """Scan, which consists of the scene, the frames, and the origin of the pictures."""
 
     folder: Path
     scene: Scene
@@ -81,11 +82,11 @@ class Dataset:
     origin: dict[str, Any] = field(default_factory=dict)
     """Program, versions, settings and profile with which the pictures were created."""
     sha256: str = field(default="", compare=False)
-    """SHA-256, in hexadecimal, of the content of dataset.json that was read or written; empty if the file does not
-    exist yet."""
+    """SHA-256, in hexadecimal, of dataset.json as it was read or written. It is empty if the file does not exist
+    yet."""
 
     def summary(self) -> dict[str, str]:
-        """Return name, number of pictures and origin as texts, by label."""
+        """Return the name, the number of pictures and the origin as texts. The keys are labels for display."""
         width, height = self.scene.camera.image_wh
         rings = len({frame.ring for frame in self.frames})
         kinds = {"root": "pictures", "shoot": "pictures of the shoot"}
@@ -108,14 +109,17 @@ class Dataset:
         return "\n".join([f"Dataset of {self.scene.name}", *(f"  {name:<14}{text}" for name, text in self.summary().items())])
 
     def _repr_html_(self) -> str:
-        """Return HTML for notebooks, with the first picture and a table."""
+        """Return an HTML representation for notebooks. It consists of the first picture and a table."""
         cells = "".join(
             f"<tr><td>{name}</td><td style='text-align:left'>{html.escape(text)}</td></tr>" for name, text in self.summary().items()
         )
         return f"<div><h4>{html.escape(self.scene.name)}</h4>{self._thumbnail()}<table>{cells}</table></div>"
 
     def _thumbnail(self) -> str:
-        """Return the first picture, 240 pixels high, as an HTML image element; empty if the picture cannot be read."""
+        """Return the first picture as an HTML image element with a height of 240 pixels.
+
+        The result is empty if the picture cannot be read.
+        """
         import cv2
 
         try:
@@ -263,7 +267,10 @@ def file_sha256(path: Path | str) -> str:
 
 
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
-    """Read a JSON object with a ``schema_version``; reject a damaged file or an unsupported version."""
+    """Read a JSON object with a ``schema_version``.
+
+    Raise an error if the file is damaged or the version is not supported.
+    """
     return parse_versioned_json(read_file(path), path, version)
 
 
@@ -347,7 +354,10 @@ def _is_utf8(text: str) -> bool:
 
 
 def _check_names(frames: tuple[Frame, ...], place: Place) -> None:
-    """Reject pictures whose names differ only in folder or suffix, since results are named after the stem."""
+    """Reject pictures whose names without folder and suffix are equal.
+
+    The names of results are derived from these names.
+    """
     by_stem: dict[str, str] = {}
     for i, frame in enumerate(frames):
         stem = PurePosixPath(frame.file).stem
@@ -363,7 +373,7 @@ def _check_names(frames: tuple[Frame, ...], place: Place) -> None:
 
 
 def _check_views(frames: tuple[Frame, ...], place: Place) -> None:
-    """Reject several pictures of one view in the same band."""
+    """Reject a view that has several pictures in the same band."""
     known: dict[tuple[int, str], str] = {}
     for i, frame in enumerate(frames):
         if frame.view is None:

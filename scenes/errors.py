@@ -10,7 +10,7 @@ class UserError(Exception):
 
 
 def parser_message(error: ValueError | RecursionError) -> str:
-    """Return the message of Python's JSON or TOML parser, without its advice to programmers."""
+    """Return the message of Python's JSON or TOML parser, without hints for programmers."""
     if isinstance(error, RecursionError):
         return "brackets are nested too deeply"
     return str(error).partition("; use sys.")[0]

@@ -1,4 +1,7 @@
-"""Creation of figures without a display or shared state. Matplotlib is imported only when a figure is created."""
+"""Creation of figures that requires no display and changes no global state.
+
+Matplotlib is imported only when a figure is created.
+"""
 
 import io
 from typing import TYPE_CHECKING

@@ -77,7 +77,7 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
 
 
 def _resolve(specimen: Specimen | None, folder: Path) -> Specimen | None:
-    """Make the path of a specimen's file absolute, if the specimen is stored in a file."""
+    """Make the path of the specimen's file absolute. Specimens without a file are returned unchanged."""
     if not isinstance(specimen, MeshSpecimen | RsmlSpecimen):
         return specimen
     return replace(specimen, file=str((folder / specimen.file).resolve()))
@@ -110,12 +110,12 @@ def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
 
 
 def library() -> list[tuple[str, str]]:
-    """Return name and description of every scene in the library, sorted by name."""
+    """Return the name and description of every scene in the library, sorted by name."""
     return _list_files(_LIBRARY)
 
 
 def profiles() -> list[tuple[str, str]]:
-    """Return name and description of every built-in disturbance profile, from the mildest to the most severe."""
+    """Return the name and description of every built-in disturbance profile, from the mildest to the most severe."""
     order = {"clean": 0, "bench": 1, "camera": 2, "harsh": 3, "real": 4}
     return sorted(_list_files(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
 
@@ -145,7 +145,7 @@ def load_profile(name: str) -> Disturbances:
 
 
 def _find_scene(name_or_path: str | Path) -> Path:
-    """Return the path of a scene that is given by its library name or path."""
+    """Return the path of a scene that is given by its name in the library or by its path."""
     name = str(name_or_path)
     if isinstance(name_or_path, Path) or _looks_like_path(name):
         return Path(name_or_path)
@@ -183,9 +183,9 @@ def _list_files(folder: Path) -> list[tuple[str, str]]:
 
 
 def _without_none(value: Any) -> Any:
-    """Remove all entries that are None, which TOML does not support.
+    """Remove all entries that are None, because TOML has no such value.
 
-    None is the default wherever the model permits it.
+    They can be omitted because None is then the default.
     """
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None}

@@ -34,17 +34,17 @@ LOCK, NEW, OLD, WHOLE = ".rhizotwin-lock", ".rhizotwin-new", ".rhizotwin-old", "
 HEADS = ("dataset.json", "result.json")
 """Names of the files that identify a folder as a dataset or result."""
 LEAST_FREE_MIB = 1
-"""Minimum free disk space, MiB. No dataset or result is smaller. Thus a full disk is reported before the work
+"""Minimum free disk space, MiB. Every dataset and every result is larger. Thus a full disk is reported before the work
 starts."""
 _OWN = ".rhizotwin-"
 _SYSTEM = ("lost+found", "System Volume Information")
-"""Names of folders that an empty disk contains."""
+"""Names of the folders that the operating system creates on an empty disk."""
 
 Stamp = tuple[int, int, int]
 
 
 def contents(folder: Path) -> list[str]:
-    """Return the sorted names in a folder, without the marks of this program and the folders of the system.
+    """Return the sorted names in a folder, without names that this program or the operating system uses internally.
 
     The list is empty if the folder does not exist.
     """
@@ -54,7 +54,7 @@ def contents(folder: Path) -> list[str]:
 
 
 def check_readable(folder: Path, *, deep: bool = True) -> None:
-    """Raise an error if files of a folder are missing, or, with ``deep``, if the folder contains links.
+    """Raise an error if files of a folder are missing. With ``deep``, also raise an error if it contains links.
 
     The function does not write, lock or recover the folder.
 
@@ -169,7 +169,7 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
 
 
 def recover(folder: Path) -> None:
-    """Move into place, move back or remove files that a killed run left in a folder that is to be written.
+    """Recover a folder after a killed run. Its files are moved into place, moved back or removed.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def recover(folder: Path) -> None:
 
 @contextmanager
 def _lock_folder(folder: Path | str) -> Iterator[tuple[Path, bool]]:
-    """Implement `lock_folder`; also yield whether a killed run had completed its output."""
+    """Implement `lock_folder`. Also yield whether a killed run had completed its output."""
     goal = Path(os.path.realpath(folder))
     if os.path.lexists(goal) and not goal.is_dir():
         raise UserError(f"{folder}: the path is a file, but the output is a folder; choose another name")
@@ -212,7 +212,7 @@ def _lock_folder(folder: Path | str) -> Iterator[tuple[Path, bool]]:
 
 
 def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None:
-    """Replace previous files by new files, except for files that other programs have changed in the meantime."""
+    """Replace the previous files by the new files. Files that other programs have changed in the meantime are kept."""
     building, now = folder / NEW, _files(folder)
     made = list(_files(building))
     theirs = [path for path in now if before.get(path) != now[path]]
@@ -247,7 +247,7 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
 def _settle(folder: Path) -> bool:
     """Complete or revert an interrupted run, and return whether its output is now in place.
 
-    Every step can be repeated after an interruption.
+    The function can itself be interrupted and called again.
     """
     marks = [folder / name for name in (OLD, NEW, WHOLE) if os.path.lexists(folder / name)]
     for mark in marks:
@@ -267,7 +267,9 @@ def _settle(folder: Path) -> bool:
 
 
 def _move(path: Path, source: Path, goal: Path) -> None:
-    """Move a file or link to the same relative path in another folder, without following links or replacing files.
+    """Move a file or link to the same relative path in another folder.
+
+    Links are not followed, and existing files are not replaced.
 
     Raises
     ------
@@ -300,7 +302,10 @@ def _clear(folder: Path) -> None:
 
 
 def _files(folder: Path) -> dict[Path, Stamp]:
-    """Return all files in a folder by relative path, each with a stamp that changes when the file is written."""
+    """Return the stamps of all files in a folder.
+
+    The keys are relative paths, and a stamp changes when its file is written.
+    """
     found = {}
     for entry in _entries(folder):
         if not entry.is_dir(follow_symlinks=False) and not _is_own(entry.name):
@@ -310,9 +315,9 @@ def _files(folder: Path) -> dict[Path, Stamp]:
 
 
 def _entries(folder: Path) -> Iterator["os.DirEntry[str]"]:
-    """Yield the entries of a folder at any depth, without the marks of this program and the folders of the system.
+    """Yield the entries of a folder at any depth, without names that are used internally.
 
-    Links are yielded but not followed.
+    Such names are used by this program or by the operating system. Links are yielded but not followed.
     """
     waiting = [str(folder)]
     while waiting:

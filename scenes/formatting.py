@@ -11,11 +11,11 @@ from rhizotwin.scenes.errors import UserError
 
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 FULL = (errno.ENOSPC, errno.EDQUOT)
-"""Error numbers that indicate a disk without free space."""
+"""Error numbers which indicate that the disk is full."""
 
 
 def decimals(half: float) -> int:
-    """Return the number of decimals with which to write a value whose 90 % interval has the given half-width.
+    """Return the number of decimals for a value with a 90 % interval of the given half-width.
 
     The last decimal corresponds to the second significant digit of the half-width.
     """
@@ -23,7 +23,7 @@ def decimals(half: float) -> int:
 
 
 def ml(mm3: float, *, half_mm3: float) -> str:
-    """Format a volume in ml, rounded according to the half-width of its interval (mm3)."""
+    """Format a volume in ml. The number of decimals depends on the half-width of its interval (mm3)."""
     return f"{mm3 / 1000.0:.{decimals(half_mm3 / 1000.0)}f}"
 
 

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
-    """Assemble a 4x4 transform from a 3x3 rotation and a translation (3,), mm."""
+    """Return the 4x4 transform that consists of a 3x3 rotation and a translation (3,), mm."""
     a_from_b = np.eye(4)
     a_from_b[:3, :3] = rotation
     a_from_b[:3, 3] = translation_mm
@@ -47,12 +47,12 @@ def rotation_z(angle_rad: float) -> Array:
 
 
 def from_rotvec(rotvec_rad: Array, translation_mm: Array) -> Array:
-    """Return the 4x4 transform with a rotation vector (3,), rad, and a translation (3,), mm."""
+    """Return the 4x4 transform that consists of a rotation vector (3,), rad, and a translation (3,), mm."""
     return from_rotation_translation(_rotation(rotvec_rad), np.asarray(translation_mm))
 
 
 def to_rotvec(a_from_b: Array) -> Array:
-    """Return the rotation vector (3,) of a 4x4 transform, rad."""
+    """Return the rotation of a 4x4 transform as a rotation vector (3,), rad."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(a_from_b[:3, :3]).as_rotvec()
@@ -70,7 +70,7 @@ def apply(a_from_b: Array, points_b: Array) -> Array:
 
 
 def twist(points: Array, share: Array, twist_deg: float) -> Array:
-    """Rotate points (N, 3) about the z axis, each by a fraction (N,) of an angle.
+    """Rotate each of the points (N, 3) about the z axis. The angle is multiplied by a fraction (N,) for each point.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def twist(points: Array, share: Array, twist_deg: float) -> Array:
 
 
 def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera on the +x side that points to the table's axis.
+    """Return the pose ``cam_from_rig`` (4, 4) of an upright camera on the +x side that points at the table's axis.
 
     Parameters
     ----------
@@ -115,7 +115,10 @@ def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Ar
 
 
 def pose_error(cam_from_x: Array, cam_from_x_true: Array) -> tuple[float, float]:
-    """Return the distance between camera centres (mm) and the angle (deg) between two poses (4, 4)."""
+    """Return the difference of two camera poses (4, 4).
+
+    It consists of the distance between the camera centres (mm) and the angle of the rotation between the cameras (deg).
+    """
     difference = cam_from_x[:3, :3].T @ cam_from_x_true[:3, :3]
     angle_rad = float(np.linalg.norm(to_rotvec(difference)))
     centre_mm = invert(cam_from_x)[:3, 3] - invert(cam_from_x_true)[:3, 3]

@@ -27,9 +27,9 @@ UNITS = {
     "days": "days",
     "e": "electrons",
 }
-"""Unit of a key by its suffix. The longest matching suffix applies."""
+"""Unit of each key by the suffix of its name. If several suffixes match, the longest applies."""
 _ELSEWHERE = "plants.specimen"
-"""Section whose keys are documented under ``specimen``."""
+"""Section whose keys are not described, because they are the same as those of ``specimen``."""
 WIDTH = 120
 """Maximum length of a comment line, in characters."""
 
@@ -39,17 +39,17 @@ class Key:
     """Key of a scene file, with its description."""
 
     path: str
-    """Path of the key with dots, such as ``canister.wall_mm``; for a specimen with its kind, such as
-    ``specimen.sphere.diameter_mm``."""
+    """Path of the key, separated by dots, such as ``canister.wall_mm``. For a specimen, the path includes the kind,
+    such as ``specimen.sphere.diameter_mm``."""
     default: Any
-    """Default value; None if there is none."""
+    """Default value, or None if there is no default."""
     unit: str
     limits: str
-    """Permitted range or values."""
+    """Permitted range, or list of permitted values."""
     why: str
 
     def line(self) -> str:
-        """Return the description of the key with range and unit."""
+        """Return the description of the key as one line, including its range and unit."""
         about = " ".join(part for part in (self.limits, self.unit) if part)
         return f"{self.why} [{about}]" if about else self.why
 
@@ -71,7 +71,7 @@ def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
 
 
 def sections(of: type = Scene, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield path and description of every section."""
+    """Yield the path and the description of every section."""
     hints = get_type_hints(of)
     for one in fields(of):
         if f"{path}.{one.name}" == _ELSEWHERE:
@@ -84,7 +84,7 @@ def sections(of: type = Scene, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def to_commented_toml(plain: Mapping[str, Any]) -> str:
-    """Format a scene, given as plain values without None, as TOML with a comment above each key."""
+    """Format a scene as TOML with a comment above each key. The scene is given as plain values without None."""
     said = {key.path: key.line() for key in keys()}
     kinds = iter(one["kind"] for one in (plain.get("specimen"), *(plant.get("specimen") for plant in plain.get("plants", ()))) if one)
     lines: list[str] = []
@@ -144,12 +144,12 @@ def _title(group: str) -> str:
 
 
 def _field_descriptions(of: type) -> dict[str, str]:
-    """Return the docstrings of the fields of a class and its base classes, by field name."""
+    """Return the docstrings of all fields of a class, including those of its base classes. The keys are field names."""
     return {name: why for one in reversed(of.__mro__) if is_dataclass(one) for name, why in _own_descriptions(one).items()}
 
 
 def _own_descriptions(of: type) -> dict[str, str]:
-    """Return the docstrings of the fields that a class adds to its base classes, by field name."""
+    """Return the docstrings of the fields that are defined in a class itself. The keys are field names."""
     body = ast.parse(textwrap.dedent(inspect.getsource(of))).body[0]
     found: dict[str, str] = {}
     name = ""
@@ -170,7 +170,7 @@ def _plain(text: str) -> str:
 
 
 def _choices(hint: Any) -> list[Any]:
-    """Return the alternative types of a type hint without None; for a list, the type of its items."""
+    """Return the alternative types of a type hint, without None. For a list, it is the type of the items."""
     if get_origin(hint) in (Union, types.UnionType):
         return [choice for one in get_args(hint) if one is not types.NoneType for choice in _choices(one)]
     if get_origin(hint) is tuple and (arguments := get_args(hint)) and is_dataclass(arguments[0]):

@@ -26,15 +26,17 @@ else:
 
 MOST_TRIES = 100
 """Maximum number of attempts to acquire a lock. An attempt fails if another process acquires or releases the lock at
-the same moment."""
+the same time."""
 MOST_LETTERS = 64
-"""Maximum number of characters of each word in a lock file. Computer names have at most 64 characters on Linux."""
+"""Maximum length of each word that is read from a lock file, in characters. Computer names have at most 64 characters
+on Linux."""
 BYTES = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-"""Flags for opening a file as raw bytes (Windows otherwise translates line ends) and only for this process."""
+"""Flags with which files are opened as bytes, and are not inherited by other processes. Without them, Windows converts
+line ends."""
 NO_WAIT = getattr(os, "O_NONBLOCK", 0) | BYTES
-"""Flags for opening a file that may be a pipe, without waiting."""
+"""Flags with which files are opened without waiting. A pipe would otherwise block."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | NO_WAIT
-"""Flags for opening a file in a folder of unknown origin, without following links."""
+"""Flags with which files in a folder of unknown origin are opened. Links are not followed."""
 _WINDOWS_LOCK_AT = 2**30
 """Offset of the locked byte in a lock file. It is far beyond the content, because Windows also prevents reading of
 locked bytes."""
@@ -44,7 +46,7 @@ _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 @contextmanager
 def lock_file(path: Path, *, what: str) -> Iterator[bool]:
-    """Hold a lock file as a context, and remove the file at the end. Its folder is created if it is missing.
+    """Hold a lock file in a ``with`` statement, and remove it at the end. Its folder is created if it is missing.
 
     Parameters
     ----------
@@ -83,7 +85,7 @@ def lock_file(path: Path, *, what: str) -> Iterator[bool]:
 def try_lock(descriptor: int) -> bool | None:
     """Lock an open file without waiting.
 
-    Return False if another process has locked it, and None if the file system does not support locks.
+    The result is False if another process has locked the file, and None if the file system does not support locks.
     """
     if sys.platform == "win32":
         os.lseek(descriptor, _WINDOWS_LOCK_AT, os.SEEK_SET)
@@ -116,7 +118,10 @@ def remove_open(path: Path, descriptor: int) -> None:
 
 
 def _acquire(path: Path, what: str) -> tuple[int, bytes | None]:
-    """Return the descriptor of the locked file, and the content left by a previous process; None if the file is new."""
+    """Lock a file, and return its descriptor and the content left by a previous process.
+
+    The content is None if the file is new.
+    """
     for _ in range(MOST_TRIES):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -171,7 +176,10 @@ def _holder(said: bytes) -> str:
 
 
 def _is_over(said: bytes) -> bool:
-    """Return whether the process recorded in a lock file has ended. Only needed for file systems without locks."""
+    """Return whether the process recorded in a lock file has ended.
+
+    This is only needed if the file system has no locks.
+    """
     words = _words(said)
     if words.get("host") != socket.gethostname() or not isinstance(words.get("pid"), int) or sys.platform == "win32":
         return False

@@ -1,4 +1,4 @@
-"""ArUco markers as cells, and as black rectangles for printing and rendering."""
+"""ArUco markers as arrays of cells, and as black rectangles for printing and rendering."""
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from rhizotwin.scenes.frames import Array
 
 
 def get_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """Return an ArUco dictionary of OpenCV by its name without ``DICT_``.
+    """Return an ArUco dictionary of OpenCV. The name is given without ``DICT_``.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def get_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
-    """Return the cells (n, n) of a marker, True for white, including its black border. Row 0 is at the top.
+    """Return the cells (n, n) of a marker including its black border. White cells are True, and row 0 is at the top.
 
     Raises
     ------
@@ -36,7 +36,9 @@ def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
 
 
 def black_rectangles(dictionary: str, marker_id: int, *, left_mm: float, top_mm: float, side_mm: float) -> Array:
-    """Return the black parts of an upright marker as rectangles (N, 4): left, top, right and bottom, with y downwards.
+    """Return the black parts of an upright marker as rectangles (N, 4).
+
+    The columns are the left, top, right and bottom edge, with y downwards.
 
     Parameters
     ----------

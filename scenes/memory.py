@@ -16,7 +16,10 @@ def total_mib() -> float:
 
 
 def available_mib() -> float:
-    """Return the available memory, MiB, within the limits of the system and of the control group of this process."""
+    """Return the available memory, MiB.
+
+    It is limited by the system and by the control group of this process.
+    """
     if sys.platform == "win32":
         return _windows_memory().free_bytes / MIB
     free = total_mib()
@@ -30,7 +33,7 @@ def available_mib() -> float:
 
 
 def peak_mib() -> float:
-    """Return the peak resident memory of this process, MiB; 0 if Windows does not report it."""
+    """Return the peak resident memory of this process, MiB, or 0 if Windows does not report it."""
     if sys.platform == "win32":
         return _windows_peak_bytes() / MIB
     import resource

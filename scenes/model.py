@@ -24,25 +24,26 @@ class Canister:
     """Round acrylic canister, 6 in wide and tall as in the thesis. Its rim is in the plane z = 0."""
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
-    """Outer radius of the canister, to be measured with callipers. Together with the refractive indices it determines
-    the magnification by the water."""
+    """Outer radius of the canister, to be measured with callipers. This radius and the refractive indices determine how
+    much the water magnifies."""
     wall_mm: float = bounded(3.175, 0.2, 50.0)
-    """Thickness of the canister's wall."""
+    """Thickness of the wall of the canister."""
     height_mm: float = bounded(152.4, 10.0, 2000.0)
     """Height of the canister, from the underside of its base to the rim."""
     base_mm: float = bounded(6.0, 0.5, 100.0)
-    """Thickness of the base. Its inner face, which is assumed opaque and matt, is the floor of the water."""
+    """Thickness of the base of the canister. The upper side of the base is the floor of the water, and is assumed to be
+    opaque and matt."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
     """Refractive index of the canister's wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
 
     @property
     def inner_radius_mm(self) -> float:
-        """Radius of the water column, mm."""
+        """Inner radius of the canister, and thus radius of the water column, mm."""
         return self.outer_radius_mm - self.wall_mm
 
     @property
     def floor_z_mm(self) -> float:
-        """Height (z) of the water's floor in the canister frame, mm."""
+        """Height (z) of the bottom of the water in the canister frame, mm."""
         return self.base_mm - self.height_mm
 
 
@@ -67,11 +68,12 @@ class NetPot:
     """Radius of the marker strip on the net pot. It determines the scale of the reconstruction, and must therefore be
     measured with the strip attached."""
     skirt_bottom_mm: float = bounded(-6.0, -1000.0, 500.0)
-    """Height (z) of the skirt's lower edge, above which the canister is hidden."""
+    """Height (z) of the lower edge of the skirt. Above this height, the skirt hides the canister."""
     top_mm: float = bounded(31.0, -1000.0, 500.0)
     """Height (z) of the net pot's upper edge."""
     grid_z_mm: float = bounded(-8.0, -1000.0, 0.0)
-    """Height (z) of the underside of the opaque grid and felt inside the canister. Roots are visible below it."""
+    """Height (z) of the underside of the opaque grid and the felt inside the canister. Roots are visible only below
+    this height."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,15 +85,15 @@ class MarkerStrip:
     """
 
     dictionary: str = "APRILTAG_36h11"
-    """ArUco dictionary of the markers, by its name in OpenCV."""
+    """ArUco dictionary of the markers, as named in OpenCV."""
     columns: int = bounded(31, 4, 500)
     """Number of markers in a row, evenly spaced around the net pot."""
     rows: int = bounded(2, 0, 10)
-    """Number of rows of markers; 0 if there is no strip. Cameras are then determined from the canister's edges and the
-    roots."""
+    """Number of rows of markers. If it is 0, there is no strip, and the cameras are determined from the edges of the
+    canister and the roots."""
     marker_mm: float = bounded(13.0, 1.0, 200.0)
-    """Side length of a marker's black square, to be measured on the print. If the print is scaled by 1 %, so is every
-    reconstructed length."""
+    """Side length of the black square of a marker, to be measured on the print. An error of 1 % changes every
+    reconstructed length by 1 %."""
     row_pitch_mm: float = bounded(16.5, 1.0, 300.0)
     """Distance between the lower edges of adjacent rows."""
     bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
@@ -102,24 +104,24 @@ class MarkerStrip:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Medium between camera and canister."""
+    """Medium between the camera and the canister."""
 
     n: float = bounded(1.0, 1.0, 2.0)
-    """Refractive index of the medium; 1 for air. Other values are for a liquid in a tank around the canister, which
-    reduces refraction by the wall, and require a telecentric camera perpendicular to the tank's flat window, because
-    only parallel rays pass such a window without refraction."""
+    """Refractive index of the medium, which is 1 for air. A larger index is that of a liquid in a tank around the
+    canister, which reduces refraction at the wall. It requires a telecentric camera perpendicular to the flat window of
+    the tank, because only parallel rays pass such a window without refraction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tank:
-    """Rectangular tank filled with liquid to its rim, in which the canister rotates (T5.3).
+    """Rectangular tank in which the canister rotates (T5.3).
 
-    The tank is static in the rig, with one wall towards the camera. The camera views the roots through this wall, and
-    the marker strip through the air above it.
+    The tank is filled with liquid to its rim. It is static in the rig, with one wall towards the camera. The camera
+    views the roots through this wall, and the marker strip through the air above it.
     """
 
     front_mm: float = bounded(100.0, 10.0, 2000.0)
-    """Position (x) of the outside of the front wall. The back wall is at -front_mm."""
+    """Position (x) of the outside of the front wall. The outside of the back wall is at -front_mm."""
     half_width_mm: float = bounded(130.0, 10.0, 2000.0)
     """Position (y) of the outside of the side walls, which are at +half_width_mm and -half_width_mm."""
     wall_mm: float = bounded(5.0, 0.2, 50.0)
@@ -127,21 +129,19 @@ class Tank:
     n_wall: float = bounded(1.49, 1.0, 2.0)
     """Refractive index of the tank's walls."""
     n_liquid: float = bounded(1.333, 1.0, 2.0)
-    """Refractive index of the liquid. Water is sufficient. An index equal to that of the canister's water minimises
-    refraction."""
+    """Refractive index of the liquid. Water is a suitable liquid. An index equal to that of the canister's water
+    minimises refraction."""
     level_mm: float = bounded(-8.0, -2000.0, 0.0)
     """Height (z) of the liquid's surface and of the tank's rim, below the marker strip."""
     turn_deg: float = bounded(0.0, -10.0, 10.0)
-    """Rotation of the tank relative to the rig's axes, counter-clockwise seen from above. It is measured from the
-    canister's edges if they are visible."""
+    """Rotation of the tank relative to the axes of the rig, counter-clockwise seen from above. It is measured in the
+    pictures if the canister's edges are visible."""
 
 
 FAR_MM = 1.5e5
-"""Distance of the pinhole that approximates a telecentric camera, mm.
-
-An object 50 mm nearer than the axis is magnified by an additional 1/3000, which is 0.08 px at 250 px from the axis. At
-much larger distances, single precision cannot resolve heights to 1e-4 mm for a camera that is tilted by a degree.
-"""
+"""Distance of the pinhole camera that approximates a telecentric camera, mm. An object that is 50 mm nearer than the
+axis is magnified by an additional 1/3000, which is a displacement of 0.08 px at 250 px from the axis. At much larger
+distances, single precision cannot resolve heights to 1e-4 mm for a camera that is tilted by a degree."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,10 +149,10 @@ class Camera:
     """Camera with the OpenCV distortion model. Pixel centres have integer coordinates."""
 
     kind: Literal["pinhole", "telecentric"] = "pinhole"
-    """Projection of the camera. ``telecentric``: parallel rays at a distance of ``mm_per_px``; ``focal_px`` and
-    ``distortion`` are not used."""
+    """Projection of the camera. ``telecentric``: the rays are parallel, adjacent pixels are ``mm_per_px`` apart at the
+    specimen, and ``focal_px`` and ``distortion`` are not used."""
     mm_per_px: float = bounded(0.1, 1e-5, 100.0)
-    """Size of a pixel at the specimen; only used for a telecentric camera."""
+    """Size of a pixel at the specimen. It is only used for a telecentric camera."""
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
     """Width and height of the pictures. Roots should be at least three pixels wide."""
     focal_px: tuple[float, float] = bounded((1300.0, 1300.0), 1.0, 1e6)
@@ -165,16 +165,17 @@ class Camera:
     """Bit depth of the analogue-to-digital converter. Pictures with more than 8 bits are stored left-aligned in 16-bit
     PNG files."""
     transfer: Literal["linear", "srgb", "table"] = "linear"
-    """Transfer curve from light to pixel values, used if the file does not state a curve: linear, sRGB, or
-    ``transfer_table``."""
+    """Transfer curve from light to pixel values: linear, sRGB, or ``transfer_table``. It is used if the picture file
+    does not state a curve."""
     transfer_table: tuple[float, ...] = bounded((), 0.0, 1.0)
-    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale (determined by `rhizotwin
-    calibrate transfer`)."""
+    """Transfer curve as a table: light, as a fraction of full scale, at equally spaced pixel values from 0 to full
+    scale. It is determined by `rhizotwin calibrate transfer`."""
     bands: tuple[Band, ...] = ()
-    """Bands in which every view is taken, in order of capture; empty for one picture per view in white light."""
+    """Bands in which every view is taken, in order of capture. If there are none, each view is one picture in white
+    light."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
-        """Return the camera with ``image_wh`` pixels over the same horizontal field of view."""
+        """Return the camera with a picture size of ``image_wh`` and an unchanged horizontal field of view."""
         scale = image_wh[0] / self.image_wh[0]
         cx, cy = self.principal_px
         margin_y = (image_wh[1] - scale * self.image_wh[1]) / 2.0
@@ -194,7 +195,7 @@ class Camera:
         return replace(self, kind="pinhole", focal_px=(focal, focal), distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def pinhole_pose(self, cam_from_canister: "Array") -> "Array":
-        """Return the pose (4, 4) for use with `as_pinhole`.
+        """Return the pose (4, 4) of the camera that `as_pinhole` returns.
 
         A telecentric camera is moved back along its optical axis, which does not change the picture.
         """
@@ -205,13 +206,13 @@ class Camera:
         return pose
 
     def focused(self, scale: float) -> "Camera":
-        """Return the camera with focal lengths multiplied by ``scale``, which is the effect of focusing."""
+        """Return the camera after focusing. The focal lengths are multiplied by ``scale``."""
         return replace(self, focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale), mm_per_px=self.mm_per_px / scale)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lights:
-    """Diffuse backlight panel, and strip light above the front, both in the rig frame.
+    """Diffuse backlight panel, and a front light above the camera, both in the rig frame.
 
     The panel is in the plane x = -backlight_distance_mm.
     """
@@ -219,8 +220,8 @@ class Lights:
     backlight_distance_mm: float = bounded(160.0, 10.0, 5000.0)
     """Distance between the table's axis and the panel behind the canister."""
     backlight_wh_mm: tuple[float, float] = bounded((700.0, 500.0), 1.0, 10000.0)
-    """Width and height of the illuminated panel. It must fill the picture behind the canister; otherwise its edge would
-    be detected as a root."""
+    """Width and height of the illuminated panel. It must fill the picture behind the canister. Otherwise, its edge
+    would be detected as a root."""
     backlight_z_mm: float = bounded(-60.0, -5000.0, 5000.0)
     """Height (z) of the panel's centre."""
     backlight_level: float = bounded(0.75, 0.0, 1.0)
@@ -239,16 +240,17 @@ class Turntable:
     """Turntable that rotates the canister."""
 
     direction: Literal[1, -1] = 1
-    """Sense of rotation: +1 if positive angles rotate the canister counter-clockwise seen from above, otherwise -1."""
+    """Sense of rotation of the table. If it is +1, positive angles rotate the canister counter-clockwise seen from
+    above, and if it is -1, clockwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """Full or partial revolution of the table with a static camera."""
+    """Full or partial revolution of the table, during which the camera does not move."""
 
     views: int = bounded(40, 1, 10000)
-    """Number of views in the ring. An odd number provides about as much information as twice as many views, because
-    views from opposite sides show nearly the same outline."""
+    """Number of views in the ring. Views from opposite sides show nearly the same outline. An odd number of views,
+    which has no opposite views, therefore provides about as much information as twice as many views."""
     height_mm: float = bounded(-42.0, -2000.0, 2000.0)
     """Height (z) of the camera in the rig frame."""
     distance_mm: float = bounded(400.0, 20.0, 10000.0)
@@ -258,16 +260,18 @@ class Ring:
     first_deg: float = bounded(0.0, -360.0, 360.0)
     """Table angle of the first view. All views are spaced evenly over `span_deg`."""
     span_deg: float = bounded(360.0, 1.0, 360.0)
-    """Rotation of the table during the ring. A partial revolution can add closely spaced views to another ring with a
-    full revolution."""
+    """Angle by which the table rotates during the ring. A ring with a partial revolution can add closely spaced views
+    to a ring with a full revolution."""
     jitter_mm: float = bounded(0.0, 0.0, 50.0)
-    """Standard deviation of a commanded change of the camera's position, per view and axis."""
+    """Standard deviation of a random change of the camera's position, for each view and axis. The change is part of the
+    commanded position."""
     jitter_deg: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation of a commanded change of the camera's orientation, per view and axis."""
+    """Standard deviation of a random change of the camera's orientation, for each view and axis. The change is part of
+    the commanded orientation."""
     kind: Literal["root", "shoot"] = "root"
     """Subject of the ring: the roots in the water, or the shoot in air."""
     bands: tuple[str, ...] = ()
-    """Names of the camera's bands in which the views are taken; empty for all bands."""
+    """Names of the camera's bands in which the views are taken. If there are none, all bands are used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,95 +285,103 @@ class CapturePlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """Errors of a real rig. Zero (or None) means no error. Profiles are files with these values and their reasons."""
+    """Errors of a real rig.
+
+    A value of zero or None means that there is no error. Profiles are files with these values and their reasons.
+    """
 
     full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
-    """Full-well capacity, reached at full scale, from which the photon (Poisson) noise is computed. None for no photon
-    noise."""
+    """Full-well capacity, which is the number of electrons at full scale. The photon (Poisson) noise is computed from
+    it. If it is None, there is no photon noise."""
     read_noise_e: float = bounded(0.0, 0.0, 1000.0)
-    """Standard deviation of the read noise of a pixel."""
+    """Standard deviation of the read noise of a pixel, in electrons."""
     aperture_mm: float = bounded(0.0, 0.0, 50.0)
-    """Diameter of the lens aperture; 0 for a pinhole. Otherwise objects outside the focus distance are blurred."""
+    """Diameter of the lens aperture. It is 0 for a pinhole camera. Otherwise, objects outside the focus distance are
+    blurred."""
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
-    """Focus distance minus the distance between the camera and the table's axis."""
+    """Difference between the focus distance and the distance from the camera to the table's axis."""
     focal_error: float = bounded(0.0, -0.05, 0.05)
-    """Relative error of the focal length (true over nominal, minus 1), such as after refocusing a calibrated lens;
-    unknown to the reconstruction."""
+    """Relative error of the focal length (true over nominal, minus 1), for example after refocusing a calibrated lens.
+    It is unknown to the reconstruction."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
-    """Lens distortion that is added to the camera's distortion; known to the reconstruction (calibrated lens)."""
+    """Lens distortion that is added to the distortion of the camera. It is known to the reconstruction, as for a
+    calibrated lens."""
     arm_deg: float = bounded(0.0, 0.0, 10.0)
-    """Standard deviation of the camera's orientation about each axis, drawn once per ring; unknown to the
-    reconstruction."""
+    """Standard deviation of the error of the camera's orientation about each axis. One error is drawn per ring, and is
+    unknown to the reconstruction."""
     arm_mm: float = bounded(0.0, 0.0, 50.0)
-    """Standard deviation of the camera's position along each axis, drawn once per ring; unknown to the reconstruction.
-    """
+    """Standard deviation of the error of the camera's position along each axis. One error is drawn per ring, and is
+    unknown to the reconstruction."""
     table_deg: float = bounded(0.0, 0.0, 10.0)
-    """Standard deviation of the table angle, drawn for each view; unknown to the reconstruction."""
-    canister_offset_mm: float = bounded(0.0, 0.0, 20.0)
-    """Distance between the canister's axis (with net pot, strip and plant) and the table's axis, in a random
-    direction."""
-    canister_tilt_deg: float = bounded(0.0, 0.0, 10.0)
-    """Tilt of the canister in a random direction."""
-    strip_offset_mm: float = bounded(0.0, 0.0, 10.0)
-    """Distance between the net pot's axis (with the strip) and the canister's axis, in a random direction."""
-    strip_tilt_deg: float = bounded(0.0, 0.0, 5.0)
-    """Tilt of the net pot (with the strip) relative to the canister's axis, in a random direction."""
-    backlight_unevenness: float = bounded(0.0, 0.0, 0.9)
-    """Peak-to-peak relative variation of the backlight over the panel, which is smooth and random."""
-    n_water_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal refractive index of the water."""
-    transfer: Literal["linear", "srgb"] = "linear"
-    """Transfer curve of the camera from light to pixel values; known to the reconstruction (camera with known
-    settings)."""
-    stored_bits: int | None = field(default=None, metadata={"limits": (8, 16)})
-    """Bit depth of the stored pictures; None for the camera's ``bits``."""
-    jpeg_quality: int | None = field(default=None, metadata={"limits": (1, 100)})
-    """Quality of the JPEG files in which pictures are stored; None for PNG."""
-    exposure_wander: float = bounded(0.0, 0.0, 0.9)
-    """Relative variation of the exposure, drawn uniformly for each picture in both directions; unknown to the
+    """Standard deviation of the error of the table angle. One error is drawn per view, and is unknown to the
     reconstruction."""
+    canister_offset_mm: float = bounded(0.0, 0.0, 20.0)
+    """Distance between the axis of the canister (with net pot, strip and plant) and the axis of the table. The
+    direction is random."""
+    canister_tilt_deg: float = bounded(0.0, 0.0, 10.0)
+    """Tilt of the canister. The direction is random."""
+    strip_offset_mm: float = bounded(0.0, 0.0, 10.0)
+    """Distance between the axis of the net pot (with the strip) and the axis of the canister. The direction is
+    random."""
+    strip_tilt_deg: float = bounded(0.0, 0.0, 5.0)
+    """Tilt of the net pot (with the strip) relative to the axis of the canister. The direction is random."""
+    backlight_unevenness: float = bounded(0.0, 0.0, 0.9)
+    """Relative difference between the brightest and the darkest part of the panel. The brightness varies smoothly and
+    randomly."""
+    n_water_error: float = bounded(0.0, -0.1, 0.1)
+    """Difference between the true and the nominal refractive index of the water."""
+    transfer: Literal["linear", "srgb"] = "linear"
+    """Transfer curve of the camera from light to pixel values. It is known to the reconstruction."""
+    stored_bits: int | None = field(default=None, metadata={"limits": (8, 16)})
+    """Bit depth of the stored pictures. If it is None, the value ``bits`` of the camera is used."""
+    jpeg_quality: int | None = field(default=None, metadata={"limits": (1, 100)})
+    """JPEG quality of the stored pictures. If it is None, they are stored as PNG."""
+    exposure_wander: float = bounded(0.0, 0.0, 0.9)
+    """Maximum relative deviation of the exposure. One deviation is drawn per picture from a uniform distribution, and
+    is unknown to the reconstruction."""
     white_balance_wander: float = bounded(0.0, 0.0, 0.9)
-    """Relative variation of the gains of red and blue, drawn uniformly for each picture in both directions. If it is
-    above 0, the pictures are in colour."""
+    """Maximum relative deviation of the gains of red and blue. One deviation per gain and picture is drawn from a
+    uniform distribution. If the value is above 0, the pictures are in colour."""
     vignetting: float = bounded(0.0, 0.0, 0.95)
     """Fraction of the light that the lens loses in the corners of the picture. The loss is proportional to the squared
     distance from the centre."""
     root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
-    """Attenuation coefficient of root tissue. None for opaque roots."""
+    """Attenuation coefficient of root tissue. If it is None, roots are opaque."""
     root_n: float | None = field(default=None, metadata={"limits": (1.0, 2.0)})
-    """Refractive index of root tissue, which then refracts and attenuates light (``root_mu_per_mm``). None if roots
-    only attenuate light."""
+    """Refractive index of root tissue, which then refracts light and attenuates it (``root_mu_per_mm``). If it is None,
+    roots only attenuate light."""
     root_hair_mm: float = bounded(0.0, 0.0, 10.0)
-    """Length of the root hairs, which surround every root as a grey sleeve."""
+    """Length of the root hairs, which surround every root like a grey sleeve."""
     root_hair_mu_per_mm: float = bounded(0.0, 0.0, 100.0)
     """Attenuation coefficient of the sleeve of root hairs."""
     sway_mm: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation of the displacement of the lowest tip between views, in each horizontal direction. The
-    displacement decreases towards the top, which does not move."""
+    """Standard deviation of the displacement of the lowest root tip from view to view, in each horizontal direction.
+    The displacement decreases towards the top of the roots, which does not move."""
     canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
-    """True minus nominal outer radius of the canister; unknown to the reconstruction."""
+    """Difference between the true and the nominal outer radius of the canister. It is unknown to the reconstruction."""
     canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
-    """Half the difference between the largest and smallest outer radius of the canister, whose cross-section is an oval
-    that rotates with it; unknown to the reconstruction."""
+    """Half the difference between the largest and the smallest outer radius of the canister. The cross-section is an
+    oval that rotates with the canister. It is unknown to the reconstruction."""
     wall_error: float = bounded(0.0, -0.5, 0.5)
-    """Relative error of the thickness of the canister's wall (true over nominal, minus 1); unknown to the
+    """Relative error of the wall thickness of the canister (true over nominal, minus 1). It is unknown to the
     reconstruction."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal refractive index of the canister's wall; unknown to the reconstruction."""
+    """Difference between the true and the nominal refractive index of the canister's wall. It is unknown to the
+    reconstruction."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Fraction of light absorbed by the seam of a rolled tube, which is 1 mm wide, in a random direction, and rotates
-    with the canister."""
+    """Fraction of light that the seam of a rolled tube absorbs. The seam is 1 mm wide, has a random azimuth, and
+    rotates with the canister."""
     dust_specks: int = bounded(0, 0, 100000)
     """Number of opaque specks on the outside of the canister."""
     scratches: int = bounded(0, 0, 10000)
-    """Number of scratches on the outside of the canister, which absorb half of the light."""
+    """Number of scratches on the outside of the canister. Each scratch absorbs half of the light."""
     highlight: float = bounded(0.0, 0.0, 1.0)
-    """Light added by the reflection of a lamp in the wall, as a fraction of full scale. The reflection is a streak that
-    is static while the canister rotates."""
+    """Light that a lamp adds by its reflection in the wall, as a fraction of full scale. The reflection is a streak
+    that does not move when the canister rotates."""
     algae_patches: int = bounded(0, 0, 1000)
-    """Number of algae films on the inner wall, which rotate with the canister."""
+    """Number of algae films on the inside of the wall. They rotate with the canister."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Fraction of light absorbed in the middle of an algae film."""
+    """Fraction of light that an algae film absorbs in its middle."""
     turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
     """Extinction coefficient of the water."""
     felt_fibres: int = bounded(0, 0, 10000)
@@ -394,22 +406,22 @@ class Scene:
     strip: MarkerStrip = MarkerStrip()
     surroundings: Surroundings = Surroundings()
     tank: Tank | None = None
-    """Tank around the canister; None for a canister in air."""
+    """Tank around the canister. It is None if the canister is in air."""
     camera: Camera = Camera()
     lights: Lights = Lights()
     turntable: Turntable = Turntable()
     plan: CapturePlan = CapturePlan()
     specimen: Specimen | None = None
-    """Specimen in the canister; None if unknown, as on a real rig and in every dataset."""
+    """Specimen in the canister. It is None if it is unknown, as on a real rig and in every dataset."""
     plants: tuple[Plant, ...] = ()
-    """Plants, if there are several in one canister; empty for a single plant, which is then described by
-    ``specimen``."""
+    """Plants in a canister with several plants. There are none if the canister contains a single plant, which is
+    described by ``specimen``."""
     shoot: Shoot | None = None
-    """Shoot above the net pot; None if there is none, or if it is unknown."""
+    """Shoot above the net pot. It is None if there is no shoot, or if the shoot is unknown."""
     disturbances: Disturbances = Disturbances()
 
     def lights_in(self, band: str) -> Lights:
-        """Return the lights in the camera's band with the given name; for an empty name, the lights of the scene."""
+        """Return the lights in a band of the camera. If the name is empty, the lights of the scene are returned."""
         lights = self.lights
         for one in self.camera.bands:
             if one.name == band:
@@ -419,11 +431,14 @@ class Scene:
         return lights
 
     def is_lit(self, band: str) -> bool:
-        """Return whether panel and front light are both on in a band, which outlines and markers require."""
+        """Return whether the panel and the front light are both on in a band.
+
+        Outlines and markers are visible only in such a band.
+        """
         lights = self.lights_in(band)
         return lights.backlight_level > 0.0 and lights.front_level > 0.0
 
     @property
     def is_planted(self) -> bool:
-        """Whether the content of the canister is known."""
+        """Whether it is known what is in the canister."""
         return self.specimen is not None or any(plant.specimen is not None for plant in self.plants)

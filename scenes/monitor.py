@@ -13,11 +13,12 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 Listener = Callable[[str, int, int], object]
-"""Type of a function that is called with the name of the stage, the number of completed steps, and the total number."""
+"""Type of a function that is called with the name of the stage, the number of completed steps, and the total number of
+steps."""
 
 
 class Cancelled(Exception):  # noqa: N818 - nothing went wrong
-    """Raised within a computation whose monitor was cancelled. No output was written."""
+    """Raised in a computation whose monitor was cancelled. No output was written."""
 
 
 class Monitor:
@@ -47,11 +48,11 @@ class Monitor:
 
     @staticmethod
     def of(given: Monitor | type[Any] | Listener | None) -> Monitor:
-        """Return a monitor unchanged, or create a monitor from a tqdm class, a callable or None."""
+        """Return a monitor unchanged. A tqdm class, a callable or None is converted to a monitor."""
         return given if isinstance(given, Monitor) else Monitor(given)
 
     def cancel(self) -> None:
-        """Stop the computation at its next step. Can be called from another thread or from the listener."""
+        """Stop the computation at its next step. The method can be called from another thread or from the listener."""
         self._cancelled = True
 
     def check(self) -> None:
@@ -67,7 +68,7 @@ class Monitor:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the duration of a stage as a context. The durations of a repeated stage are added."""
+        """Measure the duration of a stage, which is a ``with`` block. The durations of a repeated stage are added."""
         self.check()
         begin = time.perf_counter()
         yield
@@ -77,7 +78,7 @@ class Monitor:
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
-        """Show a progress bar with the remaining time as a context.
+        """Show a progress bar and the remaining time during a ``with`` block.
 
         Parameters
         ----------

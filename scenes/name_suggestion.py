@@ -9,10 +9,10 @@ ALIKE = 0.6
 
 
 def most_similar(word: str, known: Iterable[str]) -> str | None:
-    """Return the known name that is most similar to a word, or None.
+    """Return the known name that is most similar to a word, or None if no name is similar enough.
 
-    Names that begin with the word are preferred (``wall``: ``wall_mm``, not ``n_wall``), ignoring leading zeros of
-    numbers (``radish_day5``: ``radish_day05a``, not ``radish_day15a``).
+    Names that begin with the word are preferred (for ``wall``, ``wall_mm`` rather than ``n_wall``). Leading zeros of
+    numbers are ignored (for ``radish_day5``, ``radish_day05a`` rather than ``radish_day15a``).
     """
     names = list(known)
     typed = _plain(word)
@@ -24,12 +24,12 @@ def most_similar(word: str, known: Iterable[str]) -> str | None:
 
 
 def _plain(name: str) -> str:
-    """Return a name in lower case, with numbers without leading zeros."""
+    """Return a name in lower case, and without leading zeros of its numbers."""
     return re.sub(r"\d+", lambda number: str(int(number[0])), name.casefold())
 
 
 def _begins(word: str, name: str) -> bool:
-    """Return whether a name begins with a word that ends at a separator, or between digits and letters."""
+    """Return whether a name begins with a word. The word must end at a separator, or between a digit and a letter."""
     rest = name[len(word) :]
     if not name.startswith(word):
         return False

@@ -23,31 +23,32 @@ Array = NDArray[np.float64]
 
 ZONE_MM = 2.0
 _STEP_MM = 0.25
-"""Spacing of the points at which centre lines are compared, mm (half the diameter of a fine root)."""
+"""Distance between the points at which centre lines are compared, mm. It is half the diameter of a fine root."""
 _OTHERS = 16
-"""Number of nearest points of the other plant that are compared, because the nearest centre may not have the nearest
-surface."""
+"""Number of nearest points on the other plant to which a point is compared. The nearest centre line is not always that
+of the root with the nearest surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neighbours:
-    """Comparison of two plants in one canister. The elements of each pair refer to the first and the second plant."""
+    """Comparison of two plants in one canister. In each pair of values, the first is that of the first plant."""
 
     plants: tuple[str, str]
     nearest_mm: float
-    """Minimum distance between the root surfaces of the two plants, mm; 0 if they touch."""
+    """Minimum distance between the root surfaces of the two plants, mm. It is 0 if they touch."""
     contact_mm: tuple[float, float]
-    """Length of each plant's roots that touch the other plant, mm."""
+    """Length of the roots of each plant that are in contact with the other plant, mm."""
     zone_mm: tuple[float, float]
-    """Length of each plant's roots within `ZONE_MM` of the other plant, mm."""
+    """Length of the roots of each plant whose distance from the other plant is at most `ZONE_MM`, mm."""
     zone_share: tuple[float, float]
-    """Length `zone_mm` as a fraction of each plant's root length."""
+    """Ratio of `zone_mm` to the root length of each plant."""
     zone_share_by_depth: tuple[tuple[float, ...], tuple[float, ...]]
-    """Fraction `zone_share` in depth bins of 10 mm below the top of the higher plant; 0 in bins without a root."""
+    """Value `zone_share` in each depth bin of 10 mm. The first bin begins at the top of the higher plant. The value is
+    0 in bins without roots."""
     hulls_overlap_mm3: float
     """Volume of the intersection of the two convex hulls, mm3."""
     hulls_overlap_share: tuple[float, float]
-    """Volume `hulls_overlap_mm3` as a fraction of each plant's convex hull."""
+    """Ratio of `hulls_overlap_mm3` to the volume of the convex hull of each plant."""
 
     def lines(self, verdict: Verdict) -> list[str]:
         """Format the comparison as lines of text.
@@ -86,7 +87,10 @@ HEAD = (
 
 
 def rows(found: Sequence[Neighbours]) -> list[list[str]]:
-    """Return table rows for each ordered pair of plants: one row for all depths, and one row per depth bin."""
+    """Return table rows for each ordered pair of plants.
+
+    The first row is for all depths, and the others are for one depth bin each.
+    """
     made = []
     for one in found:
         for k in (0, 1):
@@ -129,7 +133,7 @@ class _Plant:
     """Points along the centre lines, mm, shape (P, 3)."""
     radius_mm: Array
     length_mm: Array
-    """Length of the centre line represented by each point, mm, shape (P,)."""
+    """Length of the piece of centre line that each point represents, mm, shape (P,)."""
     tree: cKDTree
 
     @staticmethod
@@ -138,7 +142,10 @@ class _Plant:
         return _Plant(along.points_mm, along.radius_mm, along.length_mm, cKDTree(along.points_mm))
 
     def away_mm(self, other: _Plant) -> Array:
-        """Return the distance (P,) between the surfaces of both plants at each point, mm; 0 where they meet."""
+        """Return the distance between the surfaces of the two plants at each point of this plant (P,), mm.
+
+        It is 0 where they touch.
+        """
         count = min(_OTHERS, len(other.points_mm))
         away, nearest = other.tree.query(self.points_mm, k=count)
         away, nearest = away.reshape(-1, count), nearest.reshape(-1, count)
@@ -173,7 +180,7 @@ def _by_depth(plant: _Plant, away_mm: Array, top_mm: float) -> tuple[float, ...]
 
 
 def _common_hull(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the common volume of two convex hulls, mm3, and its fraction of each hull.
+    """Return the volume of the intersection of two convex hulls, mm3, and its ratio to the volume of each hull.
 
     All values are 0 if a hull is flat or the hulls are disjoint.
     """

@@ -1,9 +1,10 @@
-"""Integrity and size checks of picture files, using their bytes before decoding, checksums, and strict decoders.
+"""Checks of the integrity and the size of picture files.
 
-The decoders of OpenCV repair damage silently, and return missing parts grey or black. PNG has a CRC per chunk and a
-checksum over all pixels, as has Deflate in TIFF. JPEG, LZW and PackBits have no checksums. For these formats,
-violations of the coding are detected, as are strips of a TIFF that do not contain exactly their pixels. For
-uncompressed pixels, only a wrong number of pixels is detected. `is_sealed` returns whether a file has a checksum.
+They use the bytes before decoding, checksums, and strict decoders. The decoders of OpenCV repair damage silently, and
+return missing parts grey or black. PNG has a CRC per chunk and a checksum over all pixels, as has Deflate in TIFF.
+JPEG, LZW and PackBits have no checksums. For these formats, violations of the coding are detected, as are strips of a
+TIFF that do not contain exactly their pixels. For uncompressed pixels, only a wrong number of pixels is detected.
+`is_sealed` returns whether a file has a checksum.
 """
 
 import io
@@ -19,14 +20,14 @@ import simplejpeg
 import tifffile
 
 MOST_PIXELS = 2**27
-"""Maximum number of pixels of a picture. It exceeds the largest sensors (100 to 150 million pixels), and requires 0.8
-GB in 16-bit colour."""
+"""Maximum number of pixels of a picture. It exceeds the number of pixels of the largest sensors (100 to 150 million).
+In 16-bit colour, a picture of this size requires 0.8 GB."""
 _NO_PICTURE = "the file is not a supported picture; use PNG, JPEG or TIFF"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
-"""Compression schemes of TIFF (TIFF 6.0, section 3 and supplement 2)."""
+"""Compression schemes of TIFF, in this order: none, LZW, Deflate, PackBits (TIFF 6.0, section 3 and supplement 2)."""
 _WITHOUT_CODECS = (_BARE, *_DEFLATE, _PACKBITS)
 """Compression schemes that tifffile decodes without imagecodecs, which is an optional dependency of 80 MB."""
 _MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
@@ -34,9 +35,9 @@ _MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-"""Numbers of channels and permitted bit depths of a PNG by its colour type (ISO/IEC 15948, table 11.1)."""
+"""Permitted numbers of channels and bit depths of a PNG, for each colour type (ISO/IEC 15948, table 11.1)."""
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
-"""First column, first row and steps of the passes of an interlaced PNG (ISO/IEC 15948, section 8.2)."""
+"""Passes of an interlaced PNG: first column, first row, column step and row step (ISO/IEC 15948, section 8.2)."""
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # the messages of tifffile are replaced by one sentence
 
@@ -101,7 +102,10 @@ def _check_size(width: int, height: int, image_wh: tuple[int, int] | None) -> No
 
 
 def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
-    """Check chunks and pixels of a PNG, and return it without other chunks (ISO/IEC 15948, sections 5, 9 and 10)."""
+    """Check the chunks and pixels of a PNG (ISO/IEC 15948, sections 5, 9 and 10).
+
+    Return the PNG without the chunks that are not required.
+    """
     damaged = DamagedError("damaged (the content of the PNG file is inconsistent)")
     chunks: dict[bytes, list[memoryview]] = {}
     for kind, content in _chunks(data):
@@ -136,7 +140,7 @@ def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
 
 
 def _chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
-    """Yield kind and content of the chunks of a PNG up to IEND."""
+    """Yield the type and the content of each chunk of a PNG up to IEND."""
     view = memoryview(data)
     at = len(_PNG)
     while at + 12 <= len(data):
@@ -203,7 +207,7 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
 
 
 def is_sealed(data: bytes) -> bool:
-    """Return whether a file accepted by `check_picture` has a checksum over its pixels."""
+    """Return whether a file contains a checksum of its pixels. The file was accepted by `check_picture`."""
     if data.startswith(_TIFF):
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             return int(file.pages.first.compression) in _DEFLATE
@@ -250,7 +254,10 @@ def _codecs(compression: int) -> Any:
 
 
 def _packbits(packed: bytes) -> bytes:
-    """Decompress data compressed with PackBits (TIFF 6.0, section 9), as far as possible."""
+    """Decompress data in the PackBits format (TIFF 6.0, section 9).
+
+    If the data are damaged, return what can be decompressed.
+    """
     found, at = bytearray(), 0
     while at < len(packed):
         header, at = packed[at], at + 1
@@ -264,9 +271,9 @@ def _packbits(packed: bytes) -> bytes:
 
 
 def _tiff_pieces(data: bytes, page: tifffile.TiffPage, codecs: Any) -> None:
-    """Decompress each strip or tile, and check its number of bytes.
+    """Decompress each strip or tile, and check its size in bytes.
 
-    Decoders pad or truncate without an error.
+    Decoders would pad or truncate it without an error.
     """
     high, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
     across = -(-page.imagewidth // wide)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 Picture = NDArray[np.uint8 | np.uint16]
 
 LONGEST_PX = 2100
-"""Maximum length of a picture's side, px. Larger pictures are halved repeatedly: 4056 px of the Pi HQ camera once, but
-its binned 2028 px not at all."""
+"""Maximum side length of a picture, px. Larger pictures are halved repeatedly. Pictures of the Pi HQ camera with a
+width of 4056 px are halved once, and those with 2028 px (binned) are not halved."""
 
 
 def reduce_picture(image: Picture) -> tuple[Picture, NDArray[np.float64]]:
-    """Halve a picture (H, W) by averaging until no side is longer than `LONGEST_PX`.
+    """Halve a picture (H, W) repeatedly by averaging, until no side is longer than `LONGEST_PX`.
 
     Returns
     -------

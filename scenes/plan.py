@@ -1,4 +1,4 @@
-"""Nominal views of a capture plan, and the visibility of markers from their cameras."""
+"""Views of a capture plan with their commanded positions, and the visibility of markers in these views."""
 
 from dataclasses import dataclass
 
@@ -9,16 +9,16 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 SLANT = 0.5
-"""Minimum cosine of the angle between a marker's normal and the direction to the camera at which detection is
-expected."""
+"""Minimum cosine of the angle between the normal of a marker and the direction to the camera. At a smaller cosine, the
+marker is too oblique to be detected."""
 LEAST_MARKERS = 4
-"""Minimum number of complete markers from which a pose is estimated: sixteen corners for six unknowns. With fewer
-markers, a wrongly identified marker could not be detected."""
+"""Minimum number of completely visible markers for estimating a pose. Four markers provide sixteen corners for six
+unknowns. With fewer markers, a wrongly identified marker could not be detected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """View to be taken, with the commanded positions of camera and table."""
+    """View to be taken, with the commanded positions of the camera and the table."""
 
     index: int
     ring: int
@@ -55,12 +55,15 @@ def views(scene: Scene, *, seed: int = 0) -> list[View]:
 
 
 def ring_bands(scene: Scene, ring: int) -> tuple[str, ...]:
-    """Return the names of the bands in which a ring is taken; a single empty name if there are no bands."""
+    """Return the names of the bands in which a ring is taken. If there are no bands, the result is one empty name."""
     return scene.plan.rings[ring].bands or tuple(band.name for band in scene.camera.bands) or ("",)
 
 
 def main_band(scene: Scene, ring: int) -> str:
-    """Return the band of a ring that shows outlines and markers, which is the first band with both lights on."""
+    """Return the name of the band of a ring in which outlines and markers are visible.
+
+    It is the first band with both lights on.
+    """
     return next(band for band in ring_bands(scene, ring) if not band or scene.is_lit(band))
 
 
@@ -70,12 +73,12 @@ def picture_name(view: int, band: str) -> str:
 
 
 def rig_from_table(scene: Scene, table_deg: float) -> frames.Array:
-    """Return the 4x4 transform from the table frame to the rig frame at a table angle (deg)."""
+    """Return the 4x4 transform from the table frame to the rig frame for a table angle (deg)."""
     return frames.rotation_z(scene.turntable.direction * np.deg2rad(table_deg))
 
 
 def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Array]:
-    """Return the corners (4, 3) of each marker by id, in the strip's frame, mm.
+    """Return the corners (4, 3) of all markers in the strip's frame, mm. The keys are marker ids.
 
     The strip's frame equals the canister frame if the net pot is seated correctly.
 
@@ -96,7 +99,7 @@ def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Arra
 
 
 def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
-    """Return the number of markers that a camera sees completely and at a sufficient angle.
+    """Return the number of markers that are completely visible to a camera at a sufficient angle.
 
     The strip is assumed to be untilted and at table angle 0.
 
@@ -127,9 +130,10 @@ def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
 
 
 def marker_warnings(scene: Scene) -> list[str]:
-    """Return a warning for each ring of the roots that sees fewer complete markers than a pose estimate requires.
+    """Return a warning for each ring of the roots in which too few markers are completely visible.
 
-    The strip is visible from a short distance only if the camera is high enough or tilted up.
+    For a pose estimate, `LEAST_MARKERS` are required. The strip is visible from a short distance only if the camera is
+    high enough or tilted up.
     """
     found = []
     for number, ring in enumerate(scene.plan.rings, start=1):

@@ -1,4 +1,7 @@
-"""Several plants in one canister, with their names and attachment points in the net pot's grid."""
+"""Plants in a canister that contains several plants, with their names and attachment points.
+
+They are attached in the grid of the net pot.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -8,8 +11,8 @@ from rhizotwin.scenes.specimens import GrownSpecimen, PlacedFile, Specimen, Sphe
 from rhizotwin.scenes.subject import Subject, check_subject
 
 APART_MM = 2.0
-"""Minimum distance between two plants, mm. Closer plants share a hole of the net pot's grid, so that their bases cannot
-be distinguished."""
+"""Minimum distance between two plants, mm. Closer plants are in the same hole of the net pot's grid, and their bases
+cannot be distinguished."""
 
 NAMELESS = "plant"
 """Name used in RSML files for a plant without a name (`scenes.rsml`)."""
@@ -22,18 +25,18 @@ class Plant:
     plant: str = ""
     """Name of the plant. It must be unique in the scene and the same on every day."""
     species: str = ""
-    """Latin name of the species; empty for the species of [subject]."""
+    """Latin name of the species. If it is empty, the species in [subject] is used."""
     treatment: str = ""
-    """Treatment of this plant; empty for the treatment of [subject]."""
+    """Treatment of this plant. If it is empty, the treatment in [subject] is used."""
     at_mm: tuple[float, float] = bounded((0.0, 0.0), -500.0, 500.0)
-    """Attachment point (x, y) in the net pot's grid, in the canister frame, whose x axis passes through the strip's
-    seam."""
+    """Attachment point (x, y) in the net pot's grid, in the canister frame. The x axis of this frame passes through the
+    seam of the strip."""
     specimen: Specimen | None = None
-    """Specimen in the twin, as in [specimen], displaced horizontally by `at_mm`; None if unknown, as on a real rig and
-    in every dataset."""
+    """Specimen in the twin, as in [specimen], displaced horizontally by `at_mm`. It is None if it is unknown, as on a
+    real rig and in every dataset."""
 
     def placed(self) -> Specimen | None:
-        """Return the specimen displaced to the plant's attachment point; None if it is unknown."""
+        """Return the specimen displaced to the attachment point of the plant, or None if it is unknown."""
         x, y = self.at_mm
         one = self.specimen
         if isinstance(one, GrownSpecimen):

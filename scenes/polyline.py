@@ -22,7 +22,7 @@ def arc_length_mm(points_mm: Array) -> Array:
 
 
 def interpolate(points_mm: Array, way: Array, at: Array) -> Array:
-    """Interpolate points (M, 3) at given arc lengths of a polyline.
+    """Interpolate points (M, 3) of a polyline at the given arc lengths.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def interpolate(points_mm: Array, way: Array, at: Array) -> Array:
 
 
 def middles(way: Array, step_mm: float) -> Array:
-    """Return the arc lengths (M,) of the midpoints of equal pieces of a polyline.
+    """Divide a polyline into pieces of equal length, and return the arc lengths (M,) of their midpoints.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def versions(names: Iterable[str] = ()) -> dict[str, str]:
-    """Return the versions of rhizotwin, Python and the given distributions, by name.
+    """Return the versions of rhizotwin, Python and the given distributions. The keys are names.
 
     Parameters
     ----------

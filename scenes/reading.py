@@ -8,12 +8,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import NO_WAIT
 
 MOST_TEXT_MIB = 32
-"""Maximum size of TOML, JSON, XML and table files, MiB. It is sufficient for 20,000 pictures of a dataset or 300,000
-points of roots. Python objects require up to 25 times as much memory as the file (an empty list takes 3 bytes in the
-file and 64 in memory), which is below 1 GiB."""
+"""Maximum size of TOML, JSON, XML and table files, MiB. It is sufficient for a dataset of 20,000 pictures, or for roots
+with 300,000 points. Python objects require up to 25 times as much memory as the file (an empty list takes 3 bytes in
+the file and 64 in memory), which is below 1 GiB."""
 MOST_PICTURE_MIB = 1024
-"""Maximum size of a picture file, MiB. A picture with the maximum of 20,000 pixels per side and two bytes per pixel has
-763 MiB."""
+"""Maximum size of a picture file, MiB. A picture with the maximum side length of 20,000 pixels and two bytes per pixel
+has 763 MiB."""
 MOST_MESH_MIB = 128
 """Maximum size of a mesh file, MiB. It is sufficient for 2.7 million triangles in binary STL."""
 
@@ -46,7 +46,7 @@ def read_file(path: Path | str, *, most_mib: int = MOST_TEXT_MIB) -> bytes:
 
 
 def check_size(path: Path | str, status: os.stat_result, *, most_mib: int) -> None:
-    """Raise an error if a file is not regular or is too large.
+    """Raise an error if a file is too large, or is not a regular file.
 
     Parameters
     ----------

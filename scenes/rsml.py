@@ -36,14 +36,14 @@ class Root:
     """Diameter at each point, mm, shape (N,)."""
     order: int
     parent: int
-    """Index of the parent in the list of roots; -1 for a taproot."""
+    """Index of the parent in the list of roots. It is -1 for a taproot."""
     label: str = ""
     tip_seen: bool = True
-    """Whether the last point is the root's tip; False if other roots hide the tip."""
+    """Whether the last point is the tip of the root. It is False if other roots hide the tip."""
     plant: str = ""
-    """Name of the plant, if there are several plants; empty for a single or unknown plant."""
+    """Name of the plant. It is empty for a single plant, or if the plant is unknown."""
     diameter_sigma_mm: Array | None = None
-    """Standard deviation of the diameter at each point, mm, shape (N,); None if unknown."""
+    """Standard deviation of the diameter at each point, mm, shape (N,). It is None if it is unknown."""
 
 
 def length_mm(roots: Iterable[Root]) -> float:
@@ -52,21 +52,24 @@ def length_mm(roots: Iterable[Root]) -> float:
 
 
 def mean_diameter_mm(roots: Iterable[Root]) -> float:
-    """Return the mean diameter of roots, weighted by length, mm; 0 without length."""
+    """Return the mean diameter of roots, weighted by length, mm. It is 0 if the roots have no length."""
     pieces = [(polyline.steps_mm(root.points_mm), 0.5 * (root.diameters_mm[:-1] + root.diameters_mm[1:])) for root in roots]
     total_mm = sum(float(steps.sum()) for steps, _ in pieces)
     return sum(float(steps @ diameters) for steps, diameters in pieces) / total_mm if total_mm > 0.0 else 0.0
 
 
 def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
-    """Return the roots of one plant, with parents renumbered within this plant. Parents on another plant become -1."""
+    """Return the roots of one plant. Parents are renumbered in this list.
+
+    The parent is -1 if it belongs to another plant.
+    """
     number = {index: place for place, index in enumerate(k for k, root in enumerate(roots) if root.plant == plant)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in number)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CentrePoints:
-    """Points along centre lines, each in the middle of a piece of its centre line."""
+    """Points on the centre lines of roots. Each point is in the middle of a piece of a centre line."""
 
     points_mm: Array
     radius_mm: Array
@@ -74,11 +77,11 @@ class CentrePoints:
     length_mm: Array
     """Length of each piece, mm, shape (P,)."""
     root: NDArray[np.int64]
-    """Index of the root of each point, shape (P,)."""
+    """Index of the root to which each point belongs, shape (P,)."""
 
 
 def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
-    """Sample points along the centre lines of at least one root.
+    """Sample points on the centre lines of at least one root.
 
     The points are about ``step_mm`` apart, with at least one point on each root.
     """
@@ -99,7 +102,7 @@ def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """Time of a file in a series of files of a growing plant, in which a root keeps its id."""
+    """Position of a file in a time series of a growing plant. A root has the same id in all files of the series."""
 
     sequence: str
     """Name of the time series to which the file belongs."""
@@ -144,17 +147,19 @@ class RsmlFile:
 
     roots: tuple[Root, ...]
     parent_nodes: tuple[int | None, ...]
-    """Index of the parent's point at which each root is attached; None if the file does not state it."""
+    """Index of the parent's point to which each root is attached. It is None if the file does not state the index."""
     step_mm: float
-    """Size of one step of the file's coordinates, mm."""
+    """Length that corresponds to one unit of the coordinates in the file, mm."""
     unit: str
-    """Unit as stated in the file; empty if the file states none."""
+    """Unit that is stated in the file. It is empty if none is stated."""
     resolution: str
-    """Resolution as stated in the file; empty if the file states none."""
+    """Resolution that is stated in the file. It is empty if none is stated."""
 
 
 def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
-    """Read an RSML file like `read_rsml`, with additional information about its roots and its unit.
+    """Read an RSML file.
+
+    In addition to the result of `read_rsml`, information about the roots and the unit is returned.
 
     Parameters
     ----------
@@ -251,7 +256,7 @@ def _describe(document: ET.Element, key: str, modified: datetime | None, moment:
 
 
 def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
-    """Return the XML element of one root, without its laterals."""
+    """Return the XML element of a root, without the elements of its laterals."""
     if root.points_mm.ndim != 2 or root.points_mm.shape[1] != 3 or root.diameters_mm.shape != root.points_mm.shape[:1]:
         raise ValueError(f"{root.points_mm.shape=} {root.diameters_mm.shape=} but shapes (N, 3) and (N,) are required")
     element = ET.Element("root", {"id": f"1.{index + 1}", "label": root.label})
@@ -273,12 +278,15 @@ def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
 
 
 def _decimal(value: np.floating) -> str:
-    """Format a number as the shortest text without an exponent from which the same number is read."""
+    """Format a number without an exponent. The text is the shortest from which the same number is read."""
     return np.format_float_positional(value, trim="0")
 
 
 def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, list[ET.Element]]]:
-    """Yield name, element and samples of each function along a root, from the root's elements without laterals."""
+    """Yield the name, the element and the samples of each function along a root.
+
+    The elements of the root are given without those of its laterals.
+    """
     for element in own:
         samples = [child for child in element if rsml_xml.local_name(child) == "sample"]
         if rsml_xml.local_name(element).startswith("function") and samples:
@@ -302,7 +310,7 @@ class _Reader:
         self.property_mm = self.units.properties_mm()
 
     def roots(self) -> tuple[Root, ...]:
-        """Return the roots, with parents before children."""
+        """Return the roots. Parents precede their laterals."""
         found: list[Root] = []
         stack: list[tuple[ET.Element, int, str]] = [(self.document, -1, "")]
         number = 0
@@ -357,7 +365,7 @@ class _Reader:
         )
 
     def _sigma(self, own: list[ET.Element], points_mm: Array, name: str) -> Array | None:
-        """Return the standard deviations of a root's diameters (N,), mm; None if the file states none."""
+        """Return the standard deviations of the diameters of a root (N,), mm, or None if the file states none."""
         for written, element, samples in _functions(own):
             if written == _SIGMA:
                 return np.abs(self._along(element, samples, points_mm, f"{_SIGMA} of {name}")) * self.step_mm
@@ -366,7 +374,8 @@ class _Reader:
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
         """Return the diameters of a root (N,), mm.
 
-        They are read from a function along the root, otherwise from its property, otherwise taken from the option.
+        They are read from a function along the root or, if there is none, from a property of the root. Otherwise, the
+        diameter given by the user is used.
         """
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
@@ -389,7 +398,10 @@ class _Reader:
         return np.full(len(points_mm), self.diameter_mm)
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
-        """Return the values of a function at the points (N,): one per point, or interpolated along the root."""
+        """Return the values of a function at the points of a root (N,).
+
+        They are interpolated along the root if the function does not have one value per point.
+        """
         values = np.array([self.units.number(rsml_xml.attribute(s, "value") or s.text, what) for s in samples])
         positions = [rsml_xml.attribute(s, "position") for s in samples]
         by_point = (rsml_xml.attribute(function, "domain") or "").lower() == "polyline"

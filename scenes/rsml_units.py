@@ -1,4 +1,4 @@
-"""Units of an RSML file: the size of a step of its coordinates, and the units of properties and functions."""
+"""Units of an RSML file. They are the unit of its coordinates, and the units of its properties and functions."""
 
 import math
 import re
@@ -17,8 +17,8 @@ _UNITS_MM = {
 }
 _SET_UNIT = "give the size of one coordinate unit, such as '0.1 mm', with --specimen-unit, or as unit in a scene file"
 THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
-"""Pattern of the name of a property or function for the thickness, optionally with its unit: "diameter", "radius
-[m]"."""
+"""Regular expression for the name of a property or function that states the thickness, such as "diameter". The name can
+include the unit, such as "radius [m]"."""
 
 
 class Units:
@@ -37,7 +37,7 @@ class Units:
         self.document = document
 
     def step_mm(self, unit: str | None) -> float:
-        """Return the size of one step of the coordinates, mm.
+        """Return the length that corresponds to one unit of the coordinates, mm.
 
         Parameters
         ----------
@@ -77,7 +77,10 @@ class Units:
         return unit_mm / resolution if resolution > 1.0 else unit_mm * resolution
 
     def properties_mm(self) -> dict[str, float]:
-        """Return the size, mm, of the unit of each property that the metadata define with a unit of length."""
+        """Return the units of all properties that are defined in the metadata with a unit of length.
+
+        The keys are property names, and the values are the lengths of the units, mm.
+        """
         found: dict[str, float] = {}
         for definition in self.document.iter():
             if rsml_xml.local_name(definition) == "property-definition":
@@ -87,7 +90,7 @@ class Units:
         return found
 
     def metadata(self, key: str) -> str:
-        """Return an entry of the metadata; empty if there is none."""
+        """Return an entry of the metadata. It is empty if there is none."""
         for metadata in self.document:
             if rsml_xml.local_name(metadata) == "metadata":
                 for child in metadata:
@@ -96,13 +99,16 @@ class Units:
         return ""
 
     def unit_mm(self, name: str, what: str) -> float:
-        """Return the size of a unit, mm. The quantity is named by ``what`` in the message about an unknown unit."""
+        """Return the length of a unit, mm.
+
+        If the unit is unknown, the error message contains ``what``, the name of the quantity.
+        """
         if name.lower() not in _UNITS_MM:
             raise UserError(f'{self.path}: the {what} has the unknown unit "{name}"; use mm, cm, m, um or inch')
         return _UNITS_MM[name.lower()]
 
     def number(self, text: str | None, what: str) -> float:
-        """Parse a finite number. The quantity is named by ``what`` in the message about an invalid number."""
+        """Parse a finite number. If it is invalid, the error message contains ``what``, the name of the quantity."""
         try:
             value = float(text or "")
         except ValueError:

@@ -1,6 +1,6 @@
 """Tolerant parsing of the XML in RSML files.
 
-Undeclared prefixes and names in any case are accepted, but document types are not.
+Undeclared prefixes are accepted, and names are compared without regard to case. Document types are rejected.
 """
 
 import xml.etree.ElementTree as ET
@@ -14,7 +14,7 @@ from rhizotwin.scenes.reading import read_file
 
 
 def parse(path: Path) -> ET.Element:
-    """Parse XML without document types or entities. Undeclared prefixes are accepted."""
+    """Parse XML with undeclared prefixes. Document types and entities are rejected."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True  # otherwise the space between two lines is reported in three parts
@@ -54,7 +54,7 @@ def attribute(element: ET.Element, name: str) -> str | None:
 
 
 def own_elements(root: ET.Element) -> Iterator[ET.Element]:
-    """Yield the elements of a root, without the elements of its laterals."""
+    """Yield the elements of a root, except the elements of its laterals."""
     stack = list(reversed(root))
     while stack:
         element = stack.pop()
@@ -64,7 +64,10 @@ def own_elements(root: ET.Element) -> Iterator[ET.Element]:
 
 
 def read_property(own: list[ET.Element], name: str) -> str:
-    """Return the text of the first non-empty property with a given name; empty if there is none."""
+    """Return the text of the first property with a given name that is not empty.
+
+    The result is empty if there is none.
+    """
     for holder in (element for element in own if local_name(element) == "properties"):
         for child in holder:
             called = (attribute(child, "name") or "").lower() or local_name(child)

@@ -25,16 +25,16 @@ T = TypeVar("T", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Place:
-    """Place of a value in a file, for error messages."""
+    """Location of a value in a file, used in error messages."""
 
     where: str
-    """Name of the file, or other origin of the values."""
+    """Name of the file, or another text that describes the origin of the values."""
     text: str = ""
     """Text of the file (TOML), used to determine line numbers."""
     path: tuple[str | int, ...] = ()
 
     def at(self, *steps: str | int) -> "Place":
-        """Return the place of a nested value, given by its keys or indices."""
+        """Return the location of a nested value. The arguments are its keys or indices."""
         return replace(self, path=(*self.path, *steps))
 
     def error(self, must: str, *value: Any) -> UserError:
@@ -53,7 +53,10 @@ def suggestion(name: str, known: list[str]) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Convert dataclasses to dicts and tuples to lists, for JSON. Members of unions get the key ``kind``."""
+    """Convert dataclasses to dicts and tuples to lists, for JSON.
+
+    For a field with several alternative dataclasses, the key ``kind`` states which of them is used.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         plain = {"kind": union_tag(type(value))} if union_tag(type(value)) else {}
         return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
@@ -158,7 +161,7 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
 
 
 def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
-    """Create one of several dataclasses, which is selected by the key ``kind``."""
+    """Create one of several alternative dataclasses. The key ``kind`` states which of them."""
     kinds = {union_tag(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
         raise place.error(f"must be a table (key = value), not {_type_name(value)}", value)
@@ -172,19 +175,22 @@ def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
 
 
 def union_tag(choice: type) -> str:
-    """Return the tag of a member of a union, such as ``sphere`` for ``SphereSpecimen``; empty for other classes."""
+    """Return the value of ``kind`` that selects a class, such as ``sphere`` for ``SphereSpecimen``.
+
+    It is empty for classes that are not selected by ``kind``.
+    """
     name = choice.__name__
     return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""
 
 
 def _type_name(value: Any) -> str:
-    """Return the type of a plain value in plain words."""
+    """Return the type of a plain value in words that a user understands."""
     names = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", NoneType: "nothing"}
     return names.get(type(value), "a table" if isinstance(value, Mapping) else type(value).__name__)
 
 
 def _format_value(value: Any) -> str:
-    """Format a value as it is written in the file, shortened to 60 characters."""
+    """Format a value as in the file. The text is shortened to 60 characters."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -203,7 +209,10 @@ def _split_path(path: tuple[str | int, ...]) -> tuple[str, str]:
 
 
 def _find_line(text: str, path: tuple[str | int, ...]) -> int | None:
-    """Return the line of a path, or of its deepest part that is found, in a TOML text; None if nothing is found."""
+    """Return the number of the line in a TOML text that contains the value with a given path.
+
+    If the value is not found, the line of its innermost section that is found is returned, or None if there is none.
+    """
     best: tuple[int, int | None] = (0, None)
     table: tuple[str | int, ...] = ()
     counts: dict[tuple[str | int, ...], int] = {}
@@ -228,5 +237,5 @@ def _find_line(text: str, path: tuple[str | int, ...]) -> int | None:
 
 
 def _keys(dotted: str) -> tuple[str, ...]:
-    """Split a dotted TOML key, and remove quotes."""
+    """Split a dotted TOML key into its parts, and remove quotes."""
     return tuple(part.strip().strip("\"'") for part in dotted.split("."))

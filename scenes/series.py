@@ -1,4 +1,4 @@
-"""Series of a grown plant with different ages, treatments and replicates.
+"""Series of scenes with a grown plant at different ages, with different treatments, and as replicates.
 
 With the same seed, an older plant contains the younger plant. All radii of a series are scaled by the factor of the
 scene's plant. Thus the volume at a different age is the scene's volume, multiplied by the ratio of the tube volumes of
@@ -19,8 +19,8 @@ from rhizotwin.scenes.solution import check_solution
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 SEEDS_APART = 1_000_003
-"""Difference between the seeds of successive replicates. It is so large that no replicate coincides with another plant
-of the library."""
+"""Difference between the seeds of successive replicates. It is large enough that no replicate has the seed of another
+plant in the library."""
 
 Grow = Callable[[GrownSpecimen], Sequence[Root]]
 
@@ -41,7 +41,7 @@ def require_grown(scene: Scene) -> GrownSpecimen:
 def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
     """Return a scene with a replicate of its plant.
 
-    Number 0 is the scene's own plant, unless ``seed`` differs from 0.
+    Replicate 0 is the plant of the scene itself, unless ``seed`` is given and is not 0.
 
     Parameters
     ----------
@@ -63,7 +63,9 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
 
 
 def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str, float] | None = None) -> Scene:
-    """Return a scene with a different treatment, which scales root growth and the nutrient solution.
+    """Return a scene with a different treatment.
+
+    The treatment changes the growth of the roots by a factor, and the composition of the nutrient solution.
 
     Parameters
     ----------
@@ -125,7 +127,10 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
 
 
 def tube_mm3(roots: Sequence[Root]) -> float:
-    """Return the sum of the volumes of roots as truncated cones, mm3. Overlaps are counted twice."""
+    """Return the sum of the volumes of all roots, mm3.
+
+    Each segment is a truncated cone, and volumes in which roots overlap are counted repeatedly.
+    """
     total = 0.0
     for root in roots:
         length = polyline.steps_mm(root.points_mm)

@@ -18,12 +18,15 @@ GREEN_LEAF = (
     (900.0, 0.48),
     (1000.0, 0.47),
 )
-"""Reflectance of a healthy leaf by wavelength (nm): typical rounded values from Gates et al. 1965 (Appl. Opt. 4:11)."""
+"""Wavelengths (nm) and reflectances of a healthy leaf. They are typical rounded values from Gates et al. 1965 (Appl.
+Opt. 4:11)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shoot:
-    """Shoot with leaves in a spiral, described by its oldest leaf. Younger leaves are smaller and steeper.
+    """Shoot whose leaves are arranged in a spiral.
+
+    The parameters are those of the oldest leaf. Younger leaves are smaller and steeper.
 
     The defaults describe a radish of two weeks, with blades of 40 by 24 mm and 0.3 mm thickness, and petioles of 35 mm
     (leaves of Raphanus sativus are 0.25 to 0.35 mm thick).
@@ -34,13 +37,13 @@ class Shoot:
     leaves: int = bounded(6, 1, 60)
     """Number of leaves of the shoot."""
     divergence_deg: float = bounded(137.508, 0.0, 360.0)
-    """Azimuth between successive leaves. The default is the golden angle of spiral phyllotaxis."""
+    """Difference in azimuth between successive leaves. The default is the golden angle of spiral phyllotaxis."""
     youngest: float = bounded(0.35, 0.05, 1.0)
-    """Size of the youngest leaf, as a fraction of the oldest leaf."""
+    """Ratio of the size of the youngest leaf to that of the oldest leaf."""
     size_sd: float = bounded(0.08, 0.0, 0.5)
-    """Standard deviation of a leaf's size, as a fraction of its size."""
+    """Standard deviation of the size of a leaf, as a fraction of its mean size."""
     stem_mm: float = bounded(12.0, 2.0, 500.0)
-    """Height above the net pot's top of the stem, to which the petioles are attached."""
+    """Height of the stem above the upper edge of the net pot. The petioles are attached to the stem."""
     stem_diameter_mm: float = bounded(3.0, 0.2, 50.0)
     """Diameter of the stem."""
     petiole_mm: float = bounded(35.0, 1.0, 500.0)
@@ -64,7 +67,7 @@ class Shoot:
     fold_deg: float = bounded(12.0, -60.0, 60.0)
     """Angle by which the two halves of a blade rise from its midrib."""
     reflectance: float = bounded(0.12, 0.0, 1.0)
-    """Fraction of visible light that a green leaf reflects (0.05 in blue and red, 0.15 to 0.2 in green)."""
+    """Fraction of visible light that a green leaf reflects. It is 0.05 in blue and red, and 0.15 to 0.2 in green."""
     spectrum: tuple[tuple[float, float], ...] = GREEN_LEAF
-    """Pairs of wavelength (nm) and reflectance of the leaves, which are interpolated linearly, for a camera with
-    bands."""
+    """Pairs of wavelength (nm) and reflectance of the leaves. Reflectances are interpolated linearly. They are only
+    used for a camera with bands."""

@@ -17,7 +17,8 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 UNIT = "mmol/l"
 Factors = tuple[tuple[str, float], ...]
-"""Type of the factors of elements or compounds: pairs of name and factor."""
+"""Type of the factors by which concentrations are multiplied. They are pairs of the name of an element or compound, and
+its factor."""
 
 RECIPES: Mapping[str, Mapping[str, float]] = {
     "kliman_2022": {
@@ -34,7 +35,7 @@ RECIPES: Mapping[str, Mapping[str, float]] = {
         "C14H21FeN3O10": 0.01,
     }
 }
-"""Mass concentration of each compound by recipe, g/l. ``kliman_2022`` is table 3.1 of the thesis."""
+"""Mass concentrations of the compounds in each recipe, g/l. ``kliman_2022`` is table 3.1 of the thesis."""
 
 _IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
     "NO3": ("NO3", 1, (-1,)),
@@ -65,10 +66,10 @@ _IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
     "H": ("", 0, (1,)),
     "OH": ("", 0, (-1,)),
 }
-"""Ion as which each group of a formula is counted (empty for acid and alkali), the number of ions, and the possible
-charges of the group."""
+"""Ions that correspond to the groups of a formula. The values are the name of the ion (empty for acid and alkali), the
+number of ions per group, and the possible charges of the group."""
 IONS = tuple(dict.fromkeys(name for name, _, _ in _IONS.values() if name))
-"""Names of all ions, in the order of tables."""
+"""Names of all ions, in the order in which they are listed in tables."""
 _METALS = frozenset({"K", "Ca", "Mg", "Fe", "Mn", "Zn", "Cu", "Ni", "Co", "Na"})
 _NUTRIENTS = _METALS | {"N", "P", "S", "B", "Mo", "Cl", "I", "Si", "C"}
 """Symbols of the elements for which a factor can be specified."""
@@ -79,25 +80,26 @@ _MOST_LETTERS = 80
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Nutrient solution in which the plants grow; empty if unknown."""
+    """Nutrient solution in which the plants grow. It is empty if the solution is unknown."""
 
     recipe: Literal["", "kliman_2022"] = ""
-    """Base recipe; kliman_2022 is table 3.1 of the thesis."""
+    """Recipe on which the solution is based. kliman_2022 is table 3.1 of the thesis."""
     grams_per_l: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 1000.0)})
-    """Mass concentration of each compound in grams per litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859. The values
-    replace those of the recipe."""
+    """Mass concentrations of compounds in grams per litre. The keys are formulas, such as "Ca(NO3)2.4H2O" = 0.4859.
+    These values replace those of the recipe."""
     factors: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 100.0)})
-    """Factors by element or formula, such as K = 0.5. The concentration of every compound with an ion of the element is
-    multiplied by the factor, or by the product of several factors."""
+    """Factors for concentrations. The keys are elements or formulas, such as K = 0.5. The concentration of every
+    compound with an ion of the element is multiplied by the factor. If several factors apply to a compound, all of them
+    are multiplied."""
 
     @property
     def known(self) -> bool:
-        """Whether any concentration is specified."""
+        """Whether the solution is known, which requires at least one concentration or a recipe."""
         return bool(self.recipe or self.grams_per_l)
 
     @property
     def compounds_g_per_l(self) -> dict[str, float]:
-        """Mass concentration of each compound after application of the factors, g/l, by formula."""
+        """Mass concentrations of the compounds after multiplication by the factors, g/l. The keys are formulas."""
         found = {**RECIPES.get(self.recipe, {}), **self.grams_per_l}
         for what, factor in self.factors.items():
             found = {name: grams * (factor if _holds(name, what) else 1.0) for name, grams in found.items()}
@@ -105,7 +107,10 @@ class Solution:
 
     @property
     def ions_mmol_per_l(self) -> dict[str, float]:
-        """Concentration of each ion in `IONS`, mmol/l, 0 for absent ions; empty if the solution is unknown."""
+        """Concentrations of all ions in `IONS`, mmol/l. Concentrations of absent ions are 0.
+
+        The result is empty if the solution is unknown.
+        """
         if not self.known:
             return {}
         total = dict.fromkeys(IONS, 0.0)
@@ -116,13 +121,18 @@ class Solution:
         return total
 
     def __str__(self) -> str:
-        """Return recipe, added compounds and factors on one line; empty if the solution is unknown."""
+        """Return the recipe, the added compounds and the factors on one line.
+
+        The line is empty if the solution is unknown.
+        """
         own = [f"{name} {grams:g} g/l" for name, grams in self.grams_per_l.items()]
         return ", ".join([*filter(None, [self.recipe]), *own, *(f"{what} x {factor:g}" for what, factor in self.factors.items())])
 
 
 def check_solution(solution: Solution, place: Place) -> None:
-    """Reject compounds that cannot be divided into ions, and factors of substances that are not in the solution.
+    """Reject compounds that cannot be divided into ions.
+
+    Also reject factors for substances that are not in the solution.
 
     Raises
     ------
@@ -144,7 +154,9 @@ def check_solution(solution: Solution, place: Place) -> None:
 
 
 def from_summary(summary: Mapping[str, Any], where: str) -> Solution:
-    """Return the solution recorded in a ``result.json``; empty for results of earlier versions.
+    """Return the solution recorded in a ``result.json``.
+
+    It is empty for results of versions that did not record it.
 
     Raises
     ------
@@ -158,7 +170,7 @@ def from_summary(summary: Mapping[str, Any], where: str) -> Solution:
 
 
 def headings(many: Sequence[Mapping[str, float]]) -> dict[str, str]:
-    """Return table headings, such as ``K (mmol/l)``, of the ions that occur in at least one solution.
+    """Return the table headings of all ions that occur in at least one solution, such as ``K (mmol/l)``.
 
     Parameters
     ----------
@@ -197,12 +209,18 @@ def read_solution(text: str) -> Solution:
 
 
 def _holds(formula: str, what: str) -> bool:
-    """Return whether a compound has the given name, or one of its ions contains the given element."""
+    """Return whether a substance is in a compound.
+
+    It can be the formula of the compound, or an element of one of its ions.
+    """
     return formula == what or (_symbol(what) in _NUTRIENTS and any(_symbol(what) in _atoms(ion)[1] for ion in _divide(formula)[1]))
 
 
 def _symbol(element: str) -> str:
-    """Return the symbol of an element given by its symbol or English name; otherwise the text itself."""
+    """Return the symbol of an element, which is given by its symbol or its English name.
+
+    Other texts are returned unchanged.
+    """
     from molmass import ELEMENTS
 
     return next((str(one.symbol) for one in ELEMENTS if one.name.lower() == element.lower()), element)
@@ -224,7 +242,7 @@ def _atoms(formula: str) -> tuple[float, Mapping[str, int]]:
 
 @lru_cache(maxsize=256)
 def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
-    """Return the molar mass of a compound (g/mol), and the number of each of its ions."""
+    """Return the molar mass of a compound (g/mol), and the numbers of its ions. The keys are names of ions."""
     mass, atoms = _atoms(formula)
     body = re.sub(r"\.\d*H2O$", "", _plain(formula))
     charges, ions, end = {0}, dict[str, int](), 0
@@ -243,5 +261,5 @@ def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
 
 
 def _plain(formula: str) -> str:
-    """Return a formula with a full stop before its water of crystallisation."""
+    """Return a formula with a full stop instead of other symbols before the water of crystallisation."""
     return re.sub(r"\s*[.·*]\s*", ".", formula)

@@ -13,7 +13,8 @@ class SphereSpecimen:
     diameter_mm: float = bounded(20.0, 0.1, 200.0)
     """Diameter of the sphere."""
     centre_mm: tuple[float, float, float] = bounded((0.0, 0.0, -55.0), -1000.0, 1000.0)
-    """Centre in the canister frame: origin on the axis in the plane of the rim, z up."""
+    """Centre of the sphere in the canister frame. Its origin is on the axis in the plane of the rim, and z points
+    up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +30,8 @@ class PlacedFile:
     """Initial placement. ``given``: coordinates as in the file. ``auto``: upright, below the net pot's grid, in the
     middle of the water."""
     flip: bool = False
-    """Whether to turn the object upside down (by 180 degrees about x), for files in which z points down."""
+    """Whether to rotate the object by 180 degrees about the x axis. This is required for files in which z points
+    down."""
     scale: float = bounded(1.0, 1e-6, 1e6)
     """Scale factor, which also applies to diameters."""
     shift_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -1e6, 1e6)
@@ -46,18 +48,22 @@ class RsmlSpecimen(PlacedFile):
     """Traced roots from an RSML file (Lobet 2015)."""
 
     unit: str | None = None
-    """Unit of the coordinates: mm, cm, m, um, inch, or a step such as "0.1 mm"; None for the unit in the file's
-    metadata (an error if there is none)."""
+    """Unit of the coordinates: mm, cm, m, um, inch, or a length such as "0.1 mm". If it is None, the unit in the
+    metadata of the file is used, and a file without a unit is rejected."""
     diameter_mm: float | None = field(default=None, metadata={"limits": (0.01, 50.0)})
-    """Diameter of roots for which the file states none; None to reject such files."""
+    """Diameter of roots for which the file states no diameter. If it is None, such files are rejected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootOrder:
-    """Growth parameters of the roots of one order (0: taproot), named as in architectural root models."""
+    """Growth parameters of all roots of one order.
+
+    The taproot has order 0. The names are those of architectural root models.
+    """
 
     diameter_mm: float = bounded(0.3, 0.01, 50.0)
-    """Mean diameter at the base of the root, before the radii of the plant are scaled to its volume."""
+    """Mean diameter at the base of the root. The radii of the plant are afterwards multiplied by a factor, with which
+    its volume is as specified."""
     diameter_sd: float = bounded(0.1, 0.0, 0.5)
     """Standard deviation of the base diameter between roots, as a fraction of the mean."""
     taper: float = bounded(0.6, 0.05, 1.0)
@@ -67,8 +73,8 @@ class RootOrder:
     max_length_mm: float = bounded(60.0, 0.5, 2000.0)
     """Mean final length of a root of this order."""
     length_sd: float = bounded(0.3, 0.0, 1.0)
-    """Standard deviation of the final length between roots, as a fraction of the mean. Elongation rates vary in
-    proportion."""
+    """Standard deviation of the final length between roots, as a fraction of the mean. The elongation rate of a root is
+    proportional to its final length."""
     interlateral_mm: float = bounded(4.0, 0.1, 1000.0)
     """Mean distance between adjacent laterals along a root of this order."""
     interlateral_sd: float = bounded(0.4, 0.0, 1.0)
@@ -76,23 +82,23 @@ class RootOrder:
     base_mm: float = bounded(2.0, 0.0, 1000.0)
     """Length of the zone without laterals at the base of the root."""
     apex_mm: float = bounded(10.0, 0.0, 1000.0)
-    """Length of the zone without laterals behind the tip. A lateral emerges when the tip has grown beyond it by this
-    length."""
+    """Length of the zone without laterals behind the tip. A lateral emerges when the tip has grown
+    beyond its point of attachment by this length."""
     insertion_deg: float = bounded(70.0, 0.0, 180.0)
-    """Angle between a root of this order and its parent at the base; not used for the taproot."""
+    """Angle between a root of this order and its parent at the base. It is not used for the taproot."""
     insertion_sd_deg: float = bounded(12.0, 0.0, 90.0)
     """Standard deviation of the insertion angle."""
     gravitropism_per_mm: float = bounded(0.01, -0.5, 0.5)
-    """Rotation of the growth direction towards straight down (or the lean) per mm of growth, in radians per sine of the
-    remaining angle."""
+    """Rotation of the growth direction per mm of growth towards straight down, or towards the direction given by the
+    lean. It is in radians, divided by the sine of the remaining angle."""
     wobble_deg: float = bounded(6.0, 0.0, 90.0)
-    """Standard deviation of the random change of direction per 1 mm of growth. It increases with the square root of the
-    length."""
+    """Standard deviation of the random change of direction during 1 mm of growth. Over longer distances, it increases
+    with the square root of the length."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BasalRoots(RootOrder):
-    """Growth parameters of basal, seminal, nodal or adventitious roots, which emerge at the top of the taproot.
+    """Growth parameters of basal, seminal, nodal or adventitious roots. These roots emerge at the top of the taproot.
 
     Laterals of these roots have the parameters of the taproot's laterals, which are the second of ``specimen.orders``.
     """
@@ -100,11 +106,11 @@ class BasalRoots(RootOrder):
     count: int = bounded(6, 1, 200)
     """Number of basal roots of this kind."""
     at_mm: float = bounded(0.0, 0.0, 1000.0)
-    """Distance along the taproot from its base to the first of these roots."""
+    """Distance of the first of these roots from the base of the taproot, along the taproot."""
     zone_mm: float = bounded(2.0, 0.0, 1000.0)
-    """Length of the taproot over which these roots are distributed."""
+    """Length of the part of the taproot in which these roots emerge."""
     delay_days: float = bounded(0.0, 0.0, 365.0)
-    """Time between the emergence of the taproot and the emergence of these roots."""
+    """Time from the emergence of the taproot to the emergence of these roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,35 +122,35 @@ class GrownSpecimen:
     age_days: float = bounded(15.0, 0.1, 365.0)
     """Time since the emergence of the taproot."""
     volume_ml: float = bounded(0.2, 1e-4, 500.0)
-    """Volume of the union of all roots. All radii are scaled by a common factor so that the volume is exact."""
+    """Volume of the union of all roots. All radii are multiplied by a common factor with which this volume is exact."""
     orders: tuple[RootOrder, ...] = (
         RootOrder(diameter_mm=1.2, taper=0.3, elongation_mm_per_day=9.0, max_length_mm=95.0, interlateral_mm=2.0, wobble_deg=4.0),
         RootOrder(),
     )
-    """Growth parameters of the taproot, of its laterals, of their laterals, and so on."""
+    """Growth parameters of the roots of each order: the taproot, its laterals, their laterals, and so on."""
     basal: tuple[BasalRoots, ...] = ()
     """Further kinds of roots that emerge at the top of the taproot."""
     origin_mm: tuple[float, float, float] = bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
-    """Position of the base of the taproot. The rounded end extends above it by the taproot's radius."""
+    """Position of the base of the taproot. A rounded end extends above the base by the radius of the taproot."""
     lean_deg: float = bounded(0.0, 0.0, 90.0)
-    """Angle between straight down and the preferred growth direction. With a large angle, the roots of a fallen plant
-    lie on the wall."""
+    """Angle between straight down and the preferred growth direction. If the angle is large, the roots lie on the wall,
+    like those of a plant that has fallen over."""
     lean_azimuth_deg: float = bounded(0.0, -360.0, 360.0)
-    """Azimuth towards which the roots lean, counter-clockwise from +x seen from above."""
+    """Azimuth of the direction in which the roots lean, counter-clockwise from +x seen from above."""
     hypocotyl_diameter_mm: float = bounded(0.0, 0.0, 50.0)
-    """Diameter of the thickened top of the taproot; 0 if there is none."""
+    """Diameter of the thickened top of the taproot. It is 0 if the taproot has none."""
     hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)
     """Length over which the thickened top tapers to the diameter of the taproot."""
     hypocotyl_shape: Literal["fading", "globe"] = "fading"
     """Shape of the thickened top. ``fading``: thickest at the base, like a carrot. ``globe``: thickest in the middle,
     like a bulb or a round radish."""
     buried_mm: float = bounded(1000.0, 0.0, 1000.0)
-    """Maximum depth below the surface of the parent at which laterals begin. If the parent's axis is less deep, they
-    begin on the axis. The tissue of a storage root grows around its laterals."""
+    """Maximum depth below the surface of the parent at which laterals begin. If the centre line of the parent is less
+    deep, they begin on the centre line. The tissue of a storage root grows around its laterals."""
     wall_margin_mm: float = bounded(0.5, 0.0, 100.0)
     """Minimum distance between a root's surface and the canister's inner wall."""
     floor_margin_mm: float = bounded(0.5, 0.0, 1000.0)
-    """Minimum distance between a root's surface and the floor."""
+    """Minimum distance between the surface of a root and the floor of the water."""
     top_margin_mm: float = bounded(0.5, 0.0, 100.0)
     """Minimum distance between a root's surface and the underside of the net pot's grid."""
 

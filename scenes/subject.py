@@ -21,23 +21,23 @@ class Subject:
     species: str = ""
     """Latin name of the species, such as Raphanus sativus (MIAPPE: organism)."""
     treatment: str = ""
-    """Treatment of the plant, such as 'low N' (MIAPPE: observation unit factor value)."""
+    """Treatment of the plant, such as "low N" (MIAPPE: observation unit factor value)."""
     day: float | None = field(default=None, metadata={"limits": (0.0, 36500.0)})
     """Number of days since sowing (MIAPPE: time since the event 'sowing')."""
     date: str = ""
     """Date of the scan, such as 2022-10-06 (MIAPPE: observation date)."""
     replicate: int | None = field(default=None, metadata={"limits": (0, 1000000)})
-    """Number of the plant among plants with the same treatment (MIAPPE: replicate of the observation unit)."""
+    """Number that distinguishes plants with the same treatment (MIAPPE: replicate of the observation unit)."""
     notes: str = ""
     """Additional notes about the plant."""
 
     @property
     def known(self) -> dict[str, str]:
-        """Known fields as text, by name."""
+        """Known fields as text. The keys are field names."""
         return {name: text for name, text in as_text(self).items() if text}
 
     def __str__(self) -> str:
-        """Return the known fields as readable text; empty if no field is known."""
+        """Return the known fields as readable text. The text is empty if no field is known."""
         told = {"treatment": "treatment {}", "day": "day {}", "date": "{}", "replicate": "replicate {}", "notes": "{}"}
         known = self.known
         who = f"{known['plant']} ({known['species']})" if {"plant", "species"} <= known.keys() else self.plant or self.species
@@ -49,13 +49,13 @@ NAMES = tuple(f.name for f in fields(Subject))
 
 
 def as_text(subject: Subject) -> dict[str, str]:
-    """Return all fields as text for a table, by name. Unknown fields are empty."""
+    """Return all fields as text for a table. The keys are column names. Unknown fields are empty."""
     values = {name: getattr(subject, name) for name in NAMES}
     return {name: "" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for name, value in values.items()}
 
 
 def check_subject(subject: Subject, place: Place) -> None:
-    """Raise an error for an invalid date, or text that is unsuitable for a table cell.
+    """Raise an error if the date is invalid, or if a text cannot be displayed in a table cell.
 
     Raises
     ------
@@ -74,7 +74,9 @@ def check_subject(subject: Subject, place: Place) -> None:
 
 
 def from_summary(summary: Mapping[str, Any], where: str) -> Subject:
-    """Return the subject recorded in a ``result.json``; empty for results of earlier versions.
+    """Return the subject recorded in a ``result.json``.
+
+    It is empty for results of versions that did not record it.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def from_summary(summary: Mapping[str, Any], where: str) -> Subject:
 
 
 def from_cells(cells: Mapping[str, str], where: str) -> Subject:
-    """Return the subject in a row of a table. Fields without a column are unknown.
+    """Return the subject described by a row of a table. Fields without a column are unknown.
 
     Raises
     ------

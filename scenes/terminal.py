@@ -20,9 +20,10 @@ from rhizotwin.scenes.monitor import Monitor
 COLOUR = "#2e8b57"
 _FORM = "{percentage:3.0f} %|{bar}| {desc}, {elapsed} so far, {remaining} left"
 BEAT_S = 1.0
-"""Interval between updates of the bar, s, so that the displayed time advances in stages without steps."""
+"""Interval between updates of the bar, s. Because of these updates, the displayed time advances even in stages without
+steps."""
 _UNKNOWN = 0.02
-"""Fraction of the total time that is assumed for a stage with unknown duration."""
+"""Fraction of the total time that is assumed for a stage whose duration is unknown."""
 
 
 class OneBar(Monitor):
@@ -69,7 +70,7 @@ class OneBar(Monitor):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the duration of a stage as a context, and show its name."""
+        """Show the name of a stage during a ``with`` block, and measure its duration."""
         with super().stage(name):
             self._stage, self._part = name, 0.0
             self._show()
@@ -86,7 +87,7 @@ class OneBar(Monitor):
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
-        """Advance the bar within a stage, as a context.
+        """Advance the bar with each step of a stage, during a ``with`` block.
 
         Parameters
         ----------

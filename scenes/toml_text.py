@@ -46,7 +46,7 @@ def _is_tables(value: Any) -> bool:
 def value(given: Any) -> str:
     """Format a scalar or a list as TOML.
 
-    The shortest representation of floats in Python is exact, and is valid TOML.
+    Floats are formatted by Python, whose shortest representation is exact, and is valid TOML.
     """
     if isinstance(given, bool):
         return "true" if given else "false"

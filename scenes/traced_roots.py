@@ -1,7 +1,7 @@
-"""Preparation of manually traced roots for use as truth.
+"""Preparation of manually traced roots, so that they can be used as truth.
 
-Gaps between a root and its parent are closed if the file states the node of attachment. Stretches that several roots
-share are counted once.
+If the file states the node at which a root is attached to its parent, the gap between them is closed. Stretches that
+several roots share are counted once.
 """
 
 from collections.abc import Sequence
@@ -17,17 +17,17 @@ from rhizotwin.scenes.rsml import Root, RsmlFile
 Array = NDArray[np.float64]
 
 FARTHEST = 2.0
-"""Maximum ratio between the distances from a root's base to the stated node and to the nearest node of the parent. A
-larger ratio indicates that nodes are numbered differently, and the gap is not closed."""
+"""Maximum ratio of two distances from the base of a root: to the node stated in the file, and to the nearest node of
+the parent. If the ratio is larger, the file numbers its nodes differently, and the gap is not closed."""
 SHARED = 0.5
-"""Maximum distance between lines of the same root, as a fraction of the thinner root's radius. Two different roots are
-at least one radius apart."""
+"""Maximum distance between two lines that count as tracings of the same root, as a fraction of the radius of the
+thinner line. The centre lines of two different roots are at least one radius apart."""
 LEAST_SHARED_MM = 2.0
-"""Minimum length of a shared stretch, mm. It exceeds the width of any separately traced root. Shorter stretches are
-crossings or branch points."""
+"""Minimum length over which two lines must coincide to be merged, mm. It exceeds the width of any root that was traced
+separately. Shorter stretches are crossings or branch points."""
 MOST_LATEST = 2000
-"""Maximum number of points collected before the search tree of all points is rebuilt. Building a tree of this size
-takes a millisecond."""
+"""Maximum number of new points that are searched separately. When it is exceeded, the search tree of all points is
+rebuilt. Building a tree of this size takes a millisecond."""
 STEP_MM = 0.2
 """Spacing of the points at which lines are compared, mm."""
 
@@ -57,7 +57,7 @@ def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
 
 @dataclass(frozen=True)
 class _Line:
-    """Centre line with equally spaced points."""
+    """Centre line, sampled at equally spaced points."""
 
     points_mm: Array
     diameters_mm: Array
@@ -72,10 +72,10 @@ class _Line:
 
 
 def merge_shared_stretches(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
-    """Remove stretches that a root shares with earlier roots in the list, so that each stretch is counted once.
+    """Remove stretches in which a root coincides with an earlier root in the list.
 
-    The remainder of a partly shared root becomes a lateral of the root with which it shares the stretch. A completely
-    shared root is removed, and its laterals are assigned to the root with which it coincides.
+    Each stretch is thus counted once. The remainder of such a root becomes a lateral of the root with which it
+    coincides. A completely shared root is removed, and its laterals are assigned to the root with which it coincides.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def merge_shared_stretches(roots: Sequence[Root]) -> tuple[tuple[Root, ...], flo
 
 
 class _KnownLines:
-    """Lines found so far, with a search for their nearest points.
+    """Centre lines processed so far, with a search for the point nearest to a given point.
 
     One search tree contains most of the points. A second search tree, with the latest points, is rebuilt frequently.
     """
@@ -127,9 +127,10 @@ class _KnownLines:
         self._owners.append(np.full(len(line.points_mm), owner))
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return distance (mm), diameter (mm) and root index of the line point nearest to each of the points (N, 3).
+        """Return the properties of the line point that is nearest to each of the points (N, 3).
 
-        The distance is infinite if there are no lines.
+        They are the distance (mm), the diameter (mm) and the index of the root. The distance is infinite if there are
+        no lines.
         """
         found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm)), np.full(len(points_mm), -1)
         trees = [] if self._old is None else [self._old]
@@ -155,7 +156,10 @@ class _KnownLines:
 
 
 def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int, int]], int | None]:
-    """Return the unshared stretches of a line as (start, stop), and the root that shares most of its length."""
+    """Return the stretches of a line that do not coincide with known lines, as pairs of first and last index.
+
+    Also return the index of the root with which the line coincides over the greatest length.
+    """
     count = len(line.points_mm)
     away_mm, diameter_mm, owner = seen.nearest(line.points_mm)
     limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, diameter_mm) / 2.0, STEP_MM / 2.0)

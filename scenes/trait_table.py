@@ -1,4 +1,4 @@
-"""Tables of traits: names, units, definitions, and rows for spreadsheets."""
+"""Tables of traits, with names, units and definitions, and with rows for spreadsheets."""
 
 import csv
 import io
@@ -12,24 +12,24 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
 Assessments = Mapping[str, Assessment]
-"""Type of the assessments by the field of `Traits`. Traits without an entry are not assessed."""
+"""Assessments of traits. The keys are the fields of `Traits`, and traits without an entry are not assessed."""
 
 
 @dataclass(frozen=True)
 class Definition:
-    """Definition of a trait with a single value."""
+    """Definition of a trait that has a single value."""
 
     field: str
     """Name of the field of `Traits`."""
     name: str
     """Name of the trait for display, without the unit."""
     unit: str
-    """Unit of the trait; empty for ratios and counts."""
+    """Unit of the trait. It is empty for ratios and counts."""
     meaning: str
 
     @property
     def heading(self) -> str:
-        """Name and unit of the trait for display."""
+        """Name and unit of the trait, as displayed in a heading."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
     @property
@@ -40,14 +40,14 @@ class Definition:
 
 @dataclass(frozen=True)
 class Histogram:
-    """Definition of a trait that divides the root length into bins."""
+    """Definition of a trait that consists of the root lengths in several bins."""
 
     field: str
     name: str
     meaning: str
     bin_unit: str
     bin_width: float
-    """Width of a bin; 0 if each bin is an integer."""
+    """Width of a bin. If it is 0, each bin is an integer."""
 
     @property
     def column(self) -> str:
@@ -135,16 +135,18 @@ WITH_INTERVAL = frozenset(
 
 
 def column_names() -> dict[str, str]:
-    """Return the display name of every trait by its names in files.
+    """Return a mapping from the column names in files to the display names of all traits.
 
-    Earlier versions wrote names without the unit.
+    Names without a unit, which earlier versions wrote, are included.
     """
     every = (*DEFINITIONS, *SHOOT, *COLOUR)
     return {d.name: d.name for d in every} | {d.column: d.name for d in every}
 
 
 def to_csv(traits: Traits, assessed: Assessments) -> str:
-    """Return a CSV table with one row per trait, and one row per bin of each histogram. Unknown values are empty.
+    """Return a CSV table with one row per trait, and one row per bin of each histogram.
+
+    Cells of unknown values are empty.
 
     Parameters
     ----------
@@ -157,7 +159,10 @@ def to_csv(traits: Traits, assessed: Assessments) -> str:
 
 
 def by_plant_csv(plants: Sequence[tuple[str, Traits, Assessments]]) -> str:
-    """Return the rows of `to_csv` for several plants, with the plant as first column; empty for the whole result."""
+    """Return the rows of `to_csv` for several plants.
+
+    The first column is the name of the plant. It is empty for the traits of the whole result.
+    """
     return csv_text([("plant", *_HEAD), *((name, *row) for name, traits, assessed in plants for row in _rows(traits, assessed))])
 
 
@@ -177,14 +182,14 @@ def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
 
 
 def _trait_rows(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, Assessment]]:
-    """Yield definition, value, limits of the interval, and assessment of each trait."""
+    """Yield the definition, the value, the two limits of the interval, and the assessment of each trait."""
     for d in DEFINITIONS:
         one = assessed.get(d.field, NOT_ASSESSED)
         yield d, getattr(traits, d.field), *(one.interval or (None, None)), one
 
 
 def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
-    """Return lists of traits and histograms for JSON. Unknown values are None.
+    """Return traits and histograms as lists for JSON. Unknown values are None.
 
     Parameters
     ----------
@@ -224,7 +229,7 @@ def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
 
 
 def lines(traits: Traits, assessed: Assessments) -> list[str]:
-    """Format the traits with a single value as aligned lines with interval or verdict.
+    """Format all traits that have a single value as aligned lines, with their intervals or verdicts.
 
     Unknown values are shown as dashes.
 
@@ -252,9 +257,9 @@ def format_assessment(one: Assessment) -> str:
 
 
 def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
-    """Return the traits of ``shoot`` in ``result.json`` by display name.
+    """Return the traits of a shoot. The keys are display names.
 
-    Traits of leaf colour are included if they are known. Unknown traits are None.
+    ``shoot`` is part of ``result.json``. Traits of leaf colour are included if they are known. Unknown traits are None.
     """
     known = shoot or {}
     return {d.name: known.get(d.field) for d in (*SHOOT, *COLOUR) if d in SHOOT or d.field in known}
@@ -272,7 +277,10 @@ def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
 
 
 def format_number(value: Number) -> str:
-    """Format a number for display: an integer, or four significant digits; a dash for None."""
+    """Format a number for display.
+
+    Integers are exact, floats have four significant digits, and None is shown as a dash.
+    """
     if value is None:
         return "-"
     if isinstance(value, int):
@@ -281,12 +289,12 @@ def format_number(value: Number) -> str:
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
-    """Format rows as CSV with commas, with quotes where needed."""
+    """Format rows as CSV. Values are separated by commas, and quoted if necessary."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()
 
 
 def format_exact(value: Number) -> str:
-    """Format a number for files, with seven significant digits; empty for None."""
+    """Format a number for files with seven significant digits. None is an empty text."""
     return "" if value is None else str(value) if isinstance(value, int) else f"{value:.7g}"

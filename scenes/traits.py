@@ -20,15 +20,16 @@ Array = NDArray[np.float64]
 SLICE_MM = 1.0
 """Distance between the horizontal planes in which roots are counted, mm."""
 MOST_PERCENT = 84.0
-"""Percentile of the counts that defines the maximum number of roots (GiA Roots). It is robust against a single whorl of
+"""Percentile of the root counts that is used as their maximum (GiA Roots). It is robust against a single whorl of
 laterals."""
 UPPER_SHARE = 1.0 / 3.0
-"""Fraction of the depth at which the lower part of a root system begins (GiA Roots)."""
+"""Depth at which the lower part of a root system begins, as a fraction of the total depth (GiA Roots)."""
 EMERGENCE_MM = 5.0
 """Length of a lateral over which its angle to the parent is measured, mm."""
 DEPTH_BIN_MM = 10.0
 DIAMETER_BIN_MM = 0.1
-"""Widths of histogram bins, mm: one centimetre of depth, and half a pixel of diameter at 800x600 pixels."""
+"""Width of the bins of the histogram over diameter, mm. It is half a pixel at 800x600 pixels. The width of the bins
+over depth is 10 mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,32 +54,32 @@ class Traits:
     """Largest horizontal distance between two points, mm."""
     convex_hull_mm3: float
     solidity: float
-    """Ratio of the volume to the volume of the convex hull."""
+    """Ratio of the volume of the roots to the volume of their convex hull."""
     max_root_count: float | None
     """84th percentile of the number of roots that cross horizontal planes."""
     median_root_count: float | None
     bushiness: float | None
     """Ratio of ``max_root_count`` to ``median_root_count``."""
     lower_length_share: float | None
-    """Fraction of the length in the lower two thirds of the depth."""
+    """Fraction of the root length that is in the lower two thirds of the depth."""
     roots: int | None
     tips: int | None
     branch_points: int | None
     """Number of points at which laterals emerge. Several laterals at the same point count once."""
     length_by_order_mm: tuple[float, ...]
-    """Length of roots by order, taproots first, mm."""
+    """Total length of the roots of each order, mm. The first order is that of the taproots."""
     length_by_depth_mm: tuple[float, ...]
-    """Length in depth bins of 10 mm below the highest point, mm."""
+    """Root length in each depth bin of 10 mm, mm. The first bin begins at the highest point."""
     length_by_diameter_mm: tuple[float, ...]
-    """Length in diameter bins of 0.1 mm, beginning at 0, mm."""
+    """Root length in each diameter bin of 0.1 mm, mm. The first bin begins at 0."""
     angle_to_gravity_deg: float | None
-    """Mean angle between the root's direction towards its tip and straight down, weighted by length, deg."""
+    """Mean angle between the direction of growth and straight down, weighted by length, deg."""
     angle_to_parent_deg: float | None
-    """Mean angle between the first 5 mm of a lateral and its parent, deg; None without laterals."""
+    """Mean angle between the first 5 mm of a lateral and its parent, deg. It is None if there are no laterals."""
     specific_root_length_m_per_g: float | None = None
-    """Ratio of total length to the given mass, m/g; None without a mass."""
+    """Ratio of the total length to the given mass, m/g. It is None if no mass is given."""
     tissue_density_g_per_ml: float | None = None
-    """Ratio of the given mass to the volume, g/ml; None without a mass."""
+    """Ratio of the given mass to the volume, g/ml. It is None if no mass is given."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def _bin_lengths(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
 
 
 def _below(pieces: _Segments, z_mm: float) -> float:
-    """Return the root length below a height, mm, including horizontal segments at this height."""
+    """Return the length of all roots below a given height, mm. Horizontal segments at this height are included."""
     other = pieces.start[:, 2] + pieces.step[:, 2]
     low, high = np.minimum(pieces.start[:, 2], other), np.maximum(pieces.start[:, 2], other)
     return float(pieces.length @ (1.0 - np.clip((high - z_mm) / np.maximum(high - low, 1e-9), 0.0, 1.0)))
@@ -197,7 +198,10 @@ def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
 
 
 def _hull(points_mm: Array) -> tuple[float, float]:
-    """Return the volume of the convex hull and the largest horizontal distance. The volume of flat points is 0."""
+    """Return the volume of the convex hull, and the largest horizontal distance between two points.
+
+    The volume is 0 if the points are in one plane.
+    """
     from scipy.spatial import ConvexHull, QhullError  # imported here: not required for reading traits
 
     try:
@@ -216,7 +220,7 @@ def _hull(points_mm: Array) -> tuple[float, float]:
 
 
 def _root_counts(pieces: _Segments) -> tuple[float, float]:
-    """Return the maximum and the median number of centre lines that cross a horizontal plane.
+    """Return the maximum and the median number of roots that cross a horizontal plane.
 
     The maximum is the 84th percentile. Planes without roots are ignored, and both numbers are at least one.
     """
@@ -239,13 +243,15 @@ def _branch_points(roots: Sequence[Root]) -> int:
 
 
 def _emergence_deg(roots: Sequence[Root]) -> Array:
-    """Return the angle between each lateral and its parent (L,), deg. Laterals without length are excluded."""
+    """Return the angles between laterals and their parents (L,), deg. Laterals of zero length are omitted."""
     angles = [emergence_deg(root.points_mm, roots[root.parent].points_mm) for root in roots if root.parent >= 0]
     return np.array([angle for angle in angles if angle is not None])
 
 
 def emergence_deg(lateral_mm: Array, parent_mm: Array) -> float | None:
-    """Return the angle between the first 5 mm of a lateral and its parent at the point of emergence, deg.
+    """Return the angle between a lateral and its parent at the point of emergence, deg.
+
+    The direction of the lateral is that of its first 5 mm.
 
     Parameters
     ----------

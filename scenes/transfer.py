@@ -22,12 +22,12 @@ from rhizotwin.scenes.model import Camera
 Array = NDArray[np.float64]
 
 _STEPS = 4097
-"""Number of samples of a curve that is defined by a formula. With this number, linear interpolation is exact to
-1e-7."""
+"""Number of samples of a transfer curve that is defined by a formula. With this number of samples, linear interpolation
+is exact to 1e-7."""
 _SAME = 0.004
-"""Maximum difference between curves that are considered equal (one step of 8 bits)."""
+"""Maximum difference between two transfer curves that are considered equal. It is one step of 8 bits."""
 _EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
-"""Tags of Exif 2.3: the Exif block, its colour space and its gamma."""
+"""Exif 2.3 tags, in this order: pointer to the Exif block, colour space, and gamma."""
 
 
 @dataclass(frozen=True)
@@ -36,22 +36,23 @@ class Curve:
 
     name: str
     light: tuple[float, ...]
-    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale. The values increase."""
+    """Light at equally spaced pixel values from 0 to full scale, as a fraction of full scale. The light increases with
+    the pixel value."""
 
     def decode(self, numbers: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint16]:
-        """Convert pixel values (...) to light (...), with 65535 as full scale."""
+        """Convert pixel values (...) to light of the same shape. The full scale of light is 65535."""
         return _table(self, int(np.iinfo(numbers.dtype).max))[numbers]
 
     def of(self, share: Array) -> Array:
-        """Convert pixel values (...), as fractions of full scale, to light (...)."""
+        """Convert pixel values (...), as fractions of full scale, to light of the same shape."""
         return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(self.light)), self.light))
 
     def number(self, light: Array) -> Array:
-        """Convert light (...) to pixel values (...), as fractions of full scale. Inverse of `of`."""
+        """Convert light (...) to pixel values of the same shape, as fractions of full scale. Inverse of `of`."""
         return np.asarray(np.interp(light, self.light, np.linspace(0.0, 1.0, len(self.light))))
 
     def same(self, other: "Curve") -> bool:
-        """Return whether another curve is equal up to rounding."""
+        """Return whether another curve is the same, except for differences due to rounding."""
         share = np.linspace(0.0, 1.0, 257)
         return bool(np.abs(self.of(share) - other.of(share)).max() < _SAME)
 
@@ -88,7 +89,10 @@ def camera_curve(camera: Camera) -> Curve:
 
 
 def read_stated_curve(picture: bytes | Path) -> Curve | None:
-    """Return the curve that a picture file states; None if it states no curve, or the curve cannot be read."""
+    """Return the transfer curve that is stated in a picture file.
+
+    The result is None if no curve is stated, or if it cannot be read.
+    """
     logging.getLogger("PIL").setLevel(logging.CRITICAL)  # unreadable pictures are reported elsewhere
     try:
         # Pillow warns about a damaged EXIF block, which only means that the block states no curve
@@ -117,7 +121,7 @@ def _gamma_curve(exponent: float) -> Curve:
 def _profile_curve(profile: bytes) -> Curve | None:
     """Return the curve of the green or grey channel of an ICC profile (ICC.1:2022, 7.3, 10.6 and 10.18).
 
-    The result is None for profiles with lookup tables.
+    The result is None if the profile uses lookup tables.
     """
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
@@ -129,7 +133,7 @@ def _profile_curve(profile: bytes) -> Curve | None:
 
 
 def _parse_trc(data: bytes) -> Curve | None:
-    """Parse a ``curveType`` or ``parametricCurveType`` of an ICC profile; return None if it is not supported."""
+    """Parse a ``curveType`` or ``parametricCurveType`` of an ICC profile. Return None if its type is not supported."""
     v = np.linspace(0.0, 1.0, _STEPS)
     if data[:4] == b"curv":
         (count,) = struct.unpack_from(">I", data, 8)

@@ -1,4 +1,4 @@
-"""Ground truth of simulated datasets, which is not available to the reconstruction.
+"""Ground truth of simulated datasets. It is not available to the reconstruction.
 
 Code that reconstructs a shape never opens the ``truth`` folder of a dataset.
 
@@ -31,7 +31,7 @@ class TrueView:
     file: str
     cam_from_canister: tuple[tuple[float, ...], ...]
     table_deg: float
-    """True table angle, deg, without the canister's offset and tilt."""
+    """True table angle, deg. The offset and the tilt of the canister are not included."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,15 +45,17 @@ class Truth:
     canister_from_strip: tuple[tuple[float, ...], ...]
     views: tuple[TrueView, ...]
     traits: dict[str, Any] = field(default_factory=dict)
-    """Fields of `scenes.traits.Traits`. Traits that require centre lines are None if the specimen has none."""
+    """Fields of `scenes.traits.Traits`. Traits that require centre lines are None if the specimen has no centre
+    lines."""
     plants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Volume (``volume_mm3``) and ``traits`` of each plant, by the plant's name; empty for a single plant. If plants
-    touch, the sum of their volumes exceeds the total volume."""
+    """Volume (``volume_mm3``) and ``traits`` of each plant. The keys are names of plants. There is no entry if the
+    canister contains a single plant. If plants touch, the sum of their volumes exceeds the total volume."""
     shoot: dict[str, float] = field(default_factory=dict)
-    """Volume, one-sided leaf area, number of leaves, height and widths of the shoot and, for a camera with bands, its
-    reflectances and vegetation indices; empty without a shoot."""
+    """Volume, one-sided leaf area, number of leaves, height and widths of the shoot. For a camera with bands, its
+    reflectances and vegetation indices are included. It is empty if there is no shoot."""
     drawn: dict[str, Any] = field(default_factory=dict)
-    """All other random values used for the pictures, and the description of the specimen with notes."""
+    """All other random values that were drawn for the pictures, and the description of the specimen with
+    notes."""
 
 
 def load_truth(folder: Path | str) -> Truth:
@@ -84,7 +86,9 @@ def load_truth(folder: Path | str) -> Truth:
 
 
 def save_truth(folder: Path | str, truth: Truth) -> None:
-    """Write ``truth/truth.json`` of a dataset atomically. `load_truth` returns an equal truth.
+    """Write ``truth/truth.json`` of a dataset atomically.
+
+    `load_truth` returns an object that is equal to the given one.
 
     Parameters
     ----------

@@ -13,14 +13,15 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _STEP_MM = 0.3
-"""Maximum length of a piece, mm. It is about the width of thin roots."""
+"""Maximum length of the pieces into which a tube is divided, mm. It is about the diameter of thin roots."""
 _AROUND = 8
-"""Number of points around a piece at which overlap with other roots is tested."""
+"""Number of points on the circumference of a piece. At each of them, it is tested whether the point is inside another
+root."""
 _NEIGHBOURS = 24
-"""Number of nearest pieces that are tested for overlap with a point, including pieces of its own tube. Beside organs
-thicker than 7 mm, some overlapping pieces are missed."""
+"""Number of nearest pieces that are tested for each point, including pieces of the same tube. Near organs thicker than
+7 mm, some overlaps are missed."""
 _AT_ONCE = 10_000
-"""Number of pieces processed at once, which limits memory to 200 MB."""
+"""Number of pieces that are processed at once. It limits the memory used to 200 MB."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,9 @@ def stations(roots: Sequence[Root]) -> Stations:
 
 
 def exposed_area_mm2(tubes: Stations) -> Array:
-    """Return the exposed area of each piece (N,), mm2, estimated from eight points around it.
+    """Return the exposed area of each piece (N,), mm2.
 
-    The ends of tubes are not included.
+    It is estimated from eight points on the circumference of each piece. The ends of tubes are not included.
     """
     tree = cKDTree(tubes.centre_mm)
     count = len(tubes.centre_mm)

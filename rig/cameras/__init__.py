@@ -1,4 +1,4 @@
-"""Cameras with a common interface: connected to this Raspberry Pi, by USB, or to another computer."""
+"""Cameras with a common interface. They are connected to this Raspberry Pi, by USB, or to another computer."""
 
 from rhizotwin.rig.cameras.http import HttpCamera
 from rhizotwin.rig.cameras.pi import PiCamera

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.picture_codec import Grey
 
 COLOURS = ("R", "Gr", "Gb", "B")
-"""Order of the black levels. Gr and Gb are the green pixels in red and blue rows."""
+"""Order in which black levels are listed. Gr and Gb are the green pixels in the rows of red and blue pixels."""
 FULL = 0.999
-"""Fraction of ``white`` above which a pixel counts as saturated. It is below 1 because converters saturate slightly
-early."""
+"""Raw value above which a pixel counts as saturated, as a fraction of ``white``. It is below 1 because converters
+saturate slightly early."""
 
 
 def grey_from_bayer(
@@ -24,8 +24,8 @@ def grey_from_bayer(
 ) -> Grey:
     """Average each block of raw pixels after subtracting the black level and balancing the colours.
 
-    With gains that make a grey surface equal in all colours, the four pixels of a quad have equal weights. Their mean
-    therefore applies to the quad's centre, and edges are not displaced or coloured as they are by interpolation.
+    The gains make the four pixels of a Bayer cell (2x2 pixels) equal on a grey surface, so that they have equal
+    weights. Their mean applies to the centre of the cell, without displaced or coloured edges as from interpolation.
 
     Parameters
     ----------

@@ -25,17 +25,17 @@ from rhizotwin.scenes.schema import to_plain
 
 RETRIES = 3
 PAUSE_S = 0.5
-"""Pause between attempts, s."""
+"""Pause before a request is repeated, s."""
 ANSWER_S = 10.0
-"""Timeout for a reply, s, added to the duration of the exposure."""
+"""Maximum waiting time for a reply, in addition to the exposure time, s."""
 OPENING_S = 30.0
-"""Timeout for opening a camera, s, added to the duration of a few exposures."""
+"""Maximum waiting time until a camera is open, in addition to the duration of a few exposures, s."""
 MAX_TEXT_BYTES = 65536
 MOST_SAID = 500
-"""Maximum number of characters of another computer's text that are displayed."""
+"""Maximum length of a message from another computer that is shown to the user, in characters."""
 TOLERANCE, TOLERANCE_S = 0.05, 1e-4
-"""Tolerances of exposure and gain: relative, and absolute for the exposure, s. The driver on the server checks them
-more closely."""
+"""Tolerances for verifying the settings reported with a picture: relative tolerance of exposure time and gain, and
+absolute tolerance of the exposure time, s. The driver on the server applies narrower tolerances."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class _Answer:
 
 
 class _DamagedError(Exception):
-    """Raised if a reply is incomplete or damaged; the request can be repeated."""
+    """Raised if a reply is incomplete or damaged. The request can be repeated."""
 
 
 class HttpCamera:
@@ -102,7 +102,10 @@ class HttpCamera:
         self._session = ""
 
     def _ask(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str = "") -> _Answer:
-        """Send a request until its reply is complete. A reply that reports an error is raised immediately."""
+        """Send a request, and repeat it until its reply is complete.
+
+        A reply that reports an error is raised immediately.
+        """
         reason = ""
         until_s = time.monotonic() + timeout_s  # one deadline for all attempts, because the lamps remain on
         attempts = 0
@@ -143,7 +146,10 @@ class HttpCamera:
         return answer
 
     def _read(self, response: http.client.HTTPResponse, most: int) -> bytes:
-        """Read the number of bytes that a reply announces, up to a plausible maximum."""
+        """Read the body of a reply, whose length is stated in its header.
+
+        A length above the maximum ``most`` is an error.
+        """
         announced = response.getheader("Content-Length", "")
         if not (announced.isascii() and announced.isdigit()):
             raise _DamagedError("the reply does not state its length")
@@ -161,7 +167,8 @@ class HttpCamera:
     def _most_bytes(self) -> int:
         """Return the maximum size of a picture's PNG file, in bytes.
 
-        Noise cannot be compressed. Each row has one additional byte, and the file has headers.
+        It is the size of a picture that consists only of noise, which cannot be compressed. Each row has one additional
+        byte, and the file has headers.
         """
         width, height = self._settings.image_wh
         return (2 * width + 1) * height * 101 // 100 + MAX_TEXT_BYTES

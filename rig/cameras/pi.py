@@ -23,11 +23,12 @@ INSTALL = (
     "sudo apt install python3-picamera2, and a Python that can import it (the system's own, or a venv made with --system-site-packages)"
 )
 TRIES = 8
-"""Maximum number of frames until changed settings take effect. It exceeds the delay of a change (number of buffers +
-4)."""
+"""Maximum number of frames to wait until changed settings take effect. A change takes effect after four frames more
+than there are buffers."""
 BUFFERS = 2
 PATIENCE_S = 10.0
-"""Timeout for a picture, s, added to the duration of a few exposures. After it, the camera is considered stopped."""
+"""Maximum waiting time for a picture, in addition to the duration of a few exposures, s. If no picture arrives in this
+time, the camera is considered to have stopped."""
 
 _TROUBLE = (RuntimeError, OSError, ValueError, IndexError, KeyError, TypeError)
 
@@ -39,7 +40,7 @@ class PiCamera:
     """
 
     def __init__(self, address: str, settings: CameraSettings) -> None:
-        """Import picamera2 without opening the camera; see `prepare`.
+        """Import picamera2. The camera is opened by `prepare`.
 
         Raises
         ------
@@ -185,7 +186,10 @@ def _check_range(controls: Mapping[str, Any], key: str, value: float, unit: str,
 
 
 def _reason(error: BaseException) -> str:
-    """Return an error's text together with that of its cause, because picamera2 wraps the messages of libcamera."""
+    """Return the text of an error together with that of its cause.
+
+    picamera2 replaces the messages of libcamera by its own.
+    """
     texts = []
     at: BaseException | None = error
     while at is not None:

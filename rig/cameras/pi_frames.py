@@ -15,9 +15,10 @@ from rhizotwin.scenes.picture_codec import Grey
 
 LARGEST_BLOCK = 8
 STEP_US = 50.0
-"""Tolerance of the exposure, us. The sensor exposes in multiples of the time of one row, which is shorter."""
+"""Tolerance of the exposure time, us. The sensor rounds the exposure time to multiples of the readout time of one row,
+which is shorter than the tolerance."""
 RELATIVE = 0.02
-"""Relative tolerance of exposure and gains. The sensor rounds them to discrete steps."""
+"""Relative tolerance of the exposure time and the gains. The sensor rounds them to discrete values."""
 _RAW_FORMAT = re.compile(r"S(RGGB|GRBG|GBRG|BGGR)(10|12|14|16)")
 
 
@@ -29,13 +30,13 @@ class RawMode:
     bits: int
     """Bit depth of the analogue-to-digital converter."""
     format: str
-    """Name, in libcamera, of the requested unpacked raw format. The stream may have a different format."""
+    """Name of the requested raw format (unpacked) in libcamera. The format of the stream may differ."""
     block: int
     """Side length, in raw pixels, of a block that becomes one pixel of the picture."""
 
 
 def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *, name: str) -> RawMode:
-    """Choose the sensor mode with the highest resolution that can be divided into blocks for the required picture size.
+    """Choose the sensor mode with the highest resolution that is a multiple of the required picture size.
 
     Parameters
     ----------
@@ -75,7 +76,10 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *
 
 
 def metadata_faults(metadata: Mapping[str, Any], settings: CameraSettings) -> list[str]:
-    """Return a description of each difference between a frame's metadata and the settings; empty if they agree."""
+    """Return a description of each difference between the metadata of a frame and the settings.
+
+    The list is empty if they agree.
+    """
     exposure_us = 1e6 * settings.exposure_s
     red, blue = settings.colour_gains
     gains = metadata.get("ColourGains") or (None, None)

@@ -19,4 +19,4 @@ PICTURE = "Rhizotwin-Picture"
 EXPOSURE_S = "Rhizotwin-Exposure-S"
 GAIN = "Rhizotwin-Gain"
 NAME = re.compile(r"[0-9a-f]{32}")
-"""Pattern of the identifiers of sessions and pictures."""
+"""Regular expression that the identifiers of sessions and pictures must match."""

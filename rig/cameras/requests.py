@@ -23,7 +23,8 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 MAX_BODY_BYTES = 4096
 IDLE_S = 30.0
-"""Timeout of a connection without traffic, and of receiving a complete request, s."""
+"""Time, in seconds, after which a connection is closed if no data are transmitted, or if the request is not
+complete."""
 MOST_CONNECTIONS = 16
 """Maximum number of open connections. A scan uses one connection."""
 
@@ -66,25 +67,25 @@ class RequestServer(ThreadingHTTPServer):
         super().__init__((host, port), _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Handle a request in a separate thread, or close its connection if too many connections are open."""
+        """Handle a request in a separate thread. If too many connections are open, close the connection instead."""
         if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
             return
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Handle a request, and release its connection slot when done."""
+        """Handle a request. Afterwards, another connection can be accepted in its place."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def server_bind(self) -> None:
-        """Bind to the address without resolving this computer's name, which can take long."""
+        """Bind to the address without looking up the name of this computer, which can take a long time."""
         socketserver.TCPServer.server_bind(self)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore errors caused by a client's disconnection; report all other errors, which are bugs."""
+        """Report errors other than a client's disconnection, because they are bugs."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -174,7 +175,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _body(self) -> bytes:
         """Read the body of a request, even if the request will be rejected.
 
-        If the connection were closed earlier, the reply could be lost.
+        If the connection were closed before the body is read, the client might not receive the reply.
         """
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
@@ -196,9 +197,10 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
 
     def _check_host(self) -> None:
-        """Reject requests addressed to another host name, for example from a redirected browser.
+        """Reject requests that are addressed to the name of another computer.
 
-        IP addresses are accepted.
+        A web page can cause a browser to send such requests by manipulated name resolution (DNS rebinding). IP
+        addresses are accepted.
         """
         try:
             name = (urlsplit(f"//{self.headers.get('Host', '')}").hostname or "").rstrip(".").lower()

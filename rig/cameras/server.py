@@ -123,7 +123,7 @@ class CameraServer:
         self._server.serve_forever()
 
     def stop(self) -> None:
-        """Stop listening and release the camera. Can be called repeatedly."""
+        """Stop listening and release the camera. The method can be called repeatedly."""
         if self._thread is not None:
             self._server.shutdown()
             self._thread.join()

@@ -12,7 +12,7 @@ from rhizotwin.rig.errors import LostError, RigError
 from rhizotwin.scenes.picture_codec import encode_png
 
 KEPT = 4
-"""Number of pictures kept for repeated requests. A client requests one picture at a time."""
+"""Number of recent pictures that are stored in case a request is repeated. A client requests one picture at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,9 @@ class CameraService:
             return self._camera.describe()
 
     def capture(self, session: str, name: str) -> Picture:
-        """Take a picture. If a picture with this name was already taken, return it again.
+        """Take a picture with an identifier.
+
+        If a picture with this identifier was already taken, return that picture.
 
         Raises
         ------

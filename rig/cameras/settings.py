@@ -1,4 +1,4 @@
-"""Settings common to all cameras, and the verification of pictures against them."""
+"""Settings that all types of cameras have in common, and the comparison of pictures with these settings."""
 
 from dataclasses import dataclass
 
@@ -10,11 +10,12 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Fixed camera settings, with the same limits as in rig and scene files."""
+    """Fixed camera settings. The limits are the same as those in rig and scene files."""
 
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
     bits: int = bounded(12, 8, 16)
-    """Bit depth of a pixel. Values of up to 8 bits are stored in one byte, longer ones left-aligned in 16 bits."""
+    """Bit depth of a pixel. Values of up to 8 bits are stored in one byte. Values of more bits are stored in two bytes,
+    left-aligned."""
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)

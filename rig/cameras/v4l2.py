@@ -46,7 +46,7 @@ class V4l2Camera:
     """USB camera with fixed settings, accessed through cv2.VideoCapture."""
 
     def __init__(self, address: str, settings: CameraSettings) -> None:
-        """Check the address without opening the camera; see `prepare`.
+        """Check the address. The camera is opened by `prepare`.
 
         Raises
         ------

@@ -20,10 +20,11 @@ LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
 """Minimum fraction of the detected corners whose positions must be measurable for a picture to be used."""
 CLEAR: Final = 0.9
-"""Fraction of the white margin between a corner and the nearest marker that is included in the fit."""
+"""Extent of the area in which the edges of a corner are fitted, as a fraction of the distance between the corner and
+the nearest marker. The distance is the width of the white margin around a marker."""
 MOST_BENT: Final = 0.2
-"""Maximum median distance of the corners from the positions on a flat board, in squares. A larger distance indicates
-that corners were identified wrongly."""
+"""Maximum median distance between the detected corners and their positions according to a homography of the flat board,
+in squares. A larger distance indicates that corners were identified wrongly."""
 OTHER_DICTIONARIES: Final = (
     "APRILTAG_36h11",
     "4X4_250",
@@ -45,9 +46,10 @@ class BoardView:
     corners_px: Array
     """Corner positions, px, shape (N, 2). Pixel centres have integer coordinates."""
     sigma_px: float
-    """Median standard deviation of a corner coordinate, px, estimated by the fits."""
+    """Median standard deviation of the coordinates of a corner, as estimated by the fits, px."""
     blur_px: float
-    """Median standard deviation of the blur, px, including the pixel's own 0.29 px."""
+    """Median standard deviation of the blur, px. It includes the averaging over the area of a pixel, which has a
+    standard deviation of 0.29 px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +104,7 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
-    """Return ids (N,) and approximate positions (N, 2), px, of the corners, and the number of detected markers."""
+    """Return the ids (N,) of the corners, their approximate positions (N, 2), px, and the number of markers found."""
     small, scale = reduce_picture(image)
     parameters = cv2.aruco.CharucoParameters()
     parameters.minMarkers = 1  # one marker beside a corner identifies it; corners are measured later
@@ -123,7 +125,7 @@ def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Arr
 
 
 def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
-    """Scale a picture to 8 bits, clipping only the brightest 0.5 % of the pixels."""
+    """Scale a picture to 8 bits. Only the brightest 0.5 % of the pixels are clipped."""
     top = max(float(np.percentile(image[::3, ::3], 99.5)), 1.0)
     return np.asarray(255.0 * np.clip(image.astype(np.float32) / top, 0.0, 1.0) ** power, np.uint8)
 
@@ -146,14 +148,20 @@ def _map(flat: Array, at_mm: Array) -> Array:
 
 
 def _sides(board: CharucoBoard, flat: Array, at_mm: Array) -> Array:
-    """Return the half-axes (2, 2) of the marker-free area around a corner as columns, px."""
+    """Return two vectors, as columns (2, 2) in pixels, that span the area around a corner without markers.
+
+    They point from the corner along the two edges.
+    """
     clear_mm = CLEAR * (board.square_mm - board.marker_mm) / 2.0
     here, right, down = _map(flat, at_mm + clear_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return np.stack([right - here, down - here], axis=1)
 
 
 def _square_px(board: CharucoBoard, flat: Array, at_mm: Array) -> float:
-    """Return the geometric mean of a square's side lengths in the middle of the visible part of the board, px."""
+    """Return the geometric mean of the two side lengths of a square, px.
+
+    It is computed for a square in the middle of the visible part of the board.
+    """
     here, right, down = _map(flat, at_mm.mean(axis=0) + board.square_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return float(np.sqrt(np.linalg.norm(right - here) * np.linalg.norm(down - here)))
 

@@ -29,38 +29,39 @@ CELLS_WH: Final = (8, 6)
 """Number of columns and rows of cells into which the picture is divided to measure its coverage by corners."""
 ENOUGH_PICTURES: Final = 10
 COVERAGE: Final = (0.15, 0.6)
-"""Minimum fraction of cells with corners: the first value for accepting a calibration, the second for omitting a
-warning."""
+"""Minimum fraction of the picture's cells that contain corners. Below the first value a calibration is rejected, and
+below the second value a warning is issued."""
 TILT_DEG: Final = (8.0, 20.0)
-"""Minimum of the largest board tilt relative to the image plane, deg: the first value for accepting a calibration, the
-second for omitting a warning."""
+"""Minimum tilt of the most tilted board relative to the image plane, deg. Below the first value a calibration is
+rejected, and below the second value a warning is issued."""
 ONE_WAY_DEG: Final = 6.0
-"""Minimum standard deviation of the tilts in the direction of least variation, deg, below which a warning is issued."""
+"""Minimum standard deviation of the board's tilts, deg. It is computed in the direction in which the tilts vary least,
+and a warning is issued if it is smaller."""
 MOST_RMS_PX: Final = (3.0, 0.5)
-"""Maximum root mean square residual, px: the first value for accepting a calibration, the second for omitting a
-warning."""
+"""Maximum root mean square residual, px. Above the first value a calibration is rejected, and above the second value a
+warning is issued."""
 MOST_FOCAL_STD: Final = 0.001
 MOST_BLUR_PX: Final = 3.0
 SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
-"""Maximum rotation, deg, and displacement relative to the distance, at which two pictures count as showing the board in
-the same orientation."""
+"""Differences between two poses of the board, below which both count as the same: angle, deg, and displacement as a
+fraction of the distance to the camera."""
 ENOUGH_WAYS: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Calibrated camera, with its input data and the warnings."""
+    """Calibrated camera, with the data on which it is based, and warnings."""
 
     camera: Camera
     board: CharucoBoard
     fit: LensFit
     rejected: dict[str, str]
-    """Reason for rejection of each unused picture, by file name."""
+    """Reason why a picture was not used. The keys are the file names of these pictures."""
     warnings: tuple[str, ...]
     coverage: float
     """Fraction of the picture's cells that contain corners."""
     tilts_deg: dict[str, float]
-    """Angle between board and image plane, deg, by file name."""
+    """Angle between the board and the image plane in each picture, deg. The keys are file names."""
 
 
 def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | None = None) -> Calibration:
@@ -168,7 +169,10 @@ def calibrate_views(
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return an array (rows, columns) that is 1 for each cell of the picture with corners, and otherwise 0."""
+    """Return an array (rows, columns) with one value per cell of the picture.
+
+    It is 1 if the cell contains corners, and otherwise 0.
+    """
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -253,7 +257,10 @@ def _none_usable(rejected: dict[str, str], pictures: int) -> str:
 
 
 def _lowest_bit(value: int) -> int:
-    """Return the number of low-order bits that no picture uses (4 for 12 bits left-aligned in 16), at most 8."""
+    """Return the number of lowest bits that are 0 in all pixel values, at most 8.
+
+    It is 4 for values of 12 bits that are left-aligned in 16 bits. ``value`` is the bitwise OR of all pixel values.
+    """
     return min(8, (value & -value).bit_length() - 1) if value else 8
 
 
@@ -267,7 +274,10 @@ def _normal(cam_from_board: Array) -> Array:
 
 
 def _ways(fit: LensFit) -> int:
-    """Return the number of clearly different orientations of the board."""
+    """Return the number of poses of the board that differ clearly from each other.
+
+    Two poses differ clearly if their angle exceeds `SAME_WAY_DEG`, or their distance exceeds `SAME_WAY_SHARE`.
+    """
     different: list[Array] = []
     for pose in fit.cam_from_board.values():
         for other in different:
@@ -307,7 +317,7 @@ def _refuse(made: Calibration) -> None:
 
 
 def _warnings(made: Calibration) -> list[str]:
-    """Return one sentence for each cause of a larger uncertainty of the lens parameters."""
+    """Return warnings. Each of them is a sentence about a reason why the lens parameters are less accurate."""
     fit, said = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
         said.append(f"only {len(fit.views)} pictures were used; take about 20 pictures")

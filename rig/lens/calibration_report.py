@@ -19,7 +19,8 @@ if TYPE_CHECKING:  # importing matplotlib takes long, and is not needed for cali
 
 DPI: Final = 120
 ARROW_SHARE: Final = 0.06
-"""Length of the arrow of a large residual (the 95th percentile), as a fraction of the picture's width."""
+"""Length of the arrow that represents a large residual, as a fraction of the picture's width. A large residual is the
+95th percentile of all residuals."""
 STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }

@@ -17,12 +17,12 @@ from rhizotwin.scenes.frames import Array
 
 LEAST_PICTURES: Final = 3
 MOST_RMS_TIMES: Final = 3.0
-"""Minimum residual of an excluded picture, as a multiple of the median of all pictures. The residual must also exceed
-`MOST_RMS_PX`."""
+"""Threshold for excluding a picture as an outlier: ratio of its root mean square residual to the median of all
+pictures. A picture is excluded only if its residual also exceeds `MOST_RMS_PX`."""
 MOST_RMS_PX: Final = 0.5
 FAR_SIGMAS: Final = 5.0
-"""Minimum residual of an excluded corner, as a multiple of the robust standard deviation of all corners. The residual
-must also exceed `FAR_PX`."""
+"""Threshold for excluding a corner as an outlier: ratio of its residual to the robust standard deviation of all
+residuals. A corner is excluded only if its residual also exceeds `FAR_PX`."""
 FAR_PX: Final = 0.25
 LEAST_LEFT: Final = 6
 """Minimum number of corners that must remain in a picture when outliers are excluded."""
@@ -36,7 +36,8 @@ DROPPED: Final = {
 }
 """Optional terms of the lens model, with the OpenCV flags that omit them."""
 BEFORE: Final = {"k2": "k3", "k1": "k2"}
-"""Terms of the distortion that can be omitted only after the given higher term."""
+"""Order in which distortion terms are omitted. A key can be omitted only if its value, which is the next higher term,
+was already omitted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,29 +46,30 @@ class LensFit:
 
     focal_px: tuple[float, float]
     focal_std_px: tuple[float, float]
-    """Standard deviations estimated from the residuals, px; 0 for values that were not fitted."""
+    """Standard deviations of the focal lengths, estimated from the residuals, px."""
     principal_px: tuple[float, float]
     principal_std_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
-    """Coefficients k1, k2, p1, p2, k3 of the OpenCV model; 0 for terms that were not fitted."""
+    """Coefficients k1, k2, p1, p2, k3 of the OpenCV model. They are 0 for terms that were not fitted."""
     distortion_std: tuple[float, float, float, float, float]
     left_out: tuple[str, ...]
-    """Terms of the model that the pictures do not support: k3, "p1, p2", k2, k1, or fx / fy (a common focal length is
-    fitted)."""
+    """Terms of the model that the pictures do not support: k3, "p1, p2", k2, k1, or fx / fy. If fx / fy is omitted, a
+    common focal length is fitted."""
     full: dict[str, tuple[float, float]]
     """Value and standard deviation of every distortion coefficient, from the fit with all terms."""
     rms_px: float
     """Root mean square distance between measured and reprojected corners, px."""
     cam_from_board: dict[str, Array]
-    """Pose of the board in the camera's frame (4x4), by file name."""
+    """Pose of the board in the camera's frame (4x4) for each picture. The keys are file names."""
     residuals_px: dict[str, Array]
-    """Measured minus reprojected corners (N, 2), px, by file name."""
+    """Differences between the measured and the reprojected corners (N, 2) of each picture, px. The keys are file
+    names."""
     views: dict[str, BoardView]
-    """Corners used in the fit, by file name."""
+    """Corners used in the fit. The keys are file names."""
     dropped_corners: int
     """Number of corners that were excluded as outliers."""
     rejected: dict[str, str]
-    """Reason for exclusion of each picture that is inconsistent with the other pictures, by file name."""
+    """Reason why a picture was excluded as inconsistent with the other pictures. The keys are file names."""
 
     @property
     def corners(self) -> int:
@@ -239,9 +241,9 @@ def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, B
 def _fewest_terms(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], full: _Solution
 ) -> tuple[_Solution, tuple[str, ...]]:
-    """Omit terms one by one as long as the information criterion decreases; return the last fit and the omitted terms.
+    """Omit terms of the lens model one by one, as long as the Bayesian information criterion decreases.
 
-    All fits use the same corners.
+    Return the last fit and the omitted terms. All fits use the same corners.
     """
     count = 2 * sum(len(view.ids) for view in views.values())
 

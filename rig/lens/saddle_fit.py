@@ -33,16 +33,18 @@ class Saddle:
     at_px: Array
     """Position, px, shape (2,). Pixel centres have integer coordinates."""
     sigma_px: float
-    """Standard deviation of each coordinate, px, estimated from the residual."""
+    """Standard deviation of each coordinate, estimated from the residual, px."""
     blur_px: float
-    """Standard deviation of the blur, px, including the pixel's own 0.29 px."""
+    """Standard deviation of the blur, px. It includes the averaging over the area of a pixel, which has a standard
+    deviation of 0.29 px."""
 
 
 def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: Array) -> Saddle | None:
-    """Fit the crossing of edges nearest to ``start_px``.
+    """Fit the crossing of two edges that is nearest to ``start_px``.
 
     The model of the pixel at p is ``k(p) + w(p) E(n1 . (p - c)) E(n2 . (p - c))`` with E(u) = erf(u / (sqrt(2) blur)),
-    n1 and n2 the unit normals of the two edges, k and w linear in p: 11 parameters, by Gauss-Newton.
+    where n1 and n2 are the unit normals of the two edges, and k and w are linear in p. The 11 parameters are fitted
+    with the Gauss-Newton method.
 
     Parameters
     ----------
@@ -83,9 +85,10 @@ def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: 
 
 
 def _gauss_newton(x: Array, y: Array, light: Array, sides_px: Array) -> tuple[Array, float, float, float] | None:
-    """Return the crossing (2,) relative to the start, the blur, the position's standard deviation, and the correlation.
+    """Fit the crossing with the Gauss-Newton method.
 
-    The result is None if the fit diverges.
+    Return the crossing (2,) relative to the start, the standard deviation of the blur, the standard deviation of the
+    crossing, and the correlation between picture and model. The result is None if the fit diverges.
     """
     reach = float(np.linalg.norm(sides_px, axis=0).max())
     theta1, theta2 = np.arctan2(sides_px[1], sides_px[0]) + np.pi / 2.0  # each normal is perpendicular to its edge

@@ -26,12 +26,12 @@ median exposure."""
 USABLE = 0.02, 0.98
 """Range of pixel values used in the fit, as fractions of full scale. Values outside this range are noisy or clipped."""
 SMOOTH = 2.0
-"""Weight of the second differences of g relative to the equation of a pixel. The noise of a pixel is about 0.01 in g,
-and changes of slope between knots are smaller."""
+"""Weight of the second differences of the logarithmic curve g = log f, relative to the equation of a pixel. The noise
+of a pixel is about 0.01 in g, and the changes of slope between adjacent knots are smaller."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 KNOWN = 0.01
-"""Maximum difference between the measured curve and a known curve, up to a common factor, for the measured curve to be
-replaced by the known curve. Exposures do not determine the common factor."""
+"""Maximum difference at which the measured curve is replaced by a known curve. The curves are compared after scaling by
+a factor, because exposure times determine the curve only up to a factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,14 +90,21 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
 
 
 def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
-    """Return the maximum difference of two curves (KNOTS,) within `USABLE`, after scaling to a common factor."""
+    """Return the maximum difference of two curves (KNOTS,) within `USABLE`.
+
+    The second curve is first scaled by the factor that minimises the squared differences.
+    """
     inside = np.s_[int(np.ceil(USABLE[0] * KNOTS)) : int(USABLE[1] * KNOTS)]
     factor = float(light[inside] @ known[inside]) / float(known[inside] @ known[inside])
     return float(np.abs(light[inside] - factor * known[inside]).max())
 
 
 def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return g (KNOTS,) and the residual, from pixel values (J, I) and the mask (J, I) of pixels to use."""
+    """Return the logarithm of the curve at its knots (KNOTS,), and the residual.
+
+    The arguments are the pixel values (J, I) of I pixels in J pictures, a mask (J, I) of the values to use, and the
+    exposure times.
+    """
     picture, pixel = np.nonzero(use)
     place = number[use] * (KNOTS - 1)
     low = np.minimum(place.astype(np.int64), KNOTS - 2)

@@ -15,7 +15,9 @@ _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A
 
 
 def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Grey], list[float]]:
-    """Read pictures, and their exposure times from a comma-separated list or from EXIF metadata.
+    """Read pictures and their exposure times.
+
+    The exposure times are given as a comma-separated list, or are read from the EXIF metadata.
 
     Parameters
     ----------

@@ -96,11 +96,11 @@ class Paper:
     size_mm: tuple[float, float] = PAGES_MM["a4"]
     turn: Literal["either", "portrait", "landscape", "as given"] = "either"
     printed_ruler_mm: tuple[float, float] = (RULER_MM, RULER_MM)
-    """Printed length of a ruler of 100 mm across and down the page, mm, when printed without correction."""
+    """Lengths, mm, across and down the page, that a ruler of 100 mm has when it is printed without correction."""
 
     @property
     def stretch_xy(self) -> tuple[float, float]:
-        """Magnification across and down the page that corrects the printer's scale."""
+        """Magnification across and down the page that compensates for the measured scale of the printer."""
         return RULER_MM / self.printed_ruler_mm[0], RULER_MM / self.printed_ruler_mm[1]
 
     def sizes_mm(self) -> list[tuple[float, float]]:
@@ -110,7 +110,10 @@ class Paper:
         return turned.get(self.turn, [self.size_mm])
 
     def room_mm(self, size_mm: tuple[float, float]) -> tuple[float, float]:
-        """Return the width and height available within the margins of a page, mm as printed."""
+        """Return the width and height available within the margins of a page.
+
+        They are in millimetres of the page's contents before the correction of the printer's scale.
+        """
         across, down = self.stretch_xy
         return (size_mm[0] - 2.0 * MARGIN_MM) / across, (size_mm[1] - 2.0 * MARGIN_MM) / down
 
@@ -122,8 +125,8 @@ class Paper:
 def ruler(left_mm: float, top_mm: float, *, upright: bool = False) -> list[Part]:
     """Return the parts of a ruler of 100 mm.
 
-    Its length is the distance between the centres of the first line, at ``left_mm`` (upright: ``top_mm``), and the
-    last.
+    The length is measured from the centre of its first line to the centre of its last line. The first line is at
+    ``left_mm`` or, if the ruler is upright, at ``top_mm``.
 
     Parameters
     ----------

@@ -60,22 +60,25 @@ class FlatStrip:
     strip: MarkerStrip
     net_pot: NetPot
     paper_mm: float
-    """Thickness of the paper, mm. When the paper is bent around the net pot, its outer side is stretched, while the
-    middle of its thickness keeps its length."""
+    """Thickness of the paper, mm. When the paper is wrapped around the net pot, its outer side is stretched, whereas
+    the length in the middle of its thickness remains the same."""
 
     @property
     def bend(self) -> float:
-        """Ratio of a length on flat paper to the same length along the outside of the wrapped strip."""
+        """Ratio of a length on the flat paper to its length on the outside of the strip.
+
+        The outside is stretched when the strip is wrapped around the net pot.
+        """
         return (self.net_pot.outer_radius_mm - self.paper_mm / 2.0) / self.net_pot.outer_radius_mm
 
     @property
     def length_mm(self) -> float:
-        """Circumference of the strip on flat paper, mm."""
+        """Length of the strip on flat paper, mm. The ends meet when it is wrapped around the net pot."""
         return 2.0 * np.pi * self.net_pot.outer_radius_mm * self.bend
 
     @property
     def height_mm(self) -> float:
-        """Height from the skirt's lower edge to the net pot's top, mm."""
+        """Height of the strip, mm, from the lower edge of the net pot's skirt to the upper edge of the net pot."""
         return self.net_pot.top_mm - self.net_pot.skirt_bottom_mm
 
     @property

@@ -10,8 +10,9 @@ from rhizotwin.rig.scanning.settling_time import MARGIN, WATCH_S, measure_settli
 from rhizotwin.scenes.picture_codec import Grey
 
 GENTLER = (1.0, 0.5, 0.25, 0.125)
-"""Factors of the rig file's acceleration that are tried in turn, as long as they could shorten the time per view. A
-turn of 9 deg takes 0.8 s at 60 deg/s2, and 2.2 s at an eighth of this acceleration."""
+"""Factors by which the acceleration of the rig file is multiplied, in the order in which they are tried. A smaller
+factor is tried only if it could shorten the time per view. A turn of 9 deg takes 0.8 s at 60 deg/s2, and 2.2 s at an
+eighth of this acceleration."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +22,8 @@ class TurnTiming:
     acceleration_deg_per_s2: float
     turn_s: float
     moves_s: float | None
-    """Time for which the picture moves after the table has stopped, s; None if it is still moving when the measurement
-    ends."""
+    """Time for which the contents of the picture move after the table has stopped, s. It is None if they still move
+    when the measurement ends."""
     rest_s: float
     """Pause before each picture, s."""
 
@@ -30,7 +31,7 @@ class TurnTiming:
     def view_s(self) -> float:
         """Time from the beginning of a turn to its picture, s.
 
-        A penalty is added if the picture is still moving when the measurement ends.
+        If the contents of the picture still move when the measurement ends, a large penalty is added.
         """
         return self.turn_s + self.rest_s + (0.0 if self.moves_s is not None else 1e3)
 
@@ -48,7 +49,9 @@ class TurnTiming:
 def choose_acceleration(
     turntable: ScanTurntable, look: Callable[[], Grey], clock: Clock, *, angles_deg: Sequence[float], part: TurntablePart
 ) -> TurnTiming:
-    """Measure the picture's motion after turns at several accelerations, and set the best acceleration.
+    """Choose and set the acceleration with which a view takes the shortest time.
+
+    After turns at several accelerations, it is measured how long the contents of the picture move.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Misalignment of a camera relative to the tangent view through the canister's axis (thesis, appendix C.2)."""
+"""Misalignment of a camera relative to a horizontal view of the canister (thesis, appendix C.2).
+
+If the camera is aligned, its optical axis is horizontal and intersects the axis of the canister.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,21 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 ALIGNED_MM, ALIGNED_DEG, ALIGNED_ROLL_DEG = 0.5, 0.1, 0.5
-"""Tolerances of axis, tilt and roll, below which no correction is made. The tolerance of roll, a rotation of the
-picture, is large because roll is least harmful."""
+"""Tolerances within which no correction is made: of the distance between the optical axis and the canister's axis, mm,
+of the tilt, deg, and of the roll, deg. The tolerance of the roll, which is a rotation of the picture, is larger because
+roll is least harmful."""
 MOST_MOVES = 60
-"""Maximum number of moves. A bus servo stops within 0.3 deg (one sigma) of its target, which displaces the optical axis
-by 3 mm, so that one move in nine ends within `ALIGNED_MM`."""
+"""Maximum number of moves to align the camera. The position at which a bus servo stops has a standard deviation of 0.3
+deg, which displaces the optical axis by 3 mm. Therefore, only one move in nine ends within `ALIGNED_MM`."""
 ALL_JOINTS = 2
-"""Number of corrections of all joints together before the joints are corrected one at a time."""
+"""Number of corrections in which all joints move simultaneously. In later corrections, only one joint moves."""
 APPROACH_STEPS = 6
-"""Number of servo steps below its target from which a joint approaches the target. The approach is always from the same
-side of the backlash, and begins outside the dead band."""
+"""Distance below its target from which a joint approaches the target, in servo steps. The approach is always from the
+same side because of the backlash, and the distance is larger than the dead band."""
 _SEARCHED_STEPS = 15
-"""Number of servo steps tested on either side of the present angle (3.6 deg)."""
+"""Maximum change of a joint angle in the search for the best angle, in servo steps (15 steps are 3.6 deg)."""
 _MOVES = (0, 3, 4)
-"""Indices of the joints that correct axis, tilt and roll."""
+"""Indices of the three joints that correct the distance between the axes, the tilt and the roll, in this order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +38,12 @@ class Misalignment:
     """Deviation of a camera from the level, upright view through the canister's axis."""
 
     axis_mm: float
-    """Horizontal distance between the optical axis and the canister's axis, mm, positive if the optical axis is to the
-    left."""
+    """Horizontal distance between the optical axis and the canister's axis, mm. It is positive if the optical axis is
+    to the left."""
     tilt_deg: float
     """Angle of the optical axis below the horizon, deg."""
     roll_deg: float
-    """Rotation of the picture about the optical axis, deg, positive if the picture's right side is lower."""
+    """Rotation of the picture about the optical axis, deg. It is positive if the picture's right side is lower."""
 
     @property
     def is_aligned(self) -> bool:
@@ -48,21 +52,21 @@ class Misalignment:
 
     @property
     def size(self) -> float:
-        """Largest error as a multiple of its tolerance."""
+        """Largest of the three errors, each divided by its tolerance."""
         return float(np.abs(self.relative).max())
 
     @property
     def relative(self) -> Array:
-        """Errors of axis, tilt and roll (3,) as multiples of their tolerances."""
+        """Errors of axis, tilt and roll, each divided by its tolerance, shape (3,)."""
         return np.array([self.axis_mm / ALIGNED_MM, self.tilt_deg / ALIGNED_DEG, self.roll_deg / ALIGNED_ROLL_DEG])
 
     def text(self) -> str:
-        """Return the errors of axis, tilt and roll as a text."""
+        """Format the errors of axis, tilt and roll as text."""
         return f"axis {self.axis_mm:+.2f} mm, tilt {self.tilt_deg:+.3f} deg, roll {self.roll_deg:+.3f} deg"
 
 
 def misalignment(cam_from_canister: Array) -> Misalignment:
-    """Return the misalignment of a camera pose ``cam_from_canister`` (4, 4), at any azimuth."""
+    """Return the misalignment of a camera with the pose ``cam_from_canister`` (4, 4). Its azimuth has no effect."""
     centre = frames.invert(cam_from_canister)[:3, 3]
     right, forward = cam_from_canister[0, :3], cam_from_canister[2, :3]
     level = float(np.hypot(forward[0], forward[1]))
@@ -74,7 +78,7 @@ def misalignment(cam_from_canister: Array) -> Misalignment:
 
 
 def single_move(part: ArmPart, joints_deg: Joints, cam_from_canister: Array) -> list[Joints]:
-    """Return a path on which a single joint corrects the largest error, in whole steps of its servo.
+    """Return a path that corrects the largest error by moving a single joint, in whole steps of its servo.
 
     The base rotates the optical axis horizontally, the wrist's pitch tilts it, and the wrist's roll rotates the
     picture. Since each move of a servo has a random error, all other joints remain at rest. If no step would reduce the

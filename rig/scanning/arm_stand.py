@@ -1,7 +1,7 @@
-"""Arm as the camera's stand during a scan.
+"""Arm that holds the camera during a scan.
 
-For each ring, the arm is placed on paths without collisions, corrected using the markers, and monitored while it is at
-rest.
+For each ring, the arm moves to the planned pose on a path without collisions. The pose is corrected using the markers,
+and the joint angles are monitored while the arm is at rest.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,24 +25,25 @@ from rhizotwin.scenes.model import Ring, Scene
 from rhizotwin.scenes.plan import visible_markers
 
 NEAR_MM, NEAR_DEG = 3.0, 0.6
-"""Errors of the camera's position, mm, and orientation, deg, below which no correction is made. They are about the
-repeatability of the servos. The exact pose is calibrated later from the pictures."""
+"""Errors of the camera's position (mm) and orientation (deg), below which no correction is made. They are about equal
+to the repeatability of the servos. The exact pose is calibrated later from the pictures."""
 FAR_MM, FAR_DEG = 80.0, 20.0
-"""Errors of the camera's position, mm, and orientation, deg, that indicate a wrong rig file, so that the collision
-checks of the arm's paths were invalid."""
+"""Errors of the camera's position (mm) and orientation (deg), above which the rig file must be wrong. In this case, the
+collision checks of the arm's paths were invalid."""
 FAIR_MM, FAIR_DEG = 8.0, 2.0
-"""Errors of the camera's position, mm, and orientation, deg, that are accepted after `CORRECTIONS` corrections, because
-further corrections of an arm with backlash do not reduce them."""
+"""Maximum errors of the camera's position (mm) and orientation (deg) after `CORRECTIONS` corrections. They are larger
+than the errors below which no correction is made, because further corrections of an arm with backlash do not reduce the
+errors."""
 CORRECTIONS, MOST_CORRECTIONS = 4, 8
 WRIST = 3
 """Index of the joint that tilts the camera. Smaller angles point higher."""
 SEARCH_DEG = (-5.0, 5.0, -10.0, 10.0)
-"""Changes of the camera's tilt in the search for the strip, deg, in order. The search begins upwards, because the strip
-is at the top of most pictures."""
+"""Changes of the camera's tilt in the search for the strip, deg, in the order in which they are tried. The first change
+points the camera upwards, because the strip is at the top of most pictures."""
 LEAST_EXPECTED = 4
 DRIFT_DEG = 1.5
-"""Maximum change of a joint angle during a ring, deg. A larger change indicates that the joint was pushed or gave
-way."""
+"""Maximum change of a joint angle while pictures of a ring are taken, deg. A larger change indicates that the joint was
+pushed or gave way."""
 HEALTH_EVERY_S = 20.0
 
 Joints = tuple[float, ...]
@@ -74,10 +75,10 @@ class ArmStand:
         self._placed: ArmPlacement | None = None
         self._health_due_s = -np.inf
         self.failed = False
-        """Whether the arm has failed, so that it must not be moved."""
+        """Whether the arm has failed. It must then not be moved."""
 
     def refuse(self, rings: Sequence[Ring]) -> None:
-        """Raise an error, before any motion, if the arm cannot reach every ring of a plan on a clear path."""
+        """Raise an error before any motion if the arm cannot reach the position of every ring without collisions."""
         at: Joints = self._part.park_deg
         for ring in rings:
             goal = compute_joints(self._rig, planned_camera_pose(ring))
@@ -93,9 +94,10 @@ class ArmStand:
         self._move(plan_path(self._rig, self._scene, start, goal))
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
-        """Take a picture, and tilt the camera up and down until the strip is visible, if it should be.
+        """Take a picture, and search for the strip if it is not visible although it should be.
 
-        Return the last picture and the measurement of the strip, or None.
+        In the search, the camera is tilted up and down. Return the last picture and the measurement of the strip, which
+        is None if the strip was not found.
         """
         shot, seen = self._camera.look()
         expected = visible_markers(self._scene, planned_camera_pose(ring))
@@ -161,7 +163,9 @@ class ArmStand:
         return None
 
     def joints(self) -> tuple[Joints | None, Joints | None]:
-        """Return the commanded and the measured joint angles, deg; None for both if the camera was not placed yet.
+        """Return the commanded and the measured joint angles, deg.
+
+        Both are None if the camera was not moved to a ring yet.
 
         Raises
         ------
@@ -194,7 +198,7 @@ class ArmStand:
         return placed.joints_deg, read
 
     def _improve(self, measured: Array, wanted: Array) -> bool:
-        """Move the camera to a corrected position; return False if no correction is possible."""
+        """Move the camera to a corrected position. Return False if no correction is possible."""
         if self._placed is None:
             return False
         try:

@@ -18,8 +18,8 @@ Ask: TypeAlias = Callable[[str], str]
 """Type of a function that asks the user a question and returns the answer."""
 
 DISAGREE_DEG = 5.0
-"""Maximum difference between the table angle given by the user and the angle measured with the markers, deg. At larger
-differences, one of them must be wrong."""
+"""Maximum difference between the table angle given by the user and the angle measured with the markers, deg. If the
+difference is larger, one of the angles is wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,19 +39,19 @@ class Angle:
 
 
 def facing_angle(seen: Sighting, scene: Scene) -> float:
-    """Return the table angle in deg, from -180 to 180, at which a camera on the +x side has the measured pose.
+    """Return the table angle at which a camera on the +x side has the measured pose, in degrees from -180 to 180.
 
-    The angle is 0 if the seam faces the camera.
+    The angle is 0 if the strip's seam faces the camera.
     """
     return wrap_angle(-scene.turntable.direction * seen.azimuth_deg)
 
 
 def angle_against(cam_from_canister: Array, references: Sequence[Reference], scene: Scene) -> float:
-    """Return the table angle by comparison with pictures at known angles from a camera in the same position.
+    """Return the table angle by comparing a picture with earlier pictures at known angles.
 
-    With ``cam_from_canister = C Rz(angle) S`` for constant camera pose C and canister pose S, the rotation between two
-    pictures is only that of the table, and errors of camera, canister and strip cancel out. The median over several
-    references reduces the noise of single pictures.
+    All pictures are from a camera in the same position. Since ``cam_from_canister = C Rz(angle) S`` with constant
+    camera pose C and canister pose S, the rotation between two pictures is only that of the table, and errors of
+    camera, canister and strip cancel out. The median over several references reduces the noise of single pictures.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def find_angle(
     ask: Ask | None = None,
     why: str = "the strip cannot be read",
 ) -> Angle:
-    """Determine the present table angle from the markers, else as given, else by asking the user.
+    """Determine the present table angle from the markers.
 
-    The angle is never assumed.
+    If the strip cannot be read, the given angle is used, or the user is asked. The angle is never assumed.
 
     Parameters
     ----------
@@ -134,9 +134,9 @@ def find_angle(
 
 
 def nearest_turn(angle_deg: float, near_deg: float) -> float:
-    """Add full turns to an angle to bring it nearest to a reference angle, within the turntable's range.
+    """Return an angle that differs by full turns from the given angle, and is nearest to a reference angle.
 
-    Angles are in deg.
+    It is within the range of the turntable. Angles are in degrees.
     """
     turns = [angle_deg % 360.0 + 360.0 * k for k in range(-1, 3)]
     return min((turn for turn in turns if LEAST_DEG <= turn <= MOST_DEG), key=lambda turn: abs(turn - near_deg))
@@ -148,7 +148,10 @@ def wrap_angle(angle_deg: float) -> float:
 
 
 def _turn_deg(a_from_b: Array) -> float:
-    """Return the rotation about z (twist) of a transform (4, 4), deg."""
+    """Return the angle by which a transform (4, 4) rotates about the z axis, deg.
+
+    Rotations about other axes are neglected (swing-twist decomposition).
+    """
     _, _, z, w = Rotation.from_matrix(a_from_b[:3, :3]).as_quat()
     return float(np.rad2deg(2.0 * np.arctan2(z, w)))
 

@@ -30,7 +30,8 @@ class Sighting:
     corners_px: Array = field(default_factory=lambda: np.zeros((0, 4, 2)))
     """Corners of the markers, px, shape (M, 4, 2)."""
     blur_px: float | None = None
-    """Median standard deviation of the blur of the markers, px, including the pixel's own 0.29 px."""
+    """Median standard deviation of the blur of the markers, px. It includes the averaging over the area of a pixel,
+    which has a standard deviation of 0.29 px."""
 
     @property
     def azimuth_deg(self) -> float:
@@ -42,14 +43,14 @@ class Sighting:
         return float(np.rad2deg(np.arctan2(y, x)))
 
     def cam_from_rig(self, table_deg: float, *, direction: int) -> Array:
-        """Return ``cam_from_rig`` (4, 4) for a known table angle (deg) and direction of rotation (1 or -1)."""
+        """Return the camera pose ``cam_from_rig`` (4, 4) for a table angle (deg) and a sense of rotation (1 or -1)."""
         return self.cam_from_canister @ frames.rotation_z(-direction * np.deg2rad(table_deg))
 
 
 def read_strip(image: Grey, scene: Scene) -> Sighting | None:
     """Measure the camera's pose from the markers in one picture.
 
-    The result is None if the strip cannot be read; `unread_reason` returns the reason.
+    The result is None if the strip cannot be read. The reason is then returned by `unread_reason`.
 
     Parameters
     ----------
@@ -63,9 +64,9 @@ def read_strip(image: Grey, scene: Scene) -> Sighting | None:
 
 
 def read_ids(image: Grey, strip: MarkerStrip) -> tuple[int, ...]:
-    """Return the ids of all markers in a picture that are in the strip's dictionary, ascending.
+    """Return the sorted ids of all markers in a picture that are in the dictionary of the strip.
 
-    Markers of other strips with the same dictionary are included.
+    They include markers of other strips with the same dictionary.
 
     Parameters
     ----------

@@ -17,30 +17,30 @@ class Look:
     """Picture as (H, W) uint8 or uint16 array."""
     exposure: Exposure
     sighting: Sighting | None
-    """Measurement of the strip; None if the strip cannot be read."""
+    """Measurement of the strip. It is None if the strip cannot be read."""
     motion: float | None
-    """Fraction of the picture's blocks that changed after the table had stopped (`rig.scanning.picture_change`); None
-    if it was not measured."""
+    """Fraction of the picture's blocks that changed after the table had stopped (`rig.scanning.picture_change`). It is
+    None if it was not measured."""
 
 
 class Observer:
-    """Observer without any action. Subclasses override its methods, which are called from several threads."""
+    """Observer that does nothing. Subclasses override its methods, which are called from several threads."""
 
     watches_motion = False
-    """Whether to take a second picture at every stop and compare it with the first. It costs an exposure and is not
-    stored."""
+    """Whether a second picture is taken at every stop of the table, to detect motion by comparison with the first
+    picture. It requires the time of an exposure and is not stored."""
 
     def on_plan(self, total: int, done: int) -> None:
-        """Handle the number of pictures in the plan, and the number already taken by an earlier run."""
+        """Receive the number of pictures in the plan, and the number of pictures taken in earlier runs."""
 
     def on_look(self, look: Look) -> None:
-        """Handle a picture and its measurements, while the next picture is being taken."""
+        """Receive a picture and its measurements, while the next picture is being taken."""
 
     def on_drop(self, files: list[str]) -> None:
-        """Handle the removal of pictures, given their file names."""
+        """Receive the names of picture files that were removed."""
 
     def on_line(self, text: str) -> None:
-        """Handle a message for the user."""
+        """Receive a message for the user."""
 
     def holds(self) -> bool:
         """Return whether the scan must wait before its next picture. The scan calls this method until it returns False.

@@ -17,7 +17,7 @@ class Observers:
     """Observers of a scan, and callbacks for its user."""
 
     ask: Ask | None = None
-    """Function that asks the user a question; None if there is no user."""
+    """Function that asks the user a question. It is None if there is no user."""
     say: Say = tqdm.write
     """Function that receives messages for the user."""
     observer: Observer = field(default_factory=Observer)
@@ -25,7 +25,7 @@ class Observers:
     monitor: Monitor = field(default_factory=Monitor)
     """Receiver of progress reports."""
     identify: Callable[[Grey], object] = lambda _: None
-    """Function called with the first picture of a run, before anything is recorded, to check which canister is on the
-    table. An exception raised by this function ends the scan."""
+    """Function that checks which canister is on the table. It is called with the first picture of a run, before
+    anything is recorded. An exception raised by this function ends the scan."""
     begun: Callable[[], object] = lambda: None
-    """Function called when the folder is known to be usable, before any motion."""
+    """Function that is called after the folder was checked, and before any motion."""

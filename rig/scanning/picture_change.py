@@ -1,7 +1,7 @@
 """Detection of differences between two pictures that exceed noise.
 
-The detection is used for rings in which no marker can be read, because a rotation of the table changes the picture.
-Noise is independent between pixels: averaged over a block of n pixels, a difference due to noise has 1/n of its
+A rotation of the table changes the picture. This is used to confirm the rotation in rings in which no marker can be
+read. Noise is independent between pixels: averaged over a block of n pixels, a difference due to noise has 1/n of its
 variance, whereas a rotation changes whole blocks.
 """
 
@@ -11,15 +11,15 @@ from rhizotwin.scenes.picture_codec import Grey
 
 BLOCK_PX = 8
 LEAST_SHARE = 1e-3
-"""Minimum fraction of changed blocks that indicates a rotation. A root that is 100 rows long crosses this fraction of
-the blocks of 800x600 pixels."""
+"""Fraction of blocks that must have changed for a rotation of the table to be confirmed. A root that is 100 rows long
+changes this fraction of the blocks in a picture of 800x600 pixels."""
 SIGMAS = 6.0
-"""Significance threshold for a difference in a block's mean, in standard deviations. By chance, the threshold is
-exceeded once in 5e8 blocks."""
+"""Threshold for the difference between the means of a block in two pictures, in standard deviations. Noise alone
+exceeds the threshold in one of 5e8 blocks."""
 
 
 def changed_share(image: Grey, before: Grey) -> float:
-    """Return the fraction of blocks whose mean differs from that of an earlier picture by more than noise.
+    """Return the fraction of blocks whose mean has changed significantly since an earlier picture.
 
     Differences in overall brightness, as from flickering lamps, are removed first.
 

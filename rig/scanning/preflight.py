@@ -16,8 +16,8 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 BRIGHT_SHARE = 0.25
-"""Fraction of the picture's brightest pixels from which the exposure is determined. The panel covers more than this
-fraction, the white of the strip less."""
+"""Fraction of the pixels, beginning with the brightest, from which the exposure is determined. The panel covers more
+than this fraction of the picture, whereas the white parts of the strip cover less."""
 DIMMEST = 0.2
 """Minimum brightness of the panel, as a fraction of full scale. In a darker picture, noise would hide thin roots."""
 FULL = 0.99
@@ -31,7 +31,7 @@ class Exposure:
     """Brightness of a picture relative to the camera's range."""
 
     bright: float
-    """Grey level that `BRIGHT_SHARE` of the pixels exceed, as a fraction of full scale."""
+    """Brightness of a picture as a fraction of the camera's full scale."""
     saturated: float
     """Fraction of the pixels that are saturated."""
 
@@ -52,7 +52,7 @@ def check_table(table: Turntable) -> str:
 
 
 def check_lights(lights: Lights, part: LightsPart) -> str:
-    """Switch both lamps on, and return a description of their levels."""
+    """Switch on the panel and the front light, and return a description of their levels."""
     lights.set(panel=part.panel_level, front=part.front_level)
     return f"panel at {100.0 * part.panel_level:.0f} %, front at {100.0 * part.front_level:.0f} %"
 
@@ -82,7 +82,7 @@ def check_size(image: Grey, lens: Lens) -> None:
 
 
 def check_picture(image: Grey, lens: Lens) -> str:
-    """Check size and exposure of a picture with the lamps on, and return a description of its exposure."""
+    """Check the size and exposure of a picture taken with the lamps on. Return a description of the exposure."""
     check_size(image, lens)
     found = measure_exposure(image)
     if found.bright < DIMMEST:
@@ -100,7 +100,7 @@ def check_picture(image: Grey, lens: Lens) -> str:
 
 
 def check_markers(image: Grey, scene: Scene) -> str:
-    """Read the strip in a picture and return a description; raise an error if the strip cannot be read."""
+    """Read the strip in a picture and return a description. Raise an error if the strip cannot be read."""
     seen = read_strip(image, scene)
     if seen is None:
         raise RigError(f"markers: {unread_reason(image, scene)}")

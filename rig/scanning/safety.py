@@ -1,4 +1,8 @@
-"""Safe shutdown after any end of a scan: lights off, arm parked without torque, table motor on or off."""
+"""Shutdown of the rig after a scan, including a scan that failed.
+
+The lights are switched off, and the arm is parked and its torque is switched off. The table's motor remains on unless
+the scan is finished.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress

@@ -36,10 +36,10 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import View
 
 MOST_FAULTS = 3
-"""Maximum number of successive faults of the board without a picture in between."""
+"""Maximum number of successive faults of the board. The number is reset by every picture taken."""
 DIMMER, BRIGHTER = 0.6, 1.6
-"""Permitted range of the panel's brightness relative to the ring's first picture. Outside this range, the lights are
-failing."""
+"""Minimum and maximum ratio of the panel's brightness to its brightness in the first picture of the ring. Outside this
+range, the lights are failing."""
 
 T = TypeVar("T")
 Picture: TypeAlias = tuple[Frame, Grey]
@@ -124,17 +124,17 @@ class _Scan:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._camera, note=self._note)
         self._board_used = self._arm_used = self._homed = False
         self._main = ""
-        """Band of the ring's pictures that show the markers."""
+        """Name of the band in which the markers are visible in this ring."""
         self._selected: str | None = ""
-        """Band to which lamps and filter are set; None after a fault."""
+        """Name of the band to which the lamps and the filter are set. It is None after a fault."""
         self._placement = 0
         self._rest_s = devices.rig.turntable.settle_s
         self._rest_known = devices.rig.turntable.rest == "given"
         self._bright = 0.0
-        """Brightness of the ring's first picture, as a fraction of full scale."""
+        """Brightness of the panel in the ring's first picture, as a fraction of full scale."""
 
     def run(self, planned: list[View]) -> Dataset:
-        """Take the missing pictures and return the dataset. The rig is left in a safe state in any case."""
+        """Take the missing pictures and return the dataset. The rig is always left in a safe state."""
         self._remove_slipped(self._turntable.pictures_of(self._session))
         remaining = self._session.remaining()
         if not remaining:
@@ -175,7 +175,7 @@ class _Scan:
         return dataset
 
     def _preflight(self, pictures: int) -> None:
-        """Check every device and report one line for each. The first problem stops the scan before it begins."""
+        """Check every device and report one line for each. The scan does not begin if a device has a problem."""
         devices = self._devices
         self._report("disk", preflight.check_disk(self._session.folder, pictures, self._scene.camera))
         self._report("turntable", preflight.check_table(devices.table))
@@ -209,14 +209,14 @@ class _Scan:
         self._refuse_still()
 
     def _wait(self) -> None:
-        """Wait while the observer pauses the scan, and monitor the arm during this time."""
+        """Wait as long as the observer pauses the scan, and monitor the arm during this time."""
         while self._observer.holds():
             self._stand.joints()
 
     def _refuse_still(self) -> None:
-        """Raise an error if the previous picture does not confirm the rotation of the table.
+        """Raise an error if the previous picture does not confirm that the table has rotated.
 
-        Only the previous picture, and other pictures at wrong angles, are removed.
+        Before, all pictures at wrong angles are removed. If there are none, the previous picture is removed.
         """
         wrong = self._watch.wrong()
         if wrong is None:
@@ -231,7 +231,10 @@ class _Scan:
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
-        """Choose acceleration and pause from the measured duration of the picture's motion after a turn."""
+        """Choose the acceleration of the table and the pause before each picture.
+
+        They are derived from the time for which the contents of the picture move after a turn.
+        """
         if self._rest_known or len(views) < 2:
             return
         devices = self._devices
@@ -253,7 +256,7 @@ class _Scan:
             )
 
     def _look_about(self, index: int, near_deg: float) -> None:
-        """Check the picture, determine the table angle, and correct the camera's position."""
+        """Check the first picture of a ring, determine the table angle, and correct the camera's position."""
         shot, seen = self._stand.search(self._scene.plan.rings[index])
         self._turntable.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
@@ -271,7 +274,7 @@ class _Scan:
         )
 
     def _run_with_recovery(self, action: Callable[[], T], *, near_deg: float) -> T:
-        """Run an action. If the board of table and lights fails, recover the board and repeat the action."""
+        """Run an action. If the board of the table and the lights fails, recover the board and repeat the action."""
         faults = 0
         fault: BoardFaultError | None = None
         while True:
@@ -306,7 +309,8 @@ class _Scan:
     def _shoot(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
         """Rotate the table, wait, take the picture, and verify that the table has not moved.
 
-        The same view is then taken in all other bands, and once more if the observer measures motion.
+        The same view is then taken in all other bands. If the observer measures motion, another picture is taken and
+        compared.
         """
         main, clock = self._main, self._devices.clock
         self._select(main)
@@ -375,9 +379,9 @@ class _Scan:
         )
 
     def _remove_slipped(self, pictures: list[Taken]) -> str:
-        """Remove pictures whose angles differ from the commanded angles, and return a description of these pictures.
+        """Remove pictures whose measured angles differ from the commanded angles, and return their description.
 
-        The board cannot report lost steps, but they affect all subsequent pictures.
+        The board cannot detect lost steps of the motor, which affect all subsequent pictures.
         """
         self._session.flush()
         slipped = self._turntable.find_slipped(pictures)
@@ -396,9 +400,9 @@ class _Scan:
         return text
 
     def _stopped(self, error: BaseException) -> None:
-        """Write the log, and report how to resume the scan.
+        """Write the log and report how to resume the scan.
 
-        Further errors are ignored, so that the first error is reported.
+        Errors in this method are ignored, so that the original error is reported.
         """
         with suppress(Exception):
             self._remove_slipped(self._turntable.pictures)
@@ -427,7 +431,7 @@ class _Scan:
 
 
 def _check_plan(scene: Scene, planned: list[View]) -> None:
-    """Reject plans that are valid for the renderer but not for a rig."""
+    """Reject plans that can be rendered but not scanned by a real rig."""
     for i, ring in enumerate(scene.plan.rings, start=1):
         if ring.jitter_mm or ring.jitter_deg:
             raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan, because the camera is static")

@@ -1,4 +1,4 @@
-"""Camera of a scan: taking pictures with retries after failures, and reading the marker strip."""
+"""Camera of a scan. It takes pictures, repeats them after failures, and reads the marker strip."""
 
 import hashlib
 from collections.abc import Callable
@@ -23,7 +23,7 @@ class ScanCamera:
         self._scene = scene
         self._note = note
         self._angles_deg: dict[bytes, float] = {}
-        """Table angle at which each picture was taken, deg, by the picture's digest."""
+        """Table angles, deg, at which the pictures were taken. The keys are hashes of the pictures."""
 
     def picture(self, *, table_deg: float | None = None) -> Shot:
         """Take a picture. If the camera fails, it is reopened and the picture repeated, with increasing pauses.
@@ -41,7 +41,7 @@ class ScanCamera:
         return shot
 
     def look(self) -> tuple[Shot, Sighting | None]:
-        """Take a picture, and read the strip in it; None if the strip cannot be read."""
+        """Take a picture, and read the strip in it. The measurement is None if the strip cannot be read."""
         shot = self.picture()
         return shot, read_strip(shot.image, self._scene)
 

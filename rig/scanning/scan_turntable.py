@@ -18,28 +18,29 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, decode_grey
 
 WAIT_S = 20.0
-"""Timeout for reconnecting a lost board, s."""
+"""Maximum waiting time for the board to reply again after its connection was lost, s."""
 PAUSE_S = 1.0
 MOST_REFERENCES = 6
 BESIDE_DEG = 20.0
-"""Maximum azimuth of a camera on a tripod relative to the x axis, deg."""
+"""Maximum azimuth of a camera on a tripod, measured from the x axis about the table's axis, deg."""
 FINE_DEG = 0.02
-"""Accuracy of the angle measured between two pictures, deg."""
+"""Accuracy of a rotation angle that is measured by comparing the markers in two pictures, deg."""
 LOST_STEPS = 4
-"""Number of full steps that are lost when the motor loses synchronism. It is a multiple of four, the period of the
-motor's magnetic field."""
+"""Number of full steps by which the motor slips if it loses synchronism. The number is always a multiple of four,
+because the magnetic field has a period of four full steps."""
 MOST_SLIPPED_DEG = 1.0
-"""Maximum deviation from the commanded angle, deg, for a picture to count as taken at that angle, with any motor."""
+"""Maximum difference between the measured and the commanded table angle, deg, at which a picture is accepted for any
+motor."""
 UNSURE_DEG = 0.1
 """Error, in degrees, of the table angle measured from the markers of a single picture. It corresponds to a fifth of a
 pixel at the edge of the strip in pictures of 400x300. Smaller deviations do not count as slip."""
 
 Taken = tuple[float, Path]
-"""Commanded table angle, deg, and file of a picture."""
+"""Commanded table angle, deg, and path of a picture."""
 
 
 class BoardFaultError(Exception):
-    """Raised if the board of table and lights fails in a way that reconnecting may correct."""
+    """Raised if the board of the table and the lights fails. Reconnecting may correct the fault."""
 
     def __init__(self, cause: RigError) -> None:
         super().__init__(str(cause))
@@ -48,7 +49,7 @@ class BoardFaultError(Exception):
 
 @contextmanager
 def convert_board_errors() -> Iterator[None]:
-    """Convert failures of the board to `BoardFaultError`, to distinguish them from failures of other devices."""
+    """Convert failures of the board to `BoardFaultError`. Other devices raise other errors."""
     try:
         yield
     except (LostError, NoAnswerError) as error:
@@ -56,7 +57,7 @@ def convert_board_errors() -> Iterator[None]:
 
 
 class ScanTurntable:
-    """Turntable of a scan, including the state of its angle."""
+    """Turntable of a scan, with the information from which its angle is determined."""
 
     def __init__(
         self,
@@ -79,40 +80,43 @@ class ScanTurntable:
         """Pictures of the scan from the camera's present position."""
         self._acceleration: float | None = None  # chosen acceleration; None for that of the rig file
         self.band = ""
-        """Band to which the lamps are set."""
+        """Name of the band to which the lamps are set."""
         self.lost = False
         """Whether the connection to the board was lost and has not been restored."""
 
     @property
     def slip_deg(self) -> float:
-        """Minimum difference between measured and commanded angle that indicates lost steps, deg.
+        """Minimum difference between the measured and the commanded angle that indicates lost steps, deg.
 
-        The difference is half of the smallest possible loss.
+        It is half the smallest angle by which the motor can slip.
         """
         return max(UNSURE_DEG, min(MOST_SLIPPED_DEG, LOST_STEPS / 2.0 * self._devices.rig.turntable.full_step_deg))
 
     def off_deg(self, table_deg: float, seen: Sighting) -> float:
-        """Return the difference between a picture's measured and commanded table angle, deg.
+        """Return the difference between the measured and the commanded table angle of a picture, deg.
 
-        The first picture is used as the reference.
+        The measurement is relative to the first picture.
         """
         if not self._looks:
             self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
         return wrap_angle(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
 
     def forget_references(self) -> None:
-        """Discard the pictures with which the angle is restored, because the camera has moved."""
+        """Discard the reference pictures of the table angle, because the camera has moved."""
         self._looks.clear()
         self.pictures.clear()
 
     def add_sighting(self, seen: Sighting | None) -> None:
-        """Store a measurement of the strip as a reference at the present table angle."""
+        """Store a measurement of the strip, together with the present table angle, as a reference."""
         if seen is not None:
             self._looks.append(Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister))
 
     @staticmethod
     def pictures_of(session: Session) -> list[Taken]:
-        """Return the pictures from the camera's last position in an earlier run, which may not have been verified."""
+        """Return the pictures that an earlier run took from the camera's last position.
+
+        Their angles may not have been verified.
+        """
         return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
 
     def add_picture(self, table_deg: float, path: Path) -> None:
@@ -159,9 +163,9 @@ class ScanTurntable:
         return kept_deg
 
     def check_board(self) -> None:
-        """Verify the connection to the board.
+        """Verify that the board is connected and was not reset.
 
-        A board that was reset has switched the lights off, which must not be reported as a fault of the camera.
+        A reset switches the lights off, and the dark picture would otherwise be reported as a fault of the camera.
         """
         with convert_board_errors():
             self._devices.table.position_deg()
@@ -169,7 +173,7 @@ class ScanTurntable:
     def turn(self, angle_deg: float) -> float:
         """Rotate the table to an angle, and return the measured angle, deg.
 
-        Both angles agree within the tolerance.
+        An error is raised if the angles differ by more than the tolerance.
         """
         with convert_board_errors():
             read_deg = self._devices.table.move_to(angle_deg)
@@ -183,13 +187,16 @@ class ScanTurntable:
         self._acceleration = deg_per_s2
 
     def verify(self, angle_deg: float) -> None:
-        """Verify the table angle after a picture, since a board that was reset after the move has lost it."""
+        """Verify that the board has not lost the table angle, after a picture was taken.
+
+        A reset of the board deletes the angle.
+        """
         with convert_board_errors():
             read_deg = self._devices.table.position_deg()
         self._compare(angle_deg, read_deg)
 
     def light(self, band: str | None = None) -> None:
-        """Switch the lamps on with the settings of a band; None for the previously selected band."""
+        """Switch the lamps on with the settings of a band. If ``band`` is None, the previous band is used."""
         self.band = self.band if band is None else band
         with convert_board_errors():
             bands.light(self._devices.lights, self._devices.rig, self.band)
@@ -240,11 +247,11 @@ class ScanTurntable:
         return True
 
     def find_slipped(self, pictures: list[Taken]) -> list[Path]:
-        """Return the pictures whose markers show an angle that differs from the commanded angle.
+        """Return the pictures whose measured table angle differs from the commanded angle.
 
-        Pictures are checked backwards, from the last to the first that agrees, because lost steps affect all subsequent
-        pictures. They are compared with earlier measurements from the same position or, if there are none, with the
-        first picture.
+        The measurement uses the markers. Pictures are checked from the last picture backwards until one agrees, because
+        lost steps affect all subsequent pictures. They are compared with earlier measurements from the same position
+        or, if there are none, with the first picture.
         """
         references = self._looks or self._read(pictures[:1])
         found: list[Path] = []
@@ -258,9 +265,9 @@ class ScanTurntable:
         return found[::-1]
 
     def _refine(self, references: list[Reference], angle_deg: float) -> None:
-        """Measure the angle again after the table has approached a position from its usual side.
+        """Approach the table angle from the usual side, and measure it again.
 
-        When the board was lost, the state of the backlash was unknown.
+        After the connection to the board was lost, it is unknown on which side of the backlash the table is.
         """
         read_deg = self.turn(angle_deg)
         self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
@@ -272,7 +279,7 @@ class ScanTurntable:
             self._declare(Angle(table_deg=read_deg + off_deg, source=f"{seen.markers} markers, without backlash"))
 
     def _kept_deg(self) -> float | None:
-        """Return the table angle known to the board, deg, or None."""
+        """Return the table angle that the board reports, deg, or None if the board has lost it."""
         table = self._devices.table
         with convert_board_errors():
             return table.position_deg() if table.knows_zero() else None
@@ -310,7 +317,7 @@ class ScanTurntable:
                 return
 
     def _read(self, pictures: list[Taken]) -> list[Reference]:
-        """Read the strip in some of the pictures, evenly distributed over the list, as references."""
+        """Read the strip in some of the pictures as references. They are distributed evenly over the list."""
         step = max(1, -(-len(pictures) // MOST_REFERENCES))
         found: list[Reference] = []
         for table_deg, path in pictures[::step]:

@@ -1,4 +1,4 @@
-"""Folder of a scan, with the resumption of an earlier run and the writing of pictures.
+"""Folder of a scan. A scan that was interrupted can be resumed in the same folder.
 
 Every picture is written atomically, immediately after it was taken. A frame is listed in dataset.json before its
 picture is written. If the picture of a listed frame is missing, it was never written; the frame is removed when the
@@ -34,7 +34,7 @@ _MOST_NAMED = 4
 
 
 class Session:
-    """Frames of a scan: those that are stored, and those still to be taken."""
+    """Stored frames of a scan, and views that remain to be taken."""
 
     def __init__(self, dataset: Dataset, planned: Sequence[View]) -> None:
         self._dataset = replace(dataset, frames=())
@@ -51,13 +51,13 @@ class Session:
 
     @property
     def begun_s(self) -> float:
-        """Duration of all earlier runs of the scan, s."""
+        """Total duration of all earlier runs of the scan, s."""
         return self._begun_s
 
     def last_station(self) -> list[Frame]:
-        """Return the frames of the camera's last position, in the order of capture.
+        """Return the frames taken from the camera's last position, in the order of capture.
 
-        For a view in several bands, only the frame with both lights on is returned.
+        If views are taken in several bands, only the band with both lights on is included.
         """
         taken = sorted(self._frames.values(), key=lambda frame: frame.time_s or 0.0)
         return [frame for frame in taken if frame.station == taken[-1].station and self._is_main(frame)]
@@ -74,7 +74,7 @@ class Session:
     def frames_of(self, ring: int) -> list[Frame]:
         """Return the stored frames of a ring.
 
-        For a view in several bands, only the frame with both lights on is returned.
+        If views are taken in several bands, only the band with both lights on is included.
         """
         self.flush()
         return [frame for frame in self._frames.values() if frame.ring == ring and self._is_main(frame)]
@@ -98,15 +98,16 @@ class Session:
         self._dataset = replace(self._dataset, origin={**self._dataset.origin, "log": [*self._dataset.origin["log"], said]})
 
     def record(self, frame: Frame, image: Grey) -> None:
-        """Begin to write a frame and its picture, as soon as the previous picture is written.
+        """Begin to write a frame and its picture in the background.
 
-        Errors in writing the previous picture are raised here.
+        The method first waits until the previous picture is written. Errors in writing the previous picture are raised
+        here.
         """
         self.flush()
         self._pending = self._writer.submit(self._write, frame, image)
 
     def drop(self, files: Sequence[str]) -> None:
-        """Remove wrong pictures, in all bands of their views, so that they are taken again."""
+        """Remove wrong pictures, together with those of the same views in other bands. They are taken again."""
         self.flush()
         views = {self._frames[file].view for file in files if file in self._frames} - {None}
         for file in {
@@ -137,7 +138,7 @@ class Session:
                     self._pending = None
 
     def save(self, *, complete: bool = False) -> Dataset:
-        """Write the frames, the log and the state of completion, and return the dataset."""
+        """Write the frames, the log, and whether the scan is complete. Return the dataset."""
         self.flush()
         if complete:
             self._dataset = replace(self._dataset, origin={**self._dataset.origin, "complete": True})
@@ -166,7 +167,10 @@ class Session:
 
 
 def _load_stopped(folder: Path, resume: bool) -> Dataset:
-    """Return the dataset of an interrupted scan in a folder; raise an error unless it is to be resumed."""
+    """Return the dataset of an interrupted scan in a folder.
+
+    Raise an error if the scan is not to be resumed.
+    """
     before = load_dataset(folder)
     if before.origin.get("program") != PROGRAM:
         raise UserError(f"{folder} contains a dataset that was not created by a scan; choose a new folder for the scan")
@@ -244,7 +248,7 @@ def picture_file(view: View, band: str = "") -> str:
 
 
 def _is_complete(folder: Path, frame: Frame) -> bool:
-    """Return whether the picture of a listed frame exists; raise an error if it differs from the recorded picture."""
+    """Return whether the picture of a recorded frame exists. Raise an error if its contents have changed."""
     path = folder / frame.file
     if not path.is_file():
         return False
@@ -254,7 +258,7 @@ def _is_complete(folder: Path, frame: Frame) -> bool:
 
 
 def _check_differences(before: Dataset, now: Dataset) -> None:
-    """Raise an error if scene, plan, rig or settings have changed since a scan began."""
+    """Raise an error if the scene, the plan, the rig or the settings have changed since a scan began."""
     found = _differences(to_plain(before.scene), to_plain(now.scene), ())
     found = [("scene", *path) for path in found if path not in (("name",), ("description",))]
     rig = _differences(before.origin.get("rig", {}), now.origin["rig"], ())

@@ -1,4 +1,7 @@
-"""Measurement of how long pictures move after the table stops, from which the pause before each picture is derived."""
+"""Measurement of how long the contents of pictures move after the table stops.
+
+The pause before each picture is derived from it.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,28 +15,31 @@ WATCH_S = 12.0
 """Duration of the measurement, s. Water in a vessel of 15 cm sloshes at 2 to 3 Hz and is at rest after about ten
 periods. Roots swing more slowly."""
 LATE = 1.0 / 3.0
-"""Fraction of the pictures, at the end of the series, that must be at rest and determine the noise."""
+"""Fraction of the pictures, at the end of the series, in which nothing moves. The noise is determined from these
+pictures, and they must not differ by more than noise."""
 ABOVE_NOISE = 1.15
-"""Minimum ratio of a picture's difference to the noise for the picture to count as moved. The root mean square over 1e5
-pixels varies much less."""
+"""Minimum ratio of a picture's difference from the picture at rest to the noise. If it is exceeded, the contents have
+moved. The root mean square over 1e5 pixels varies much less than this ratio."""
 MARGIN = 1.5
-"""Safety factor for applying a duration measured after one move to all other moves."""
+"""Safety factor by which the measured duration is multiplied. The duration is measured after one move, and applied to
+all moves."""
 STRIDE = 2
-"""Sampling step of pixels in both directions."""
+"""Distance between the pixels that are used, in rows and columns."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SettlingTime:
-    """Duration and size of the motion in pictures after a stop."""
+    """How long and how far the contents of pictures move after the table stops."""
 
     rest_s: float | None
-    """Time after the stop at which motion is below the noise, s; None if motion continued to the end."""
+    """Time after the stop at which the motion is below the noise, s. It is None if the motion continues to the end of
+    the measurement."""
     moved: float
-    """Difference of the first picture from the mean picture at rest, as a multiple of the difference due to noise."""
+    """Difference between the first picture and the mean picture at rest, divided by the difference due to noise."""
 
 
 def measure_settling_time(pictures: Sequence[Grey], times_s: Sequence[float]) -> SettlingTime:
-    """Measure the time after which pictures no longer move.
+    """Measure the time after which the contents of pictures no longer move.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.scenes.model import Ring, Scene
 
 FAR_MM, FAR_DEG = 40.0, 5.0
-"""Position error, mm, and tilt error, deg, of a tripod above which the user is asked to move it again."""
+"""Position error (mm) and tilt error (deg) of a camera on a tripod, above which the user is asked to move it again."""
 
 
 class Stand(Protocol):
@@ -23,7 +23,7 @@ class Stand(Protocol):
     failed: bool
 
     def refuse(self, rings: Sequence[Ring]) -> None:
-        """Raise an error for an impossible plan, before any motion."""
+        """Raise an error before any motion if the plan is impossible with this stand."""
 
     def place(self, ring: Ring) -> None:
         """Move the camera to the position of a ring."""
@@ -32,7 +32,9 @@ class Stand(Protocol):
         """Take a picture and read the strip in it, searching for the strip if necessary."""
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the camera's position using the measured pose of the strip, and return the final measurement.
+        """Correct the camera's position using the measured pose of the strip.
+
+        Return the final measurement of the strip.
 
         Parameters
         ----------
@@ -50,11 +52,14 @@ class Stand(Protocol):
         """
 
     def joints(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
-        """Return the commanded and the measured joint angles, deg; None for both without an arm."""
+        """Return the commanded and the measured joint angles, deg. Both are None if there is no arm."""
 
 
 class Tripod:
-    """Camera stand that the user moves: before the scan for the first ring, and on request for each further ring."""
+    """Camera stand that the user moves.
+
+    The camera is in position for the first ring, and the user is asked to move it for each further ring.
+    """
 
     def __init__(self, scene: Scene, camera: ScanCamera, *, ask: Ask | None, note: Callable[[str, str], None]) -> None:
         self._scene = scene
@@ -81,7 +86,7 @@ class Tripod:
         self._ask(f"Move the camera: {describe_ring(ring)}. Press Enter when done: ")
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002
-        """Take a picture, and read the strip in it; None if the strip cannot be read."""
+        """Take a picture, and read the strip in it. The measurement is None if the strip cannot be read."""
         return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
@@ -122,7 +127,7 @@ class Tripod:
             _, seen = self._camera.look()
 
     def joints(self) -> tuple[None, None]:
-        """Return None for commanded and measured joint angles, since there is no arm."""
+        """Return None for the commanded and the measured joint angles, because a tripod has none."""
         return None, None
 
 

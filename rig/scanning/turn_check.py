@@ -1,4 +1,4 @@
-"""Verification of the table's rotation in each picture of a scan, while the next picture is being taken."""
+"""Verification that the table has rotated before each picture of a scan. It is done while the next picture is taken."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -13,9 +13,9 @@ from rhizotwin.scenes.picture_codec import Grey
 
 
 class TurnCheck:
-    """Verification of each picture's table angle during the next movement, from the marker strip.
+    """Verification of the table angle of each picture with the markers, while the table moves to the next angle.
 
-    If the strip cannot be read, only a change of the picture by the rotation is verified.
+    If the strip cannot be read, it is only verified that the picture has changed, as it does when the table rotates.
     """
 
     def __init__(self, turntable: ScanTurntable, scene: Scene, observer: Observer) -> None:
@@ -26,14 +26,14 @@ class TurnCheck:
         self._before: tuple[Frame, Grey] | None = None
         self._pending: tuple[Frame, Future[tuple[Sighting | None, float | None]]] | None = None
         self.unread: list[str] = []
-        """Names of the files whose angle is not confirmed by markers."""
+        """Names of the picture files whose table angle was not verified with the markers."""
 
     def begin_ring(self) -> None:
         """Discard the previous picture, because the camera has moved."""
         self._before = self._pending = None
 
     def begin_look(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
-        """Begin to check a picture. The result of the previous picture must have been read before, with `wrong`.
+        """Begin to check a picture. Before, `wrong` must have been called for the previous picture.
 
         Parameters
         ----------
@@ -49,7 +49,7 @@ class TurnCheck:
         self._before = frame, image
 
     def wrong(self) -> tuple[str, str] | None:
-        """Return the file name and the fault of the last picture; None if the picture is as expected."""
+        """Return the file name and the fault of the last picture, or None if it has no fault."""
         if self._pending is None:
             return None
         frame, looked = self._pending

@@ -45,4 +45,4 @@ def test_from_twin_pictures_to_a_scene_with_their_lens(tmp_path: Path, monkeypat
     again = load_scene(tmp_path / "two" / "scene.toml").camera
     np.testing.assert_allclose(again.focal_px, found.focal_px, rtol=1e-9)  # OpenCV's threads add up in any order
     assert (again.image_wh, again.bits) == ((400, 300), 12)
-    command.fails("calibrate camera twin -o lens", named=["lens: already exists"])
+    command.fails("calibrate camera twin -o lens", named=["lens: the folder already exists and is not empty"])

@@ -63,7 +63,7 @@ def test_plan_of_another_file(scene: Path, tmp_path: Path, command: Command) -> 
     command.works(*words, "-o", tmp_path / "d", "--plan", tmp_path / "plan.toml")
     assert len(load_dataset(tmp_path / "d").frames) == 2
     command.fails(*words, "-o", tmp_path / "e", "--plan", tmp_path / "none.toml", named=["none.toml: the table [[plan.rings]] is missing"])
-    command.fails(*words, "-o", tmp_path / "d", "--resume", named=["contains a scan with another scene.plan.rings.1.views"])
+    command.fails(*words, "-o", tmp_path / "d", "--resume", named=["contains a scan with different values of scene.plan.rings.1.views"])
 
 
 def test_check_of_the_twin_and_of_a_rig_that_is_not_there(scene: Path, tmp_path: Path, command: Command) -> None:

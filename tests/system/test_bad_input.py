@@ -225,7 +225,8 @@ def test_result_folder_with_other_content(scan: Path, command: Command) -> None:
     command.fails("reconstruct", scan / "dataset", "-o", result, *FAST, named=[result, "is not a result", "choose a new folder"])
     command.fails("reconstruct", scan / "dataset", "-o", result / "notes.txt", *FAST, named=[result / "notes.txt", "is a file"])
     command.fails("reconstruct", scan / "dataset", "-o", scan / "dataset", *FAST, named=[scan / "dataset", "is not a result"])
-    command.fails("simulate", "sphere_20mm", "-o", result, "--device", "cpu", named=[result, "files that are not an interrupted simulation", "choose a new folder"])
+    reason = f"{result} contains files that are not an interrupted simulation; choose a new folder"
+    command.fails("simulate", "sphere_20mm", "-o", result, "--device", "cpu", named=[reason])
     command.fails("simulate", "sphere_20mm", "-o", result / "notes.txt", "--device", "cpu", named=["notes.txt: the path is a file"])
     words = ("simulate", "printed_8ml", "-o", scan / "dataset", "--device", "cpu")
     command.fails(*words, named=[scan / "dataset", "different settings", "scene", "choose a new folder"])
