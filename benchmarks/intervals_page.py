@@ -31,6 +31,7 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "high_hairs": ("hairs", "harsh"),
     "high_occluded": ("hidden",),
     "high_area": ("coarse", "turbidity", "dust", "algae", "harsh"),
+    "high_merged_roots": ("few", "coarse"),
     "high_trimmed_away": ("few",),
 }
 """Simulated causes that each reason code names correctly. ``harsh`` is the profile of that name, ``coarse`` roots

@@ -27,12 +27,13 @@ from rhizotwin.recon.uncertainty import (
     diameter_uncertainty,
     hidden_top,
     occlusion,
+    root_uncertainty,
     shape_checks,
     solid_uncertainty,
     tube_uncertainty,
     wall_contact,
 )
-from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration, find_calibration
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes import rsml
@@ -245,6 +246,7 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
         if hidden is not None and settings.hull.extrapolate_taproot:
             budget = replace(budget, volume_mm3=volume + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
             bounds = bounds[0], bounds[1] + hidden.interval_mm3[1]
+        budget = replace(budget, terms=(*budget.terms, _merged_term(roots, carved, budget.volume_mm3)))
         budget = replace(budget, calibration=_calibration(carved, budget, roots, system, missed))
         checks = _checks(system, budget, missed)
     solid = measure(
@@ -270,6 +272,13 @@ def _hidden_top(roots: Sequence[Root], carved: CarvedHull) -> hidden_top.HiddenT
         return None
     tops_mm = np.array([root.points_mm[0] for root in main])
     return hidden_top.estimate_hidden(main, occlusion.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
+
+
+def _merged_term(roots: Sequence[Root], carved: CarvedHull, volume_mm3: float) -> Term:
+    """Return the term of roots that may be merged into thicker ones."""
+    share = root_uncertainty.merged_share(roots, carved.bank, carved.silhouettes[0].coverage.shape)
+    why = "many roots overlap in few views, so that some may be merged into thicker ones"
+    return Term(name="merged roots", less_mm3=share * volume_mm3, more_mm3=0.0, why=why)
 
 
 def _budget(

@@ -61,10 +61,10 @@ _SHORT_PX = 3
 """Minimum length of a missing root: shorter lines are noise, or the rim of a root whose radius is too small."""
 _LEAST_FREE = 0.1
 """Minimum fraction of the root zone outside the roots, for the correction of missing roots for hidden ones."""
-_MODEL = {"total_length_mm": 0.02, "tips": 0.07, "mean_diameter_mm": 0.03}
-"""90 % half-widths of errors that the comparison does not show: lines beginning inside thick parents, undulation along
-the line of sight, ends between pixels. Length (1.6 %) and tips (5 %) of nine in ten clean radishes of the ladder are
-within them (docs/accuracy.md), and so is the width of the scans in docs/log/2026-11-22-families.md."""
+_MODEL = {"total_length_mm": 0.035, "tips": 0.1, "mean_diameter_mm": 0.03}
+"""Relative 90 % half-widths of errors that the comparison does not show: lines that begin inside thick parents,
+undulation along the line of sight, and ends between pixels. They hold for nine in ten random scans in which the
+pictures show no difference (docs/intervals.md)."""
 _THIN_PX, _MUCH_THIN = 0.5, 0.15
 """Width in pixels below which a root is hardly above noise, and maximum fraction of the length below it; with more,
 further roots may be missing. Scans with at most 3 % had length errors within 2 %, one with 47 % lost a fifth, one with
@@ -72,10 +72,11 @@ further roots may be missing. Scans with at most 3 % had length errors within 2 
 _LEVEL = np.pi / 2.0
 """Factor for horizontal roots: over a turn, their line in the picture has on average 2 / pi of their length, so that
 missing or surplus length may be this much larger."""
-_CROWDED = 10.0
-"""Relative length that is missing, or merged into thicker roots, for an overlap of 1 per view. In random scans with 12
-to 60 views (docs/intervals.md), the missing length was 4 % at an overlap of 0.22 in 24 views, 8 % at 0.34 in 30, 21 %
-at 0.26 in 12, and 1 to 2 % at 0.26 in 50."""
+_CROWDED, _SEPARABLE = 20.0, 0.005
+"""Two numbers for roots that are merged into thicker ones, where many overlap in few views: the relative length and
+volume for an overlap of 1 per view, and the overlap per view up to which all roots are separated. In random scans with
+12 to 60 views (docs/intervals.md), a radish had 7, 16 and 11 % too much volume, and 16, 31 and 22 % too little length,
+at 0.011, 0.016 and 0.017 per view. At 0.0044, length and volume were right to 1 and 4 %."""
 WIDEST = TrustSettings.widest
 """Maximum relative half-width of an interval for a trusted number: the default of the volume, whatever its setting."""
 LEAST_VIEWS = 4
@@ -144,7 +145,7 @@ def estimates(
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
-    merged = _CROWDED * _mean_of([view.overlap for view in residuals]) / bank.count
+    merged = _merged([view.overlap for view in residuals], bank.count)
     changes = {
         "total_length_mm": (
             length_mm,
@@ -157,6 +158,24 @@ def estimates(
         ),
     }
     return tuple(_estimate(name, value, change, lost, calibration.factor(name)) for name, (value, change) in changes.items())
+
+
+def merged_share(roots: Sequence[Root], bank: ViewBank, shape: tuple[int, ...]) -> float:
+    """Return the fraction of the roots that may be merged into thicker ones, for pictures of a shape (H, W)."""
+    if not roots:
+        return 0.0
+    places = _Places.project(roots, bank.select(range(min(VIEWS, bank.count))))
+    lines = [places.centre_lines(view, shape) for view in range(len(places.px))]
+    return _merged([_overlap(mask, length_px) for mask, length_px in lines], bank.count)
+
+
+def _merged(overlaps: Sequence[float], views: int) -> float:
+    return _CROWDED * max(0.0, _mean_of(overlaps) / views - _SEPARABLE)
+
+
+def _overlap(lines: NDArray[np.bool_], length_px: float) -> float:
+    """Return the length of all centre lines relative to that of the pixels (H, W) on them, minus 1."""
+    return max(0.0, length_px / max(float(lines.sum()), 1.0) - 1.0)
 
 
 def _mean_of(values: Sequence[float]) -> float:
@@ -260,7 +279,7 @@ def _compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: _Places
         missing_tips=len(sizes) / free / max(len(tips), 1),
         surplus_tips=float(beside_picture[tips[:, 1], tips[:, 0]].mean()) if len(tips) else 0.0,
         width=area / max(1.0 + missing - surplus, 1e-9) - 1.0,
-        overlap=max(0.0, length_px / float(lines.sum()) - 1.0),
+        overlap=_overlap(lines, length_px),
     )
 
 

@@ -61,7 +61,7 @@ def check_agreement(*, missed: float, unexplained: float, fill: float, trust: Tr
         (unexplained, trust.unexplained, f"the shape does not explain {100.0 * unexplained:.1f} % of the coverage in the pictures", agree),
         (fill, trust.fill, f"thin roots cover {100.0 * fill:.0f} % of the root zone's picture", crowded),
     ]
-    value, limits, found, advice = max(rows, key=lambda row: row[0] / row[1][1])
+    value, limits, found, advice = max(rows, key=lambda row: (row[0] > row[1][1], row[0] > row[1][0], row[0] / row[1][1]))
     if classify(value, *limits) == "good":
         found = f"the views agree: the hull of all views excludes {100.0 * missed:.1f} % of their coverage"
         return make_check("sight", "good", missed, "share", trust.missed, found)

@@ -242,7 +242,9 @@ def _scan_entry(path: Path) -> ScanEntry:
             sketch=((origin.get("settings") or {}).get("twin") or {}).get("fidelity") == "sketch",
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error
-        text = printable(f"the dataset cannot be read: {error_sentence(error)}")
+        known = isinstance(error, UserError | OSError | MemoryError)
+        reason = error_sentence(error) if known else f"dataset.json is damaged ({type(error).__name__}: {str(error)[:100]})"
+        text = printable(f"the dataset cannot be read: {reason}")
         return ScanEntry(name=name, subject="", plant="", pictures=0, planned=0, complete=False, error=text)
 
 

@@ -19,7 +19,7 @@ MISFITS: list[tuple[str, dict[str, Any], str]] = [
     ("dictionary too small", {"strip": MarkerStrip(dictionary="4X4_50")}, r"\[strip\] dictionary = \"4X4_50\".*50 markers.*62"),
     ("markers overlap", {"strip": MarkerStrip(marker_mm=16.2, row_pitch_mm=17.0)}, r"\[strip\] marker_mm = 16.2.*below 16.13 mm"),
     ("rows overlap", {"strip": MarkerStrip(row_pitch_mm=13.0)}, r"\[strip\] row_pitch_mm = 13.0.*above"),
-    ("strip above the skirt", {"strip": MarkerStrip(bottom_mm=2.0)}, r"\[strip\] bottom_mm = 2.0.*to 31.5"),
+    ("strip above the skirt", {"strip": MarkerStrip(bottom_mm=2.0)}, r"\[strip\] bottom_mm = 2.0.*between z = 2 and 31.5, .*to 31;"),
     ("no ring", {"plan": CapturePlan(rings=())}, r"\[plan\] rings.*at least one"),
     ("camera in the pot", {"plan": CapturePlan(rings=(Ring(), Ring(distance_mm=79.0)))}, r"\[plan.rings 2\] distance_mm = 79"),
     ("jitter into the pot", {"plan": CapturePlan(rings=(Ring(distance_mm=100.0, jitter_mm=5.0),))}, "jitter_mm"),

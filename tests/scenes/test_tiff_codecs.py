@@ -36,7 +36,7 @@ def test_lzw_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     data = tiff("lzw")
     assert check_picture(data) == data
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
-    with pytest.raises(UnfitError, match=r"compressed by LZW, .* pip install 'rhizotwin\[tiff\]', or convert it to PNG"):
+    with pytest.raises(UnfitError, match=r"TIFF with LZW compression, .* run pip install 'rhizotwin\[tiff\]', or convert it to PNG"):
         check_picture(data)
 
 

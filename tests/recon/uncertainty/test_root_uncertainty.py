@@ -43,7 +43,7 @@ def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
     for name, value in (("total_length_mm", length_mm(TRUE)), ("tips", 4.0), ("mean_diameter_mm", 1.2)):
         low, high = found[name].interval
         assert low < value < high
-        assert high - low < 0.2 * value
+        assert high - low < (0.21 if name == "tips" else 0.1) * value  # twice the error that no picture shows
         assert found[name].trusted
 
 

@@ -83,7 +83,7 @@ def test_the_schedule_asks_checks_and_continues(lab: ScheduleLab) -> None:
     assert [visit["plant"] for visit in state["schedule"]["next"]] == ["P1", "P2", "P1", "P2"]
     lab.client.start_schedule()
     lab.question("P1")
-    with pytest.raises(UserError, match="busy: schedule of two plants"):
+    with pytest.raises(UserError, match=r"the rig is busy \(schedule of two plants\); wait until this action has ended"):
         lab.client.command("pose")
     lab.client.answer("2")
     assert lab.question("P1").startswith("The plant on the turntable is P2 instead of P1; put P1 on the turntable.")

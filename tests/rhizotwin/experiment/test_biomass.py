@@ -68,7 +68,7 @@ def test_the_thesis_table_gives_its_densities_and_their_mean(thesis: tuple[Path,
     assert np.mean([ratio for _, ratio in known]) == pytest.approx(0.034, abs=5e-4)
     assert not notes
     told = command.works("biomass", "fit", volumes, masses, "-o", volumes.with_name("model.json")).out
-    assert "fresh root mass per volume: mean 0.03401 g/ml, 16 plants" in told
+    assert "fresh root mass per volume: mean 0.03401 g/ml of 16 plants" in told
 
 
 def test_the_shipped_masses_are_the_thesis_own_water_contents(thesis: tuple[Path, Path]) -> None:

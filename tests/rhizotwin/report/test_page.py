@@ -248,7 +248,8 @@ def test_counts_are_whole_and_numbers_have_the_digits_that_the_interval_leaves()
     assert shown("mean_diameter_mm", 3.4042, (3.29, 3.51))[1:3] == ("3.40 mm", "3.29 to 3.51")
     assert shown("convex_hull_mm3", 137070.0)[1] == "137 ml"
     assert shown("total_length_mm", 486.0, (399.0, 518.0), "not reliable")[2] == "not reliable; 399 to 518"
-    assert shown("bushiness", 1.5)[3] == "maximum number of roots at one height over median number of roots per height (GiA Roots)"
+    ratio = "ratio of maximum number of roots at one height to median number of roots per height (GiA Roots)"
+    assert shown("bushiness", 1.5)[3] == ratio
     assert shown("roots", 3)[3] == "number of roots, taproots and laterals of every order"
 
 

@@ -77,7 +77,7 @@ def test_angle_that_was_given_is_taken_once(tmp_path: Path) -> None:
 
 REFUSALS = {
     "jitter": (with_rings(Ring(jitter_mm=1.0)), None, "plan.rings 1: jitter_mm and jitter_deg must be 0"),
-    "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg moves the table to -180 deg"),
+    "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg requires a table angle of -180 deg"),
     "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but the rig has no arm"),
     "out of reach": (with_rings(Ring(views=2), Ring(views=2, height_mm=900.0)), ArmPart().park_deg, r"arm: .*reach"),
 }
@@ -114,7 +114,7 @@ def test_tripod_is_moved_by_a_person_for_further_rings(tmp_path: Path) -> None:
     world = World(scene=scene)
     made = run(world, tmp_path / "d", ask=lambda question: asked.append(question) or "")
     assert len(asked) == 1
-    assert "420 mm from the axis at z = -42 mm" in asked[0]
+    assert "420 mm from the axis, at z = -42 mm" in asked[0]
     assert [(frame.ring, frame.placement) for frame in made.frames] == [(0, 0), (0, 0), (1, 0), (1, 0)]
 
 

@@ -163,7 +163,7 @@ def slip(deg: float) -> Trouble:
 def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
     world = World()
     slip(7.2).arm(world)
-    with pytest.raises(RigError, match=r"the markers of images/view_002\.png deviate by \+7\.\d\d deg from the commanded 180 deg"):
+    with pytest.raises(RigError, match=r"the markers of images/view_002\.png deviate by \+7\.\d\d deg from the commanded angle of 180 deg"):
         run(world, tmp_path / "d")
     assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
     assert [frame.placement for frame in taken_up(world, tmp_path / "d").frames] == [0, 0, 1, 1]
@@ -273,7 +273,7 @@ def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
         made = replace(devices(world), rig=RigFile(arm=None, turntable=TurntablePart(full_step_deg=step_deg)))
         return scan_module.scan(made, SCENE, tmp_path / str(step_deg))
 
-    with pytest.raises(RigError, match=r"view_002\.png deviate by \+0\.[67]\d deg from the commanded 180"):
+    with pytest.raises(RigError, match=r"view_002\.png deviate by \+0\.[67]\d deg from the commanded angle of 180 deg"):
         scanned(0.18)
     assert len(load_dataset(tmp_path / "0.18").frames) == 2
     assert scanned(1.8).origin["complete"]

@@ -61,7 +61,7 @@ def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> Non
         rig.camera.address,
         "true state: table",
         'there is no fault "rest"',
-        "reset on the table",
+        "fault reset was added to the table",
         "brown_out (arm)",
     ):
         assert words in text
