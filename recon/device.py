@@ -36,7 +36,7 @@ Vector3f: TypeAlias = Any
 Point3f: TypeAlias = Any
 """Array of type mi.Point3f."""
 Kernel: TypeAlias = Any
-"""Dr.Jit array of any type."""
+"""Any of the Dr.Jit array types above."""
 
 engine.choose_on_first_use()
 

@@ -1,4 +1,7 @@
-"""Clock interface: the system's clock on the bench, and a virtual clock (`rig.twin.clock`) in the twin and in tests."""
+"""Clock interface.
+
+The real rig uses the system clock. The emulated rig and the tests use a virtual clock (`rig.twin.clock`).
+"""
 
 import time
 from typing import Protocol

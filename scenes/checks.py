@@ -103,7 +103,7 @@ def _check_canister(scene: Scene, place: Place) -> None:
     wrong = scene.disturbances
     if canister.inner_radius_mm + wrong.canister_radius_error_mm - canister.wall_mm * wrong.wall_error <= 0.0:
         raise place.at("disturbances", "wall_error").error(
-            "must be smaller, because the true walls would fill the canister", wrong.wall_error
+            "must be smaller, because with walls of this thickness the canister would have no interior", wrong.wall_error
         )
     reach_mm = canister.outer_radius_mm + wrong.canister_radius_error_mm + wrong.canister_out_of_round_mm
     if reach_mm >= pot.outer_radius_mm:

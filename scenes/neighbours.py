@@ -142,9 +142,9 @@ class _Plant:
         return _Plant(along.points_mm, along.radius_mm, along.length_mm, cKDTree(along.points_mm))
 
     def away_mm(self, other: _Plant) -> Array:
-        """Return the distance between the surfaces of the two plants at each point of this plant (P,), mm.
+        """Return the distance from this plant's surface to that of the other plant at each of its P points, mm.
 
-        It is 0 where they touch.
+        It is 0 where the plants touch.
         """
         count = min(_OTHERS, len(other.points_mm))
         away, nearest = other.tree.query(self.points_mm, k=count)

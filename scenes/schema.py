@@ -167,7 +167,7 @@ def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
         raise place.error(f"must be a table (key = value), not {_type_name(value)}", value)
     named = ", ".join(f'"{k}"' for k in kinds)
     if "kind" not in value:
-        raise place.at("kind").error(f"is missing, but must be one of {named}")
+        raise place.at("kind").error(f"is missing; it must be one of {named}")
     kind = value["kind"]
     if not isinstance(kind, str) or kind not in kinds:
         raise place.at("kind").error(f"must be one of {named}{suggestion(str(kind), list(kinds))}", kind)

@@ -257,7 +257,7 @@ def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
         return mass, ions
     if {"C", "H"} <= atoms.keys():  # in an organic compound, only the metals of a chelate are counted
         return mass, {name: count for name, count in atoms.items() if name in _METALS}
-    raise UserError(f"cannot be divided into the ions {', '.join(IONS)} without a remaining charge")
+    raise UserError(f"cannot be divided into the ions {', '.join(IONS)} with zero net charge")
 
 
 def _plain(formula: str) -> str:

@@ -1,6 +1,6 @@
 """Simulate pictures of the calibration board.
 
-The board is in air, uniformly illuminated, and seen through the true lens.
+The board is in air, uniformly lit, and imaged with the true lens parameters.
 """
 
 from __future__ import annotations

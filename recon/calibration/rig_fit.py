@@ -196,7 +196,8 @@ class _System:
     by_shared: Array
     """(V, 8, S) derivatives of (twist, inset, focus) of each view with respect to the shared unknowns."""
     by_local: Array
-    """(V, 8, 7) derivatives of (twist, inset, focus) of each view with respect to the local unknowns."""
+    """Derivatives of the 8 parameters of each view (6 of the pose twist, the inset of the markers' edges, and the
+    factor on the focal length) with respect to its 7 local unknowns, shape (V, 8, 7)."""
     normal: Array
     """(V, 8, 8) normal matrix of each view with respect to (twist, inset, focus)."""
     gradient: Array

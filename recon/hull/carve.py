@@ -141,8 +141,8 @@ class _Classified:
     size: Index
     """Edge length of each node, shape (N,), in units of the finest nodes."""
     occupancy: NDArray[np.float32]
-    """Occupied fraction of each node, shape (3, N). The three rows are the best estimate, the fraction if the outlines
-    are moved in, and the fraction if they are moved out."""
+    """Occupied fraction of each node, shape (3, N). The three rows are the best estimate, the fraction with the
+    outlines shifted inwards, and the fraction with the outlines shifted outwards."""
     blind_mm3: float
     """Total volume of the nodes that too few views show, mm3."""
     split: list[Int32] | None

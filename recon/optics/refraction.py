@@ -1,10 +1,10 @@
-"""Refraction at a round canister in closed form: the readable float64 reference in NumPy.
+"""Closed-form refraction at a cylindrical canister: the readable reference implementation in float64 NumPy.
 
-Concentric cylinders about z conserve two optical invariants along a ray with the optical direction ``p = n d`` (``|p| =
-n``). The invariants are ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i =
-sqrt(n_i^2 - p_z^2)``, the ray's horizontal impact parameter in medium i is ``b_i = L / h_i``. Between the radii r1 >
-r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and rises by ``p_z / h_i *
-s_i``. At a wall of radius r, its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``.
+Refraction at concentric cylinders about z conserves two invariants of a ray with the optical direction vector ``p = n
+d`` (``|p| = n``). The invariants are ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With
+``h_i = sqrt(n_i^2 - p_z^2)``, the ray's horizontal impact parameter in medium i is ``b_i = L / h_i``. Between the
+radii r1 > r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and rises by
+``p_z / h_i * s_i``. At a wall of radius r, its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``.
 
 All functions use the camera's azimuth frame, which is the canister frame rotated about z such that the camera centre is
 at (rho, 0, z_cam). A camera without a tank is then defined by (rho, z_cam). The unknowns of a projection are ``p_z``

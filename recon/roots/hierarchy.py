@@ -24,8 +24,8 @@ in the lateral. Diameters averaged over 5 mm vary by less than this ratio."""
 _ROUNDS = 10
 """Maximum number of iterations. Three or four usually suffice."""
 _BASAL_MM = 2.0
-"""Distance from the base of a lateral to the surface of its grandparent, mm, below which the grandparent becomes its
-parent. Such a lateral runs along its former parent at first, but does not originate from it."""
+"""Maximum distance between the base of a lateral and the surface of its grandparent at which the lateral is reassigned
+to the grandparent, mm. Such a lateral runs along its assigned parent at first, but does not originate from it."""
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:

@@ -1,4 +1,4 @@
-"""Combination of solids and tubes into a single shape on the lattice of the hull's finest nodes."""
+"""Combination of solids and tubes into a single shape, on the grid of the finest octree nodes of the visual hull."""
 
 from __future__ import annotations
 

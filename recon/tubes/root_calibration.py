@@ -89,8 +89,8 @@ class RigCorrection:
     """Standard deviation of each unknown, shape (K,)."""
     nodes: int
     before_px: float
-    """Root mean square lateral distance in the pictures between roots and fitted tubes, px, before the correction. Each
-    node is at the position that fits the pictures best."""
+    """RMS distance in the pictures, perpendicular to the root, between roots and fitted tubes before the correction,
+    px. It is evaluated with each node at its best-fitting position."""
     after_px: float
     """Root mean square lateral distance in the pictures between roots and fitted tubes, px, after the correction."""
 

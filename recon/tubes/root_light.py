@@ -1,4 +1,4 @@
-"""Estimation of the light parameters that all roots share: attenuation, blur, root hairs and refractive index.
+"""Estimation of the optical parameters that all roots share: attenuation, blur, root hairs and refractive index.
 
 The tubes x (positions and radii of the nodes) and the light parameters q (`tube_profiles.LIGHT`) are fitted together. A
 Gauss-Newton step solves

@@ -52,8 +52,8 @@ _RIM = np.linspace(0.0, 0.8, 33)
 """Tabulated ratios of the chord at the rim to the chord through the middle, sqrt(1 - 1 / n'^2). Linear interpolation is
 accurate to 1e-4."""
 _LEAST_SPREAD = 1e-9
-"""Variance of the squared half-widths below which a root is represented by a single strip. Smaller variances are due to
-rounding."""
+"""Minimum variance of the squared half-widths of a root's strips. Below it, the root is represented by a single strip,
+since the variance is only rounding error."""
 _NODES = 400
 """Number of nodes in the Gauss-Legendre quadrature of the moments."""
 LEAST_SINE = 0.2

@@ -35,7 +35,7 @@ class Term:
     """Amount by which the true volume may be smaller for this cause."""
     more_mm3: float
     why: str
-    """Description of the cause."""
+    """Description of this cause of uncertainty."""
 
     @staticmethod
     def symmetric(name: str, half_mm3: float, why: str) -> Term:

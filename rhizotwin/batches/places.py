@@ -131,7 +131,9 @@ def _system(address: str) -> tuple[AbstractFileSystem, str]:
     try:
         from fsspec.core import url_to_fs
     except ModuleNotFoundError:
-        raise UserError(f"{address}: addresses need fsspec, which is not installed; run: pip install 'rhizotwin[cluster]'") from None
+        raise UserError(
+            f"{address}: remote folders require fsspec, which is not installed; install it with: pip install 'rhizotwin[cluster]'"
+        ) from None
     try:
         found: tuple[Any, str] = url_to_fs(address)
     except (ImportError, ValueError) as error:

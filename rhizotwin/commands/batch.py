@@ -143,8 +143,8 @@ def simulate(
     days : tuple of float, optional
         Ages of each plant in days, separated by commas; default: as in the scene.
     treatments : tuple of (str, float, Factors), optional
-        Treatments, separated by commas, with name and factor of the growth rate, such as 'control:1,low N:0.85'. If the
-        scene has a nutrient solution, factors of its elements may follow, such as 'low N:0.85:N=0.5'.
+        Comma-separated treatments, each NAME:FACTOR, where FACTOR multiplies the growth rate, such as 'control:1,low
+        N:0.85'. If the scene has a nutrient solution, factors for its elements may follow, such as 'low N:0.85:N=0.5'.
     seed : int
         Random seed for all simulated errors and noise.
     work : Workforce

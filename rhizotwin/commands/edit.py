@@ -29,7 +29,7 @@ def edit(
     result : Path
         Result folder, written by 'rhizotwin reconstruct'.
     apply : Path
-        File of corrections, which is edits.json in the result folder.
+        Corrections to apply, as saved by 'rhizotwin view' (edits.json in the result folder).
     output : Path
         Folder for the corrected result: new, empty, or an earlier result, which is replaced.
     dataset : Path, optional

@@ -35,8 +35,8 @@ def phantom(
     wires_mm : tuple of float, optional
         Diameters of the wires in mm, separated by commas; default: 0.1,0.2,0.4,0.8.
     mg_per_m : tuple of float, optional
-        Mass per metre of each wire in mg/m, separated by commas, instead of the diameters; weigh a piece of known
-        length.
+        Comma-separated mass per metre of each wire in mg/m, as an alternative to the diameters. To determine it, weigh
+        a piece of known length.
 
     Examples
     --------

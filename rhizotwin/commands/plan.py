@@ -77,12 +77,12 @@ def plan(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Find the number of pictures and camera heights that a scan needs, by simulation.
+    """Determine by simulation how many pictures and camera heights a scan needs.
 
-    A scan consists of one or more rings, which are turns of the turntable with the camera at one height. A scene is
-    simulated, reconstructed and scored for all combinations of the given numbers of views per ring, camera heights and
-    picture sizes. The errors are written as a table (plan.csv, plan.json) and a figure (plan.png), and the plan with
-    the fewest pictures that meets the error limit is printed. To continue after an interruption, or to add views or
+    A scan consists of rings: turns of the turntable with the camera at a fixed height. A scene is simulated,
+    reconstructed and scored for all combinations of the given numbers of views per ring, camera heights and picture
+    sizes. The errors are written as a table (plan.csv, plan.json) and a figure (plan.png), and the plan with the
+    fewest pictures that meets the error limit is printed. To continue after an interruption, or to add views or
     heights, run the command again. On two cores, a run with 40 pictures of 800x600 pixels takes one to five minutes.
 
     Parameters

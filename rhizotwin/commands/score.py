@@ -94,7 +94,7 @@ def score(
     truth : Path, optional
         Closed mesh of the scanned part in mm (PLY, STL, OBJ).
     volume_ml : float, optional
-        Measured volume of the specimen in ml, for example by water displacement.
+        Volume of the specimen in ml, measured for example by water displacement.
     pictures : Path, optional
         Dataset of the same plant on the same rig, with pictures that the reconstruction did not use.
     as_json : bool

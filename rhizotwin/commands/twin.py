@@ -57,7 +57,7 @@ def twin(
     rig_file : Path, optional
         Rig file to write (TOML), with which other commands use these ports; must not exist yet.
     ports : TwinPorts
-        Imperfections and ports of the emulated rig.
+        Options for the imperfections and ports of the emulated rig.
 
     Examples
     --------

@@ -119,7 +119,7 @@ class _Forwarding(Observer):
         self._scan = scan
 
     def on_plan(self, total: int, done: int) -> None:
-        """Forward the number of planned pictures."""
+        """Forward the number of planned pictures to the live state of the current scan."""
         if (scan := self._scan()) is not None:
             scan.live.on_plan(total, done)
 

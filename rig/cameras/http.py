@@ -197,7 +197,7 @@ class HttpCamera:
                 "in the rig file"
             )
         if gain is not None and abs(gain - wanted.gain) > max(TOLERANCE * wanted.gain, 0.5):
-            raise RigError(f"{self._name}: the gain was {gain:g} instead of {wanted.gain:g}; correct gain in the rig file")
+            raise RigError(f"{self._name}: the gain was {gain:g} instead of {wanted.gain:g}; correct the value of 'gain' in the rig file")
         return Shot(image=image, exposure_s=exposure_s, gain=gain)
 
     def _number(self, answer: _Answer, header: str) -> float | None:

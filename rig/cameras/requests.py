@@ -39,7 +39,7 @@ class _Prepare:
 
 @dataclass(frozen=True, kw_only=True)
 class _Capture:
-    """Body of the request /capture."""
+    """Body of a ``/capture`` request."""
 
     session: str
     picture: str

@@ -295,8 +295,8 @@ def _refuse(made: Calibration) -> None:
     fit = made.fit
     if fit.rms_px > MOST_RMS_PX[0]:
         raise RigError(
-            f"no lens model fits the pictures: the residual is {fit.rms_px:.1f} px rms, typically below 0.3 px; check that focus and zoom "
-            "were constant, that the board is flat, and that --squares is correct"
+            f"no lens model fits the pictures: the residual is {fit.rms_px:.1f} px rms, but should be below about 0.3 px; "
+            "check that focus and zoom were constant, that the board is flat, and that --squares is correct"
         )
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[0]:

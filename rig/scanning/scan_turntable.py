@@ -159,7 +159,7 @@ class ScanTurntable:
         """Return the measured table angle, deg."""
         kept_deg = self._kept_deg()
         if kept_deg is None:
-            raise BoardFaultError(LostError("turntable: the board was reset and lost its angle"))
+            raise BoardFaultError(LostError("turntable: the board was reset, so that the table angle is unknown"))
         return kept_deg
 
     def check_board(self) -> None:

@@ -64,7 +64,7 @@ def test_factors_scale_every_salt_of_the_element() -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (Solution(grams_per_l={"K2NO3": 1.0}), "without a remaining charge"),
+        (Solution(grams_per_l={"K2NO3": 1.0}), "with zero net charge"),
         (Solution(grams_per_l={"kno3": 1.0}), "must be a formula"),
         (Solution(grams_per_l={"K" * 100: 1.0}), "1 to 80 characters"),
         (Solution(grams_per_l={"": 1.0}), "1 to 80 characters"),
