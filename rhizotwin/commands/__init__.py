@@ -33,7 +33,7 @@ COMMANDS = {
     "biomass fit": "Fit a model of mass to volume and other traits, with errors in both variables.",
     "biomass predict": "Predict the mass of plants that were not weighed, with 90 % intervals.",
     "export": "Convert a result to other file formats, or publish datasets and results.",
-    "plan": "Find the number of pictures and camera heights that a scan needs, by simulation.",
+    "plan": "Determine by simulation how many pictures and camera heights a scan needs.",
     "bench": "Run reconstruction methods on standard benchmarks and compare them.",
     "bench list": "List the benchmarks and their cases.",
     "bench make": "Render a benchmark and verify its pictures.",

@@ -175,8 +175,12 @@ async function showSketch() {
   const { number, radius_mm: radius, height_mm: height } = state.sketch;
   if (number === shown.sketch) return;
   shown.sketch = number;
-  const response = await send("GET", "/api/sketch");
-  sketch.set(new Float32Array(await response.arrayBuffer()), radius, height);
+  try {
+    const response = await send("GET", "/api/sketch");
+    sketch.set(new Float32Array(await response.arrayBuffer()), radius, height);
+  } catch {
+    shown.sketch = null; // drawn with the next state; a lost connection is shown by `follow`
+  }
 }
 
 function showScans() {

@@ -24,7 +24,7 @@ from tests.rhizotwin.console.conftest import Lab
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[3]
-VIEWS = 16
+VIEWS = 24
 
 
 class Server:
