@@ -243,9 +243,9 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
         budget = _budget(
             carved, leaves, system, solids, part, wide=leaves if tubes is None else tubes.thick, missed=missed, settings=settings
         )
-        if hidden is not None and settings.hull.extrapolate_taproot:
-            budget = replace(budget, volume_mm3=volume + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
-            bounds = bounds[0], bounds[1] + hidden.interval_mm3[1]
+        if hidden is not None:
+            budget = _add_hidden_top(budget, hidden, extrapolate=settings.hull.extrapolate_taproot)
+            bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * settings.hull.extrapolate_taproot
         budget = replace(budget, terms=(*budget.terms, _merged_term(roots, carved, budget.volume_mm3)))
         budget = replace(budget, calibration=_calibration(carved, budget, roots, system, missed))
         checks = _checks(system, budget, missed)
@@ -270,8 +270,18 @@ def _hidden_top(roots: Sequence[Root], carved: CarvedHull) -> hidden_top.HiddenT
     main = [root for root in roots if root.parent < 0]
     if not main:
         return None
-    tops_mm = np.array([root.points_mm[0] for root in main])
+    # the rounded ends of the tubes, whose centre lines begin a radius below
+    tops_mm = np.array([root.points_mm[0] + [0.0, 0.0, 0.5 * root.diameters_mm[0]] for root in main])
     return hidden_top.estimate_hidden(main, occlusion.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
+
+
+def _add_hidden_top(budget: Budget, hidden: hidden_top.HiddenTop, *, extrapolate: bool) -> Budget:
+    """Return a budget with the hidden tops of taproots: in the volume if extrapolated, else in the occluded parts."""
+    if extrapolate:
+        return replace(budget, volume_mm3=budget.volume_mm3 + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
+    most_mm3 = occlusion.ANYWHERE * hidden.interval_mm3[1]
+    terms = [replace(t, more_mm3=max(t.more_mm3, most_mm3)) if t.name == "occluded" else t for t in budget.terms]
+    return replace(budget, terms=tuple(terms))
 
 
 def _merged_term(roots: Sequence[Root], carved: CarvedHull, volume_mm3: float) -> Term:

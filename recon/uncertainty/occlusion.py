@@ -26,7 +26,7 @@ _COLUMN_MM = 0.4
 _EDGE_MM = 0.5
 """Maximum distance between the end of a shape and a place that no view shows for the end to be considered hidden, mm.
 It is not zero, since outlines are at half coverage."""
-_ANYWHERE = 0.9
+ANYWHERE = 0.9
 """Fraction of the hidden length that contains the end of a root with a probability of 90 %. The position of the end is
 assumed to be uniformly distributed over the hidden length."""
 _LOOKS = 16
@@ -70,7 +70,7 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
             direction = np.zeros(3)
             direction[axis] = side
             end_mm = origin + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
-            hidden[axis, side] = _ANYWHERE * float((gaps_mm(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
+            hidden[axis, side] = ANYWHERE * float((gaps_mm(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
     where = _WHERE[side] if axis == 2 else _describe_side(bank)
