@@ -45,8 +45,8 @@ _ALIGNED = 64
 
 
 TO_LAST = 1.01
-"""Minimum distance of an interpolated position from the right and the lower border of the picture, px. With this
-distance, the interpolation uses only samples of the picture, even after float32 rounding."""
+"""Minimum difference between the width or height of a picture and an interpolated position, px. With this difference,
+the interpolation uses only samples of the picture, even after float32 rounding."""
 
 
 _BELOW_HALF = 1e-9

@@ -22,8 +22,8 @@ table's axis."""
 EDGE_WIDTH_PX = 4
 """Width of the intensity transition at an edge in focus, px."""
 PANEL_SHARE = 0.85
-"""Brightness above which a pixel shows the empty backlight panel, as a fraction of the 95th percentile of the
-picture."""
+"""Brightness above which a pixel shows the empty backlight panel, as a fraction of the 95th percentile of the empty
+panel's picture."""
 WATER_QUANTILE = 0.25
 """Quantile of a row's brightness across the canister that decides whether the row shows the water. It is high if the
 backlight panel is visible in at least three quarters of the row."""

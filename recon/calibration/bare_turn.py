@@ -108,7 +108,7 @@ class _Moment:
         """Fit the coefficients of each row, and update the weights.
 
         Return the coefficients (order + 1, R), the residuals (V, R), and the derivatives (V, R) of the model with
-        respect to the table angle.
+        respect to the azimuth.
         """
         shape, by_angle = self.basis(azimuth)
         normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)

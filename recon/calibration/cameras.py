@@ -30,12 +30,13 @@ class Camera:
     reason: str | None = None
     """Reason why the view is excluded; None for used views."""
     cam_from_canister: Array | None = None
-    """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes; None if it could not be estimated. An excluded
-    view may have a pose."""
+    """(4, 4) transform from the canister frame to the camera's frame, mm, OpenCV axes; None if it could not be
+    estimated. An excluded view may have a pose."""
     cam_from_tank: Array | None = None
-    """(4, 4) pose of the camera in the tank's frame, mm; None if there is no tank or if the pose is unknown."""
+    """(4, 4) transform from the tank's frame to the camera's frame, mm; None if there is no tank or if the pose is
+    unknown."""
     sway: Sway = STILL
-    """Movement of the root system in the water when this picture was taken, estimated from the reconstructed roots."""
+    """Displacement of the roots in this picture, estimated from the reconstructed roots."""
     reprojection_px: float | None = None
     """Root mean square reprojection error of the measured marker corners, px, with outliers down-weighted."""
     single_view_px: float | None = None
@@ -82,7 +83,7 @@ class Ring:
     placement: int
     """Index of the camera's placement within the ring."""
     cam_from_rig: Array
-    """(4, 4) pose of the static camera in the rig's frame, mm."""
+    """(4, 4) transform from the rig's frame to the frame of the static camera, mm."""
     covariance: Array
     """(6, 6) covariance of the error of ``cam_from_rig``. The error is a twist applied from the left: a rotation
     vector, rad, and a shift, mm."""
@@ -219,7 +220,8 @@ class Cameras:
     order: tuple[int, ...]
     """(V,) frame numbers of the used views, in processing order."""
     uncertainty: RigUncertainty | None = None
-    """Uncertainty of the rig parameters. None if the cameras were given, in which case they are treated as exact."""
+    """Uncertainty of the rig parameters from the markers. None if the cameras were given, in which case they are
+    treated as exact, or calibrated without markers (``bare``)."""
     bare: BareUncertainty | None = None
     """Uncertainty of cameras calibrated without markers; None for other cameras."""
     markers: MarkerCalibration | None = None

@@ -110,7 +110,8 @@ class CanisterPose:
     tank_sigma_deg: float
     """Standard deviation of the tank's rotation, degrees; 0 without a tank."""
     before_mm: float
-    """Median distance of the edge points from the edges of an aligned canister, mm."""
+    """Median distance of the edge points from the edges of an aligned canister, mm. A distance common to all edge
+    points is subtracted first."""
     after_mm: float
     """Median distance of the edge points from the fitted edges, mm."""
 

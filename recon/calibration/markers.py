@@ -38,7 +38,7 @@ OTHER_DICTIONARIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Markers:
-    """Markers of the strip that were measured in one picture."""
+    """Markers of the strip in one picture."""
 
     ids: NDArray[np.int64]
     """(M,) ids of the markers, in ascending order."""

@@ -29,7 +29,7 @@ LOOSE = np.array([np.deg2rad(3.0), 10.0])
 """Maximum standard deviation of the camera's rotation, rad, and translation, mm, between the views of a ring. If the
 views scatter more, they were not taken by a static camera, and are calibrated independently."""
 LEAST_RING = 5
-"""Minimum number of views in a ring for views in which the camera moved to be searched."""
+"""Minimum number of views of a ring in which single views with a moved camera are searched for."""
 OUTLIER_WEIGHT = 0.1
 """Cauchy weight below which a marker counts as an outlier. A residual of nine standard deviations has this weight."""
 AS_CALIBRATED = 1e-7
@@ -49,7 +49,7 @@ class Poses(StripCalibration):
     errors: PoseErrors | None = None
     """Errors of all camera poses; None if the views were calibrated independently."""
     turn_sigma_rad: Array | None = None
-    """(F,) standard deviations of the table angles, rad. They are 0 for views that were calibrated independently."""
+    """(F,) standard deviations of the table angles, rad. They are 0 for views that are not part of the rig's fit."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -75,8 +75,8 @@ def find_poses(
     scene : Scene
         Camera with lens distortion, strip and net pot.
     captured : sequence of Frame
-        Frames of the pictures, with rings and commanded table angles. A table angle of None is estimated without a
-        prior.
+        Frames of the pictures, with rings and commanded table angles. A table angle of None was not commanded, and is
+        estimated from the pictures alone.
     settings : CalibrationSettings
         Thresholds for the exclusion of views, and priors of the rig.
     single_view : bool

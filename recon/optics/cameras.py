@@ -29,11 +29,12 @@ class View:
     camera: Camera
     """Lens and image size of the camera."""
     cam_from_canister: Array
-    """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes."""
+    """(4, 4) transform from the canister frame to the camera's frame, mm, OpenCV axes."""
     cam_from_tank: Array | None = None
-    """Displacement of the roots in this picture, see `Sway`."""
+    """(4, 4) transform from the tank's frame to the camera's frame, mm; None if there is no tank. The tank's frame is
+    that of the rig, rotated with the tank."""
     sway: Sway = STILL
-    """Displacement of the roots in this picture."""
+    """Displacement of the roots in this picture, see `Sway`."""
 
     def move_camera(self, motion: Array) -> "View":
         """Return the view after a rigid motion (4, 4) of the camera in the camera's frame.

@@ -26,13 +26,13 @@ class Near:
     """
 
     turn: tuple[Float, Float]
-    """Real and imaginary part of a complex number whose argument is the heading of the ray at the outer wall, minus pi.
-    The modulus is a product of radii."""
+    """Real and imaginary part of a complex number. Its argument is the heading of the ray outside the canister, minus
+    pi, plus asin(b / R_o), where R_o is the outer radius. Its modulus is a product of radii."""
     per_radii: Float
     """Factor by which complex numbers that represent headings are normalised. It is the inverse of the product of all
     radii, including those of the wall and the water."""
     turn_b: Float
-    """Derivative of the heading with respect to b, rad/mm."""
+    """Derivative of the argument of ``turn`` with respect to b, rad/mm."""
     outer_z: Float
     """Height at which the ray meets the outer wall, mm."""
     z_b: Float
