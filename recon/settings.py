@@ -60,8 +60,7 @@ class CoverageSettings:
     by chance."""
     dim: float = bounded(0.25, 0.0, 1.0)
     """Minimum brightness of the background at a usable pixel. It is relative to the 90 % quantile of the background's
-    brightness in all pictures of the same turn of the table. Darker pixels occur at the canister's flanks and in
-    shadows."""
+    brightness over the water in the same picture. Darker pixels occur at the canister's flanks and in shadows."""
     glare: float = bounded(0.05, 0.001, 1.0)
     """Brightness in excess of the smoothed panel, as a fraction of the panel's brightness, above which a pixel is
     classified as a reflection. If roots in front of the panel show the same excess, it is light that the wall reflects,
@@ -166,7 +165,7 @@ class TrustSettings:
     but if it varies by a third, the brightness of the panel exceeds the camera's range."""
     uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
     """Fair and bad limits for the variation in brightness of the panel beside the canister after the exposure has been
-    normalised row by row. The variation is the standard deviation between parts of the panel, relative to the mean of
+    normalised row by row. The variation is the standard deviation between parts of the panel, relative to the median of
     all pictures from the same camera position. Without the normalisation, brightness bands of 7 % made a printed
     phantom 6.8 % too large: the relative error of the volume is about that of the brightness
     (`docs/log/2026-11-22-damages.md`)."""
@@ -212,7 +211,8 @@ class TrustSettings:
     def __post_init__(self) -> None:
         """Check the order of the two limits of each setting.
 
-        The bad limit must be the larger one, except for the brightness of the panel and the width of roots.
+        The bad limit must not be the smaller one, except for the brightness of the panel and the width of roots, where
+        it must not be the larger one.
         """
         for each in fields(self):
             value = getattr(self, each.name)

@@ -71,15 +71,15 @@ _MOST_ADDED = 0.25
 the reflected object becomes brighter or darker by a fifth, the error is at most the default of
 `CoverageSettings.glare`, which is tolerated."""
 _DARK, _LEAST_DARK = 0.5, 30
-"""Two parameters of the detection of roots in front of reflections. A pixel shows a root if its brightness is below the
+"""Two parameters of the detection of roots behind reflections. A pixel shows a root if its brightness is below the
 first value, as a fraction of the panel's brightness. The second value is the minimum number of such pixels."""
 _DARKEST = 0.2
-"""Quantile by which root pixels in front of a reflection are compared with root pixels beside it. It is taken over the
+"""Quantile by which root pixels behind a reflection are compared with root pixels beside it. It is taken over the
 brightness of each pixel in its darkest view. It represents pixels that a root covers completely, and exceeds the noise
 of single pixels."""
 _BESIDE_PX = 41
 """Side of the square around a reflection in which root pixels are used for comparison, px. Roots within this distance
-are as bright as roots in front of the reflection, because front light varies only over distances of 200 px and more
+are as bright as roots behind the reflection, because front light varies only over distances of 200 px and more
 (the depth of the water)."""
 _BLOCK_ROWS = 24
 """Number of picture rows that are processed at once. 24 rows of 40 views with 800 columns occupy 3 MB and fit in the

@@ -52,7 +52,7 @@ _EMPTY = 0.06
 """Maximum opacity beside a root that does not overlap others."""
 _GOOD = (0.02, 0.04)
 """Two limits for the root mean square residual of a fitted profile. The second limit is used if too few profiles
-satisfy the first. In a dense cluster of opaque roots, hardly any profile satisfies either limit."""
+satisfy the first, as in a dense cluster of opaque roots."""
 _MOST = 3000
 """Approximate maximum number of profiles that are sampled per view."""
 _A_BIN, _LEAST = 120, 30
