@@ -28,8 +28,8 @@ _STEP = 1e-3
 """Cost of each cell on a path outside the hull, in addition to the fraction of views that exclude the cell. It ensures
 that the shortest of several equally good paths is selected."""
 _INSIDE = 1e-9
-"""Cost of each cell of a path inside the hull. It is not zero, since an edge without a cost would be missing from the
-sparse graph."""
+"""Cost at which a path enters a component of the hull. It is not zero, since an edge without a cost would be missing
+from the sparse graph."""
 
 
 def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) -> Leaves:

@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 Top = tuple[float, float, float]
 
 HIDDEN_MM = 8.0
-"""Vertical range below the net pot in which the visible top of a plant is searched, mm.
+"""Height below the net pot's grid in which the visible top of a plant is searched, mm.
 
 From a camera at the height of the roots, the dark net pot hides the topmost 2.4 mm of thin roots, and a few diameters
 more of a thick base (docs/accuracy.md)."""

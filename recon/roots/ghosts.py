@@ -45,9 +45,9 @@ _LONG_MM, _TIP_NODES = 8.0, 5
 """Length above which the end of a branch is always accepted as a root tip, mm, and number of last nodes from which the
 residual at a tip is computed."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
-"""Parameters of the evidence for a tip, which is the sum of three terms. The first term is the visible fraction of the
-tip. The second is 0.25 times the distance from other roots, which is limited to 1 mm. The third is -0.1 times the
-logarithm of the residual relative to that of other ends, plus 0.25 to bound the logarithm."""
+"""Parameters of the evidence for a tip, which is v + 0.25 d - 0.1 ln(r + 0.25). Here, v is the visible fraction of the
+last node. d is its distance from the surface of other roots, limited to 1 mm. r is the residual at the tip as a
+fraction of the squared coverage, relative to the median over all ends."""
 _CERTAIN = 0.15
 """Minimum evidence for a tip. At this threshold, the numbers of rejected true tips and accepted false tips are equal
 (docs/decisions/tubes-for-thin-roots.md)."""
@@ -134,8 +134,8 @@ def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Ma
     """Return the mask (N,) of nodes at branch ends that are probably not root tips.
 
     An end comprises the nodes from a branch's last lateral to its last node. The evidence for a tip combines three
-    measures, since a false tip may pass any single measure: the fraction of the end that other roots do not hide, its
-    distance from other roots, and the residual around it. The residual is compared with that of other ends, which
+    measures, since a false tip may pass any single measure: the fraction of the last node that other roots do not hide,
+    its distance from other roots, and the residual around it. The residual is compared with that of other ends, which
     accounts for noise and blur. An end that protrudes from its parent by less than its own diameter is a bulge and
     never a tip.
 

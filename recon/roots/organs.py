@@ -84,7 +84,10 @@ def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
 
 
 def _inner_radius(core: Core, points_mm: Array) -> Array:
-    """Return the radius (N,) of the largest sphere that contains each point (N, 3) and fits into a core, mm."""
+    """Return the radius (N,) of the largest sphere that contains each point (N, 3) and fits into a core, mm.
+
+    The radius is 0 if there is no such sphere.
+    """
     found, depth, edge_mm = np.zeros(len(points_mm)), core.depth_mm, core.cells.grid.size_mm
     if not len(depth):
         return found

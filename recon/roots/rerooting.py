@@ -43,7 +43,7 @@ class Tree:
     def way(self, line: int, at: int) -> list[Place]:
         """Return the path from the base of the tree to a point of a root, as pairs of root index and point index.
 
-        A point shared by two roots appears once, on the parent.
+        The first point of a root and the parent's point to which it is attached are both included.
         """
         found: list[Place] = []
         while line >= 0:

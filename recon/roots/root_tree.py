@@ -61,7 +61,11 @@ class RootSystem(RootTree):
         return Rendering.draw(self.evidence, self.tubes)
 
     def roots(self) -> tuple[Root, ...]:
-        """Return the branches as roots that begin at the surface of their parents. Parents come before children."""
+        """Return the branches as roots. Parents come before children.
+
+        Laterals begin on the centre line of their parent, or at most `thick_lines.BURIED_MM` below the surface of a
+        thickened parent.
+        """
         number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm  # index of each node's root
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):

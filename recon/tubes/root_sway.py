@@ -37,8 +37,8 @@ _LEAST_MM = 0.06
 """Minimum root mean square displacement of the roots for the sway to be corrected, and the roots to be reconstructed
 again, mm. The motion check has the same threshold.
 
-A plant with this sway loses 2 % of its volume. With 0.3 mm at the tips, or 0.12 mm over the whole plant, it lost 8
-%."""
+A plant with this sway loses 2 % of its volume. With 0.3 mm at the tips, which is 0.12 mm over the whole plant, it lost
+8 %."""
 
 
 def follow(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:

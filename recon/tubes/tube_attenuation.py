@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 
 _START_PER_MM = 2.0
 """Initial attenuation in the fit of translucent roots, 1/mm. It is used if the attenuation was not estimated from wide
-roots. The value is the geometric mean of `root_light.FAINTEST` and 8/mm."""
+roots. The value is the geometric mean of 0.5/mm and 8/mm."""
 _STEPS, _TRANSLUCENT_STEPS = 5, 8
 """Number of iterations of the fit for opaque roots and for translucent roots. Translucent roots need more, since log mu
 changes by at most 0.35 per iteration."""
