@@ -91,7 +91,7 @@ def carve_hull(
     Parameters
     ----------
     finest_mm : float
-        Edge length of the finest octree nodes.
+        Edge length of the finest octree nodes, mm.
     slack_px, ignore_blindness : float, bool
         See `carve.carve`.
 
@@ -180,7 +180,7 @@ def find_roots(
 
     Parameters
     ----------
-    carved : Carved
+    carved : CarvedHull
         Carved hull with its views and silhouettes.
     coverage : Coverage
         Coverage with the attenuation of the roots.
@@ -201,11 +201,11 @@ def find_roots(
 
 
 def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the tubes with the trimmed hull of the solids (taproot, hypocotyl), and measure the united shape.
+    """Unite the tubes with the trimmed hull of the solids, which no tube explains, and measure the united shape.
 
     Parameters
     ----------
-    carved : Carved
+    carved : CarvedHull
         Carved hull with its views and silhouettes.
     system : RootSystem or None
         Fitted roots; None if there are none.
@@ -345,7 +345,7 @@ def _budget(
 def _calibration(carved: CarvedHull, budget: Budget, roots: Sequence[Root], system: RootSystem | None, missed: float) -> Calibration:
     """Return the calibration of the 90 % intervals.
 
-    Only scans with greyscale photographs of a canister with markers are calibrated. A tank is not.
+    Only scans with greyscale photographs of a canister with markers, and without a tank, are calibrated.
     """
     if carved.cameras.markers is None or carved.bank.optics.tank is not None or any(one.binary for one in carved.silhouettes):
         return NOT_CALIBRATED
@@ -387,7 +387,7 @@ def measure(
     leaves : Leaves
         Leaves of the solid.
     voxel_mm : float
-        Edge length of the output voxels.
+        Edge length of the output voxels, mm.
     budget : Budget
         Error budget of the volume.
     bounds_mm3 : tuple of float

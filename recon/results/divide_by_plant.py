@@ -98,8 +98,8 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
     """Return the 90 % interval of a plant's volume, mm3.
 
-    Its limits are computed from two volumes. ``least_mm3`` excludes all parts that may belong to another plant, and
-    ``most_mm3`` includes them.
+    Its limits are computed from two volumes. ``least_mm3`` excludes the plant's parts that may belong to another plant.
+    ``most_mm3`` includes the parts of other plants that may belong to this plant.
     """
     (low, _), (_, high) = (
         part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part, calibration=shape.calibration)

@@ -42,8 +42,8 @@ class HiddenTop:
     """Volume of the hidden parts, mm3, if each taproot continues with the cross-section of its uppermost visible
     part."""
     interval_mm3: tuple[float, float]
-    """90 % interval of the volume of the hidden parts, mm3. The cross-section is assumed to vary over the
-    hidden length as much as it varies over equal lengths of the visible part."""
+    """90 % interval of the volume of the hidden parts, mm3. The cross-section is assumed to vary over the hidden length
+    as much as it varies over equal lengths of the visible part."""
 
     def warning(self, *, is_added: bool) -> str:
         """Return the warning about hidden parts of the taproot, with advice.

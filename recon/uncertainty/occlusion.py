@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 _COLUMN_MM = 0.4
 """Minimum width of the columns of voxels whose hidden continuation is estimated, mm."""
 _EDGE_MM = 0.5
-"""Maximum distance between the end of a shape and a place that no view shows for the end to be considered hidden, mm.
-It is not zero, since outlines are at half coverage."""
+"""Distance beyond the end of a shape at which too few views must see for the end to be considered hidden, mm. It is not
+zero, since outlines are at half coverage."""
 ANYWHERE = 0.9
 """Fraction of the hidden length that contains the end of a root with a probability of 90 %. The position of the end is
 assumed to be uniformly distributed over the hidden length."""

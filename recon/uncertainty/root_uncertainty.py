@@ -320,7 +320,7 @@ class _Places:
         return _Places(radius, step, px, gradient, np.array(at.visible).reshape(shape), tip)
 
     def segments(self, view: int) -> NDArray[np.bool_]:
-        """Return the mask (N - 1,) of nodes that are visible like the next node of their root."""
+        """Return the mask (N - 1,) of nodes that are visible together with the next node of their root."""
         return self.visible[view, :-1] & self.visible[view, 1:] & (self.step_mm[:-1] > 0.0)
 
     def centre_lines(self, view: int, shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], float]:

@@ -80,8 +80,8 @@ def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tup
 def _relative_to_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]]:
     """Yield the blurred coverage and the opacity of the pixels beside roots, for each view of one camera.
 
-    The mean of the same pixel over all views is subtracted from both. The means are of the views in which the pixel is
-    beside roots.
+    Means of the same pixel over all views in which it is beside roots are subtracted from both, unless there are at
+    most `_OTHERS` views.
     """
     if len(views) <= _OTHERS:
         yield from (_beside(view)[1:] for view in views)

@@ -1,4 +1,4 @@
-"""Uncertainty of the volume of taproot, hypocotyl and solid objects, which is reconstructed from the silhouettes."""
+"""Uncertainty of the volume of solids, which no tube explains and which are reconstructed from the silhouettes."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ salts, or ten degrees) causes less than this."""
 def estimate_terms(
     bank: ViewBank, hull: Hull, part: Leaves, solids: TrimmedHull, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
-    """Return the terms of the error budget for solids (taproot, hypocotyl and solid objects).
+    """Return the terms of the error budget for solids.
 
     Parameters
     ----------
-    part, solids : Leaves, Trimmed
+    part, solids : Leaves, TrimmedHull
         The part of the hull about them, and its trimmed form.
     slack_px : float
         Amount by which outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
