@@ -214,7 +214,10 @@ def _rms(residuals: Array) -> float:
 
 
 def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, float] | None:
-    """Return the picture with the largest residual (px) if it is inconsistent with the others, otherwise None."""
+    """Return the name and the residual (px) of the picture with the largest residual.
+
+    The result is None if this picture is consistent with the others.
+    """
     rms = np.array([_rms(r) for r in found.residuals])
     k = int(np.argmax(rms))
     return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None
