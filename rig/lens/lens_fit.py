@@ -52,6 +52,7 @@ class LensFit:
     distortion: tuple[float, float, float, float, float]
     """Coefficients k1, k2, p1, p2, k3 of the OpenCV model. They are 0 for terms that were not fitted."""
     distortion_std: tuple[float, float, float, float, float]
+    """Standard deviations of the coefficients. They are 0 for terms that were not fitted."""
     left_out: tuple[str, ...]
     """Terms of the model that the pictures do not support: k3, "p1, p2", k2, k1, or fx / fy. If fx / fy is omitted, a
     common focal length is fitted."""
