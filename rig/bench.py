@@ -154,7 +154,11 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 
 
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
-    """Take two pictures, with the lamps off and on, and check them."""
+    """Take a picture with the lamps off and one with the lamps on, and check the lamps, the exposure and the markers.
+
+    If the rig has an arm, exposure and markers are only reported, because the camera may point anywhere. If the lamps
+    cannot be controlled, a single picture is taken, and only its size and exposure are checked.
+    """
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
         return

@@ -70,7 +70,7 @@ class FirstDay:
     def walk(self, *, wrong_devices: int) -> list[Finding]:
         """Run all steps and return their results.
 
-        If an error occurs, the results are written, and the rig is left in a safe state.
+        The results are written and the rig is left in a safe state, even if an error occurs.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class FirstDay:
         self._record_finding(
             "devices",
             wrong_devices == 0,
-            f"{wrong_devices} devices have a problem; see the lines above" if wrong_devices else "all devices reply",
+            f"problems found: {wrong_devices}; see the lines above" if wrong_devices else "all devices reply",
         )
         steps: list[tuple[str, Callable[[], None]]] = [
             ("lamps", self._lamps),

@@ -149,8 +149,8 @@ class ArmPart:
     dead band of the servo."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
-    """Joint angles of the parking position, in which the arm's torque is switched off, deg. Every scan begins and ends
-    in this position."""
+    """Joint angles of the parking position, in which the arm's torque is switched off, deg. The arm returns to it at
+    the end of a scan, and the paths of a scan are checked beforehand from and to this position."""
     filter: Joint | None = None
     """Servo of the end effector that rotates a filter wheel in front of the lens. It is None if there is no filter
     wheel."""

@@ -288,7 +288,8 @@ class ServoArm:
         volt = self._bus.voltage_v(self._ids)
         if not part.min_volt <= volt <= part.max_volt:
             raise UnsafeError(
-                f"arm: the servos' supply voltage is {volt:.2f} V, outside {part.min_volt:g} to {part.max_volt:g} V; check the supply"
+                f"arm: the servos' supply voltage is {volt:.2f} V, outside {part.min_volt:g} to {part.max_volt:g} V; "
+                "check the supply and its cable"
             )
         for servo, celsius in (self._bus.temperatures_c(self._ids) or {}).items():
             if celsius > part.max_celsius:
@@ -299,7 +300,8 @@ class ServoArm:
     def _limp(self) -> int | None:
         """Return the number of a servo whose torque is off.
 
-        It is None if the torque of all servos is on.
+        It is None if there is none. If the protocol does not report the torque, a servo counts as without torque if it
+        has left its position at the end of the last move.
         """
         loaded = self._bus.loaded(self._ids)
         if loaded is not None:

@@ -25,8 +25,8 @@ from rhizotwin.scenes.model import Scene, Tank
 TABLE_THICKNESS_MM = 20.0
 """Thickness of the turntable's disc, on which the canister stands, mm."""
 FINE_MM = 0.1
-"""Length at which the bisection of a path segment ends, mm. A segment is not divided further if the arm moves by less
-than this length in it, so that the distances to obstacles are checked with this accuracy."""
+"""Length at which the bisection of a path segment ends, mm. A segment is not divided further if the arm moves by at
+most this length between its middle and its ends, so that the distances to obstacles are checked with this accuracy."""
 START_SLACK_MM = 2.0
 """Maximum distance by which the arm may come nearer to an obstacle while it moves away from its initial position, mm.
 It applies only if the initial position is closer to the obstacle than the required clearance, because the arm has

@@ -151,8 +151,8 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
     """Compute joint angles by Newton's method, using the damped pseudo-inverse of the body Jacobian.
 
     Each step solves ``(J^T J + m I) dq = J^T V``, where V = log(g^-1 g_wanted) is the twist in the camera's frame, and
-    m decreases with |V|^2. For m = 0 the matrix is the pseudo-inverse of J, which has more rows than columns (Lynch and
-    Park, Modern Robotics, section 6.2.2).
+    m decreases with |V|^2. For m = 0, dq is V multiplied by the pseudo-inverse of J, which has more rows than columns
+    (Lynch and Park, Modern Robotics, section 6.2.2).
 
     Parameters
     ----------

@@ -294,7 +294,8 @@ def _is_reached(found: NewtonSolution) -> NDArray[np.bool_]:
 def _fit_joints(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
     """Return how far the worst joint exceeds its limits (n,), and the joint angles (n, 5), both in degrees.
 
-    Multiples of 360 degrees are added to the angles to bring them within the limits.
+    Multiples of 360 degrees are added to bring each angle nearest to ``near_deg`` or, if it is None, to the middle of
+    its limits.
     """
     low, high = _limits_deg(part)
     middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)

@@ -94,7 +94,8 @@ def check_move(targets: Mapping[int, int], duration_s: float) -> None:
 def listen(wire: Wire, patience_s: float, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
     """Collect bytes until ``find`` returns a result or the timeout expires.
 
-    Return this result, or None after the timeout, and all received bytes.
+    Return this result, or None if there is none, and all received bytes. Reading also ends after a few thousand bytes,
+    so that the function returns even if the line never stops sending.
 
     Parameters
     ----------

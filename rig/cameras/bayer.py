@@ -32,7 +32,7 @@ def grey_from_bayer(
     raw : (H, W) uint16 array
         Raw values of the sensor.
     order : str
-        Colours of the upper left quad, row by row, such as "RGGB".
+        Colours of the upper left Bayer cell, row by row, such as "RGGB".
     black : tuple of float
         Black levels in the order of `COLOURS`.
     white : float

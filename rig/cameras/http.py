@@ -104,7 +104,7 @@ class HttpCamera:
     def _ask(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str = "") -> _Answer:
         """Send a request, and repeat it until its reply is complete.
 
-        A reply that reports an error is raised immediately.
+        If the reply reports an error, an exception is raised immediately.
         """
         reason = ""
         until_s = time.monotonic() + timeout_s  # one deadline for all attempts, because the lamps remain on

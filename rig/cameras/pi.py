@@ -23,8 +23,8 @@ INSTALL = (
     "sudo apt install python3-picamera2, and a Python that can import it (the system's own, or a venv made with --system-site-packages)"
 )
 TRIES = 8
-"""Maximum number of frames to wait until changed settings take effect. A change takes effect after four frames more
-than there are buffers."""
+"""Maximum number of frames to wait until changed settings take effect. It exceeds the delay of a change, which is
+`BUFFERS` + 4 frames."""
 BUFFERS = 2
 PATIENCE_S = 10.0
 """Maximum waiting time for a picture, in addition to the duration of a few exposures, s. If no picture arrives in this

@@ -76,7 +76,7 @@ class CameraService:
         Raises
         ------
         LostError
-            If another session has replaced this session.
+            If another session has replaced this session, or the server was restarted.
         RigError
             If the camera fails. In this case the request can be repeated.
         """

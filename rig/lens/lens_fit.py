@@ -52,6 +52,7 @@ class LensFit:
     distortion: tuple[float, float, float, float, float]
     """Coefficients k1, k2, p1, p2, k3 of the OpenCV model. They are 0 for terms that were not fitted."""
     distortion_std: tuple[float, float, float, float, float]
+    """Standard deviations of the coefficients. They are 0 for terms that were not fitted."""
     left_out: tuple[str, ...]
     """Terms of the model that the pictures do not support: k3, "p1, p2", k2, k1, or fx / fy. If fx / fy is omitted, a
     common focal length is fitted."""
@@ -214,7 +215,10 @@ def _rms(residuals: Array) -> float:
 
 
 def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, float] | None:
-    """Return the picture with the largest residual (px) if it is inconsistent with the others, otherwise None."""
+    """Return the name and the residual (px) of the picture with the largest residual.
+
+    The result is None if this picture is consistent with the others.
+    """
     rms = np.array([_rms(r) for r in found.residuals])
     k = int(np.argmax(rms))
     return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None

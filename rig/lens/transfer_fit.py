@@ -59,7 +59,8 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     Raises
     ------
     RigError
-        If there are too few pictures or well exposed pixels, or the exposure times are too similar.
+        If there are too few pictures or well exposed pixels, the exposure times are too similar, or the pictures differ
+        in size.
     """
     times = np.asarray(exposures_s, np.float64)
     if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():

@@ -1,6 +1,6 @@
 """Misalignment of a camera relative to a horizontal view of the canister (thesis, appendix C.2).
 
-If the camera is aligned, its optical axis is horizontal and intersects the axis of the canister.
+If the camera is aligned, it is upright, and its optical axis is horizontal and intersects the axis of the canister.
 """
 
 from __future__ import annotations

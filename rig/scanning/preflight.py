@@ -31,7 +31,7 @@ class Exposure:
     """Brightness of a picture relative to the camera's range."""
 
     bright: float
-    """Brightness of a picture as a fraction of the camera's full scale."""
+    """Grey level that is exceeded by the fraction `BRIGHT_SHARE` of the pixels, as a fraction of full scale."""
     saturated: float
     """Fraction of the pixels that are saturated."""
 

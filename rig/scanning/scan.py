@@ -339,7 +339,7 @@ class _Scan:
         return (frame, shot.image), self._other_bands(view, frame), again
 
     def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
-        """Take the same view in all other bands of the camera, and restore the lamps of the first band."""
+        """Take the same view in all other bands of the camera, and restore the first band."""
         taken: list[Picture] = []
         for band in plan.ring_bands(self._scene, view.ring):
             if band == frame.band:

@@ -32,8 +32,8 @@ MOST_SLIPPED_DEG = 1.0
 """Maximum difference between the measured and the commanded table angle, deg, at which a picture is accepted for any
 motor."""
 UNSURE_DEG = 0.1
-"""Error, in degrees, of the table angle measured from the markers of a single picture. It corresponds to a fifth of a
-pixel at the edge of the strip in pictures of 400x300. Smaller deviations do not count as slip."""
+"""Error of the table angle measured from the markers of a single picture, deg. It displaces the markers nearest to the
+camera by about 0.3 px in pictures of 400x300 pixels. Smaller deviations do not count as slip."""
 
 Taken = tuple[float, Path]
 """Commanded table angle, deg, and path of a picture."""
@@ -49,7 +49,7 @@ class BoardFaultError(Exception):
 
 @contextmanager
 def convert_board_errors() -> Iterator[None]:
-    """Convert failures of the board to `BoardFaultError`. Other devices raise other errors."""
+    """Convert failures of the board to `BoardFaultError`, which distinguishes them from failures of other devices."""
     try:
         yield
     except (LostError, NoAnswerError) as error:
@@ -150,8 +150,8 @@ class ScanTurntable:
                 return
             self._note(
                 "angle",
-                f"turntable: the board reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg, so that the table "
-                "was turned by hand",
+                f"turntable: the board reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg, because the table "
+                "was turned by hand or slipped",
             )
         self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
 

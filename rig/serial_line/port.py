@@ -218,7 +218,8 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
 def _slice_s(left_s: float) -> float:
     """Return the duration of the next wait, s.
 
-    It is the largest power of two that does not exceed the remaining time, limited to 1 ms to 8 s.
+    It is the largest power of two that does not exceed the remaining time, limited to 1 ms to 8 s. Thus the timeout of
+    the port, whose changes take time, has few different values and rarely changes.
     """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)

@@ -30,9 +30,9 @@ class Pins(Protocol):
         """
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses, and wait for the given time after each pulse.
+        """Begin to send pulses, each followed by its pause, and return immediately.
 
-        The pulses are sent by a thread of the library.
+        The pulses are timed by a thread of the library.
         """
 
     def busy(self, pin: int) -> bool:

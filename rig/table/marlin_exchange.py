@@ -17,7 +17,7 @@ BUSY_S = 3.0
 board repeats this report every `BUSY_EVERY_S`."""
 BUSY_EVERY_S = 2
 AGAIN_S = 3.0
-"""Time without a reply after which a command is sent again if it was already sent twice or more, s."""
+"""Time without a reply after which a command is sent again if it was already repeated for lack of a reply, s."""
 TRAILING_S = 0.5
 """Timeout for the ``ok`` after ``Resend``, s. The ``ok`` should follow immediately, but some firmware versions omit
 it."""

@@ -55,7 +55,7 @@ class Supply:
         return self._low_for_s <= 0.0
 
     def brown_out(self, for_s: float) -> None:
-        """Interrupt the supply for a given time (s)."""
+        """Let the voltage drop for a given time (s)."""
         self._low_for_s = for_s
 
     def advance(self, dt_s: float) -> None:

@@ -141,7 +141,7 @@ class TwinWorld:
         self.supply.load_volt = 0.08 * sum(servo.moving for servo in self.servos.values())
 
     def brown_out(self, for_s: float) -> None:
-        """Interrupt the arm's supply for the given time in seconds.
+        """Let the voltage of the arm's supply drop for the given time in seconds.
 
         All servos restart without torque, even if the time is 0.
         """
