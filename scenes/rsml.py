@@ -59,7 +59,7 @@ def mean_diameter_mm(roots: Iterable[Root]) -> float:
 
 
 def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
-    """Return the roots of one plant. Parents are renumbered in this list.
+    """Return the roots of one plant. Their parents are indices into the returned roots.
 
     The parent is -1 if it belongs to another plant.
     """
