@@ -69,7 +69,7 @@ def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CentrePoints:
-    """Points on the centre lines of roots. Each point is in the middle of a piece of a centre line."""
+    """Points (P, 3) on the centre lines of roots. Each point is in the middle of a piece of a centre line."""
 
     points_mm: Array
     radius_mm: Array

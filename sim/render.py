@@ -28,8 +28,8 @@ DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
 """Default number of rays per pixel, keyed by fidelity. For ``backlit`` they form a lattice of 4 x 4 rays. For ``path``
 they are twice as many random paths, whose pictures are for viewing and not for measurements."""
 PATH_DEPTH = 16
-"""Maximum number of surfaces on a path. It is twice the number on the straight path through the canister or the
-tank."""
+"""Maximum number of surfaces on a path. It is twice the eight surfaces on the straight path through the canister or
+the tank."""
 MAX_RAYS = 8_000_000
 """Maximum number of rays per kernel launch. It limits the memory that is needed for large sensors."""
 MAX_PATHS = 32_000_000
