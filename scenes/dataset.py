@@ -32,7 +32,7 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Picture with its commanded and its measured positions of the table and the camera."""
+    """Picture, with the commanded and the measured positions of the table and the camera at its exposure."""
 
     file: str
     """Path of the picture relative to the dataset folder, with forward slashes as separators."""

@@ -93,7 +93,7 @@ def refuse_links(folder: Path) -> None:
 
 @contextmanager
 def lock_folder(folder: Path | str) -> Iterator[Path]:
-    """Lock a folder for exclusive use, after recovering files that a killed run has left.
+    """Lock a folder for exclusive use, and recover the files that a killed run has left.
 
     The folder is created if it is missing, and removed again if it remains empty. Files of a killed run are moved into
     place, moved back or removed.

@@ -63,7 +63,8 @@ def lock_file(path: Path, *, what: str) -> Iterator[bool]:
     Raises
     ------
     UserError
-        If another process holds the lock (the message states process and computer), or the file is not a regular file.
+        If another process holds the lock (the message states process and computer), or the file is a link or not a
+        regular file.
     OSError
         If the file cannot be created.
     """

@@ -108,8 +108,9 @@ class Surroundings:
 
     n: float = bounded(1.0, 1.0, 2.0)
     """Refractive index of the medium, which is 1 for air. A larger index is that of a liquid in a tank around the
-    canister, which reduces refraction at the wall. It requires a telecentric camera perpendicular to the flat window of
-    the tank, because only parallel rays pass such a window without refraction."""
+    canister. It reduces refraction at the wall most if it is close to that of the water. A larger index requires a
+    telecentric camera perpendicular to the flat window of the tank, because only parallel rays pass such a window
+    without refraction."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,8 +172,8 @@ class Camera:
     """Transfer curve as a table: light, as a fraction of full scale, at equally spaced pixel values from 0 to full
     scale. It is determined by `rhizotwin calibrate transfer`."""
     bands: tuple[Band, ...] = ()
-    """Bands in which every view is taken, in order of capture. If there are none, each view is one picture in white
-    light."""
+    """Bands in which every view is taken, in order of capture. If there are none, each view is one picture that
+    is not limited to a band."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
         """Return the camera with a picture size of ``image_wh`` and an unchanged horizontal field of view."""
@@ -299,7 +300,7 @@ class Disturbances:
     """Diameter of the lens aperture. It is 0 for a pinhole camera. Otherwise, objects outside the focus distance are
     blurred."""
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
-    """Difference between the focus distance and the distance from the camera to the table's axis."""
+    """Error of the focus distance (focus distance minus the distance from the camera to the table's axis)."""
     focal_error: float = bounded(0.0, -0.05, 0.05)
     """Relative error of the focal length (true over nominal, minus 1), for example after refocusing a calibrated lens.
     It is unknown to the reconstruction."""
@@ -329,7 +330,7 @@ class Disturbances:
     """Relative difference between the brightest and the darkest part of the panel. The brightness varies smoothly and
     randomly."""
     n_water_error: float = bounded(0.0, -0.1, 0.1)
-    """Difference between the true and the nominal refractive index of the water."""
+    """Error of the refractive index of the water (true minus nominal)."""
     transfer: Literal["linear", "srgb"] = "linear"
     """Transfer curve of the camera from light to pixel values. It is known to the reconstruction."""
     stored_bits: int | None = field(default=None, metadata={"limits": (8, 16)})
@@ -355,10 +356,10 @@ class Disturbances:
     root_hair_mu_per_mm: float = bounded(0.0, 0.0, 100.0)
     """Attenuation coefficient of the sleeve of root hairs."""
     sway_mm: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation of the displacement of the lowest root tip from view to view, in each horizontal direction.
-    The displacement decreases towards the top of the roots, which does not move."""
+    """Standard deviation of the displacement of the lowest root tip in a view, in each horizontal direction. The
+    displacement decreases towards the top of the roots, which does not move."""
     canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
-    """Difference between the true and the nominal outer radius of the canister. It is unknown to the reconstruction."""
+    """Error of the outer radius of the canister (true minus nominal). It is unknown to the reconstruction."""
     canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
     """Half the difference between the largest and the smallest outer radius of the canister. The cross-section is an
     oval that rotates with the canister. It is unknown to the reconstruction."""
@@ -366,7 +367,7 @@ class Disturbances:
     """Relative error of the wall thickness of the canister (true over nominal, minus 1). It is unknown to the
     reconstruction."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
-    """Difference between the true and the nominal refractive index of the canister's wall. It is unknown to the
+    """Error of the refractive index of the canister's wall (true minus nominal). It is unknown to the
     reconstruction."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
     """Fraction of light that the seam of a rolled tube absorbs. The seam is 1 mm wide, has a random azimuth, and

@@ -20,8 +20,8 @@ import simplejpeg
 import tifffile
 
 MOST_PIXELS = 2**27
-"""Maximum number of pixels of a picture. It exceeds the number of pixels of the largest sensors (100 to 150 million).
-In 16-bit colour, a picture of this size requires 0.8 GB."""
+"""Maximum number of pixels of a picture, 134 million. The largest sensors have 100 to 150 million pixels. In 16-bit
+colour, a picture of this size requires 0.8 GB."""
 _NO_PICTURE = "the file is not a supported picture; use PNG, JPEG or TIFF"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
@@ -207,7 +207,7 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
 
 
 def is_sealed(data: bytes) -> bool:
-    """Return whether a file contains a checksum of its pixels. The file was accepted by `check_picture`."""
+    """Return whether a picture file that `check_picture` has accepted contains a checksum of its pixels."""
     if data.startswith(_TIFF):
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             return int(file.pages.first.compression) in _DEFLATE

@@ -30,7 +30,7 @@ class View:
 def views(scene: Scene, *, seed: int = 0) -> list[View]:
     """Expand the plan of a scene into its views, in the order of capture.
 
-    The random displacement of view k depends only on ``seed``, the ring and k.
+    The random change of the camera's pose in view k of a ring depends only on ``seed``, the ring and k.
     """
     found: list[View] = []
     for ring_index, ring in enumerate(scene.plan.rings):

@@ -59,7 +59,7 @@ def mean_diameter_mm(roots: Iterable[Root]) -> float:
 
 
 def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
-    """Return the roots of one plant. Parents are renumbered in this list.
+    """Return the roots of one plant. Their parents are indices into the returned roots.
 
     The parent is -1 if it belongs to another plant.
     """
@@ -69,7 +69,7 @@ def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CentrePoints:
-    """Points on the centre lines of roots. Each point is in the middle of a piece of a centre line."""
+    """Points (P, 3) on the centre lines of roots. Each point is in the middle of a piece of a centre line."""
 
     points_mm: Array
     radius_mm: Array

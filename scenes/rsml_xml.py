@@ -14,7 +14,7 @@ from rhizotwin.scenes.reading import read_file
 
 
 def parse(path: Path) -> ET.Element:
-    """Parse XML with undeclared prefixes. Document types and entities are rejected."""
+    """Parse XML. Undeclared prefixes are accepted, and document types and entities are rejected."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True  # otherwise the space between two lines is reported in three parts

@@ -62,8 +62,7 @@ class RootOrder:
     """
 
     diameter_mm: float = bounded(0.3, 0.01, 50.0)
-    """Mean diameter at the base of the root. The radii of the plant are afterwards multiplied by a factor, with which
-    its volume is as specified."""
+    """Mean diameter at the base of the root, before the radii of the plant are scaled to its specified volume."""
     diameter_sd: float = bounded(0.1, 0.0, 0.5)
     """Standard deviation of the base diameter between roots, as a fraction of the mean."""
     taper: float = bounded(0.6, 0.05, 1.0)
@@ -82,8 +81,8 @@ class RootOrder:
     base_mm: float = bounded(2.0, 0.0, 1000.0)
     """Length of the zone without laterals at the base of the root."""
     apex_mm: float = bounded(10.0, 0.0, 1000.0)
-    """Length of the zone without laterals behind the tip. A lateral emerges when the tip has grown
-    beyond its point of attachment by this length."""
+    """Length of the zone without laterals behind the tip. A lateral emerges when the tip has grown beyond
+    its point of attachment by this length."""
     insertion_deg: float = bounded(70.0, 0.0, 180.0)
     """Angle between a root of this order and its parent at the base. It is not used for the taproot."""
     insertion_sd_deg: float = bounded(12.0, 0.0, 90.0)
@@ -92,8 +91,8 @@ class RootOrder:
     """Rotation of the growth direction per mm of growth towards straight down, or towards the direction given by the
     lean. It is in radians, divided by the sine of the remaining angle."""
     wobble_deg: float = bounded(6.0, 0.0, 90.0)
-    """Standard deviation of the random change of direction during 1 mm of growth. Over longer distances, it increases
-    with the square root of the length."""
+    """Random change of the growth direction. Over a length that is much larger than 4 mm, the standard deviation of the
+    change is this value times the square root of the length in mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +121,7 @@ class GrownSpecimen:
     age_days: float = bounded(15.0, 0.1, 365.0)
     """Time since the emergence of the taproot."""
     volume_ml: float = bounded(0.2, 1e-4, 500.0)
-    """Volume of the union of all roots. All radii are multiplied by a common factor with which this volume is exact."""
+    """Volume of the union of all roots. All radii are multiplied by a common factor, so that this volume is exact."""
     orders: tuple[RootOrder, ...] = (
         RootOrder(diameter_mm=1.2, taper=0.3, elongation_mm_per_day=9.0, max_length_mm=95.0, interlateral_mm=2.0, wobble_deg=4.0),
         RootOrder(),

@@ -156,9 +156,9 @@ class _KnownLines:
 
 
 def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int, int]], int | None]:
-    """Return the stretches of a line that do not coincide with known lines, as pairs of first and last index.
+    """Return the stretches of a line that do not coincide with known lines, as index ranges (start, stop).
 
-    Also return the index of the root with which the line coincides over the greatest length.
+    Also return the index of the root with which the line coincides over the greatest length, or None if there is none.
     """
     count = len(line.points_mm)
     away_mm, diameter_mm, owner = seen.nearest(line.points_mm)
@@ -170,7 +170,7 @@ def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int,
     if not long:
         return [(0, count)], None
     host = int(np.bincount(with_whom[np.concatenate([np.arange(a, b) for a, b in long])]).argmax())
-    # the point at which the shared stretch ends is kept
+    # the end points of shared stretches are kept
     bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]
     runs = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > least]
     return runs, host

@@ -279,7 +279,7 @@ def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
 def format_number(value: Number) -> str:
     """Format a number for display.
 
-    Integers are exact, floats have four significant digits, and None is shown as a dash.
+    Integers are exact. Floats have four significant digits, or one decimal from 1000 on. None is shown as a dash.
     """
     if value is None:
         return "-"

@@ -146,7 +146,7 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
     Returns
     -------
     (4, 4) array
-        First random pose in which a sufficient part of the board is visible, mm.
+        First random pose in which a sufficient part of the board is visible.
     """
     camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
     middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm

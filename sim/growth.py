@@ -84,8 +84,8 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
     Returns
     -------
     list of Root
-        Roots, sorted with parents before children. Points are about `STEP_MM` apart, mm, canister frame. Diameters are
-        not yet scaled to the plant's volume. Root surfaces keep the margins from wall, floor and grid.
+        Roots, with the taproot first and parents before children. Points are about `STEP_MM` apart, mm, canister frame.
+        Diameters are not yet scaled to the plant's volume. Root surfaces keep the margins from wall, floor and grid.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
 
 
 def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
-    """Return the diameters of the taproot (N,), mm, to which the thickened top is added."""
+    """Return the diameters of the thickened top at the points of the taproot (N,), mm."""
     fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
     if specimen.hypocotyl_shape == "globe":  # ellipsoid of revolution
         return specimen.hypocotyl_diameter_mm * 2.0 * np.sqrt(fade * (1.0 - fade))
@@ -313,7 +313,7 @@ def _place_basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -
 def _place_laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
     """Place the buds of a root's laterals.
 
-    There are none in the apical zone.
+    There are none in the zones at the base and the tip of the root (``base_mm``, ``apex_mm``).
     """
     root, length_mm, max_length_mm, elongation_mm_per_day = grown
     if root is None:

@@ -54,7 +54,7 @@ class HangingObject:
         return HangingObject(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
     def at(self, tip_mm: tuple[float, float], twist_deg: float) -> NDArray[np.float64]:
-        """Return the vertices (V, 3), mm, after a displacement and a rotation.
+        """Return the vertices (V, 3), mm, after a displacement in x and y and a rotation about the z axis.
 
         Both are specified for the lowest tip.
         """

@@ -106,7 +106,8 @@ def _single_edges(faces: NDArray[np.int32]) -> int:
 def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
     """Merge vertices at the same position, so that neighbouring faces share them.
 
-    Merging is necessary for STL files, and at texture seams of OBJ files.
+    Merging is necessary for STL files, and at texture seams of OBJ files. Vertices are not merged if the surface in the
+    file is already closed.
     """
     indexed = faces[_is_proper(faces)]
     if len(indexed) and open_edges(indexed) == 0 and to_manifold(vertices, indexed).status() == manifold3d.Error.NoError:

@@ -173,9 +173,9 @@ def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: fl
 
 
 def _load_scene(items: dict[str, Any]) -> mi.Scene:
-    """Load a scene, but suppress a warning of Mitsuba.
+    """Load a scene without Mitsuba's warning that a tilted cylinder is not round.
 
-    Because of rounding errors it claims that a tilted cylinder is not round.
+    The warning is caused by rounding errors.
     """
     logger = mi.logger()
     level = logger.log_level()

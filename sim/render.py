@@ -28,8 +28,8 @@ DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
 """Default number of rays per pixel, keyed by fidelity. For ``backlit`` they form a lattice of 4 x 4 rays. For ``path``
 they are twice as many random paths, whose pictures are for viewing and not for measurements."""
 PATH_DEPTH = 16
-"""Maximum number of surfaces on a path. It is twice the number on the straight path through the canister or the
-tank."""
+"""Maximum number of surfaces on a path. It is twice the eight surfaces on the straight path through the canister or
+the tank."""
 MAX_RAYS = 8_000_000
 """Maximum number of rays per kernel launch. It limits the memory that is needed for large sensors."""
 MAX_PATHS = 32_000_000
@@ -142,7 +142,7 @@ class Renderer:
         self.ring_of_view = [index for index, ring in enumerate(scene.plan.rings) for _ in range(ring.views)]
 
     def view(self, k: int) -> tuple[Image, Image]:
-        """Render view k of the scan plan.
+        """Render view k of the capture plan.
 
         Returns
         -------
@@ -285,12 +285,12 @@ class Renderer:
 def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the cell of the lens through which each ray of a pixel's lattice passes, row by row.
 
-    The lens is divided into side^2 columns and side^2 rows.
+    The lens is divided into ``side`` columns and ``side`` rows.
 
-    Every column and every row is used once, so that the rays are centred on the lens. The positions in the pixel and on
-    the lens form an orthogonal array of strength 2 (Bush 1952). In any two of the four coordinates the rays are a full
-    lattice, so that defocus neither displaces nor sharpens an edge. For sides 2, 6, 8, ... no such simple array exists,
-    and a small correlation remains.
+    Every cell is used once, so that the rays are centred on the lens. The positions in the pixel and on the lens form
+    an orthogonal array of strength 2 (Bush 1952). In any two of the four coordinates the rays are a full lattice, so
+    that defocus neither displaces nor sharpens an edge. For sides 2, 6, 8, ... no such simple array exists, and a small
+    correlation remains.
 
     Returns
     -------

@@ -50,7 +50,7 @@ def simulate(
     samples: int | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Dataset:
-    """Render every view of a scene's scan plan to a dataset folder.
+    """Render every view of a scene's capture plan to a dataset folder.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def simulate(
     Raises
     ------
     CannotContinueError
-        If the folder contains a damaged simulation, or a simulation with other settings or another program version.
+        If the folder contains a damaged simulation, or one with another scene, settings or program version.
     UserError
         If the specimen is invalid, the folder has other contents, or the disk is full.
     Cancelled

@@ -29,8 +29,8 @@ whose radius is smaller than that of the tube."""
 
 MOST_AT_ONCE = 250
 """Maximum number of tubes that are united in one call. Such a call neither reports progress nor can be cancelled.
-Plants of the library have at most 207 tubes. Uniting 250 mutually crossing tubes takes 20 s. More tubes are united in
-pairs."""
+Plants of the library have at most 207 tubes. Uniting as many mutually crossing tubes takes 20 s. More tubes are
+united in pairs."""
 LEAST_MM = 1e-3
 """Minimum diameter of a tube, mm. Smaller diameters are replaced by it, because diameters in files may taper to zero.
 It has no effect on pictures or volume."""
@@ -146,7 +146,7 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
 
 
 def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
-    """Unite the tubes of all roots to one solid.
+    """Unite the tubes of all roots into one solid.
 
     All radii are multiplied by ``scale``.
 

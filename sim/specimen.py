@@ -27,8 +27,8 @@ from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
-"""Number of subdivisions of the icosahedron that approximates a sphere. Before they are scaled to the volume of the
-ball, its 81920 faces deviate from the ball by 0.0024 %."""
+"""Number of subdivisions of the icosahedron that approximates a sphere. After scaling to the volume of the ball, its
+81920 faces deviate from the ball by at most 0.0045 % of the radius."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
 """Common resolutions of scanners and screens, dots per inch. A resolution in a file that equals one of them is probably
 in dots per inch."""

@@ -14,8 +14,8 @@ from rhizotwin.scenes.model import MarkerStrip, NetPot
 PAPER, INK = 0.85, 0.04
 """Diffuse reflectance of white office paper, and of toner on it."""
 MM_PER_TEXEL = 1.0 / 16.0
-"""Edge of a texel, mm. It is a quarter of the width of a pixel of the profile ``bench`` (0.23 mm). A texel that is
-partly covered by a marker is painted with the covered fraction."""
+"""Edge of a texel, mm. It is a quarter of the width of a pixel of a typical rig (0.23 mm). A texel that is partly
+covered by a marker is painted with the covered fraction."""
 
 
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:

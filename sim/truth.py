@@ -20,7 +20,7 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
-    """Write the solid of a specimen and its centre lines to the ``truth`` folder of a dataset."""
+    """Write the specimen, its centre lines and the shoot to the ``truth`` folder of the dataset in ``folder``."""
     for name, part in (("specimen", solid), ("shoot", solid.shoot)):
         if part is not None:
             mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)

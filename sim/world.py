@@ -48,11 +48,11 @@ class World:
     """Scene with its drawn disturbances."""
 
     scene: Scene
-    """Nominal scene."""
+    """Scene from which the disturbances were drawn. Its rig is nominal."""
     seed: int
     """Random seed."""
     cameras: tuple[TrueCamera, ...]
-    """True camera of each view of the scan plan, in order."""
+    """True camera of each view of the capture plan, in order."""
     n_water: float
     """True refractive index of the water."""
     canister: Canister
