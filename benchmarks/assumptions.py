@@ -20,7 +20,7 @@ from benchmarks import cache, datasets
 from benchmarks.cases import DEFAULT_VOXEL_MM, Pictures
 from benchmarks.run import Say
 from rhizotwin import sources
-from rhizotwin.recon import shaping
+from rhizotwin.recon import carved_hull
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
@@ -198,7 +198,7 @@ def _volumes(
     dataset: Dataset, cameras: Cameras, coverage: Coverage, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM
 ) -> dict[str, float]:
     """Return the hull's volume (mm3), counted in three ways."""
-    carved = shaping.carve_hull(
+    carved = carved_hull.carve_hull(
         dataset, cameras, coverage, finest_mm=finest_mm, slack_px=0.0, ignore_blindness=assumed.blind_carves, monitor=Monitor()
     )
     leaves = carved.hull.leaves

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from benchmarks import datasets
 from benchmarks.cases import Pictures
-from rhizotwin.recon import shaping
+from rhizotwin.recon import carved_hull
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.optics import refraction
@@ -47,7 +47,7 @@ def draw(pictures: Pictures) -> dict[str, bytes]:
         "one pose per picture": np.array([view.centre_mm for view in alone.views]),
         "all pictures together": np.array([view.centre_mm for view in together.views]),
     }
-    hulls = [shaping.carve_hull(dataset, cameras, coverage, finest_mm=mm, slack_px=0.3, monitor=monitor) for mm in CARVED_MM]
+    hulls = [carved_hull.carve_hull(dataset, cameras, coverage, finest_mm=mm, slack_px=0.3, monitor=monitor) for mm in CARVED_MM]
     scene = dataset.scene
     return {"circle": _circle(scene, found), "rays": _rays(Optics.from_scene(scene), scene), "carving": _carving(hulls)}
 
@@ -138,7 +138,7 @@ def _rays(optics: Optics, scene: Scene) -> bytes:
     return png(drawn, dpi=110)
 
 
-def _carving(carved: list[shaping.CarvedHull]) -> bytes:
+def _carving(carved: list[carved_hull.CarvedHull]) -> bytes:
     drawn = figure(9.0, 4.0)
     water = carved[0].water
     for axes, one, mm in zip(drawn.subplots(1, len(carved), sharey=True), carved, CARVED_MM, strict=True):

@@ -36,7 +36,7 @@ def main() -> None:
 
 def measure(path: Path) -> tuple[Array, Array, Array]:
     """Return the loss (blur, attenuation) on lone roots, and the fitted light (L,) with its covariance (L, L)."""
-    from rhizotwin.recon import shaping
+    from rhizotwin.recon import carved_hull, shaping
     from rhizotwin.recon.calibration.curve import verify_curve
     from rhizotwin.recon.calibration.find_cameras import find_cameras
     from rhizotwin.recon.coverage.measure import measure_coverage
@@ -50,7 +50,7 @@ def measure(path: Path) -> tuple[Array, Array, Array]:
     pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
-    carved = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+    carved = carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     tree = shaping.find_roots(carved, coverage, dataset.scene, monitor=monitor)
     if tree is None or tree.attenuation.mu_per_mm is None:
         raise UserError("these roots are opaque: there is no valley")

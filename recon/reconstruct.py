@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rhizotwin.recon import passes, shaping
+from rhizotwin.recon import carved_hull, passes, shaping
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
@@ -101,7 +101,7 @@ def reconstruct(
         if remeasured is not coverage or (cameras.roots is not None and cameras.roots.believed):
             del hull  # later stages use one calibration and one attenuation
             coverage = remeasured
-            hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
+            hull = stages.keep("hull_again", carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
     checked = checks.name_cause((*of_pictures, *solid.checks))
     solid, of_plants, plants_said = _divide_plants(_apply_checks(solid, checked), dataset.scene)
@@ -163,7 +163,7 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
-def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
+def _estimates(carved: carved_hull.CarvedHull, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(
@@ -178,7 +178,7 @@ def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tu
 
 def _hull_and_tree(
     pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
-) -> tuple[shaping.CarvedHull, RootTree | None]:
+) -> tuple[carved_hull.CarvedHull, RootTree | None]:
     """Reconstruct the hull and the root tree. Both are reconstructed again if the roots moved between the pictures."""
     dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
@@ -187,30 +187,30 @@ def _hull_and_tree(
             break
         cameras, known = tree.cameras, tree.attenuation
         del hull, tree  # free their memory before they are replaced
-        hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+        hull = carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
         tree = shaping.find_roots(hull, coverage, dataset.scene, known=known, monitor=monitor)
     return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
-def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.CarvedHull:
+def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> carved_hull.CarvedHull:
     """Carve the hull, and carve it again without the views that contradict all others.
 
     If the hull is empty, the reasons why checks of the pictures failed are appended to the error message, because they
     are usually the cause.
     """
     dataset = pictures.dataset
-    hull: shaping.CarvedHull | UserError
+    hull: carved_hull.CarvedHull | UserError
     try:
-        hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-        if shaping.missed_share(hull) <= settings.trust.missed[0]:
+        hull = carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+        if carved_hull.missed_share(hull) <= settings.trust.missed[0]:
             return hull
     except UserError as error:
         failed = checks.failure_reasons(_checks(pictures, cameras, coverage, settings.trust))
         hull = UserError("; ".join([str(error).removesuffix("."), *failed]) + ".")
-    wrong = shaping.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
+    wrong = carved_hull.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
     if wrong:
         del hull
-        return shaping.find_hull(dataset, cameras.leave_out(wrong), coverage, settings, monitor=monitor)
+        return carved_hull.find_hull(dataset, cameras.leave_out(wrong), coverage, settings, monitor=monitor)
     if isinstance(hull, UserError):
         raise hull
     return hull

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from rhizotwin.recon import shaping
+from rhizotwin.recon import carved_hull, shaping
 from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
@@ -72,7 +72,7 @@ class _Shape(NamedTuple):
     """Hull and intermediate results of a baseline method."""
 
     pictures: Pictures
-    carved: shaping.CarvedHull
+    carved: carved_hull.CarvedHull
     coverage: Coverage
     volume_mm3: float
 
@@ -109,7 +109,7 @@ def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape
 
 def _carve_strictly(
     dataset: Dataset, settings: Settings, monitor: Monitor, *, slack_px: float, outline: Outline | None
-) -> tuple[Pictures, shaping.CarvedHull, Coverage]:
+) -> tuple[Pictures, carved_hull.CarvedHull, Coverage]:
     """Estimate the camera of each picture, extract the silhouettes, and carve the hull.
 
     A cell is removed if it lies outside the silhouette of any view.
@@ -130,7 +130,7 @@ def _carve_strictly(
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=outline)
     cameras = cameras.leave_out({}, unread=pictures.left_out)
-    carved = shaping.carve_hull(
+    carved = carved_hull.carve_hull(
         pictures.dataset, cameras, coverage, finest_mm=settings.voxel_mm, slack_px=slack_px, ignore_blindness=True, monitor=monitor
     )
     return pictures, carved, coverage
@@ -154,7 +154,7 @@ def _hull(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=watch)
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=watch)
     cameras = cameras.leave_out({}, unread=pictures.left_out)
-    carved = shaping.find_hull(pictures.dataset, cameras, coverage, settings, monitor=watch)
+    carved = carved_hull.find_hull(pictures.dataset, cameras, coverage, settings, monitor=watch)
     return _Shape(pictures, carved, coverage, carved.hull.leaves.volume_mm3())
 
 

@@ -74,10 +74,6 @@ class Budget:
     volume_mm3: float
     terms: tuple[Term, ...]
     views: int
-    unexplained: float = 0.0
-    """Fraction of the covered area that the shape does not explain."""
-    fill: float = 0.0
-    """Fraction of the root zone's picture that thin roots cover; 0 for shapes without thin roots."""
     trust: TrustSettings = field(default_factory=TrustSettings)
     """Limits for the volume to be trusted."""
     calibration: Calibration = NOT_CALIBRATED
@@ -99,10 +95,6 @@ class Budget:
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
             found.append(f"only {self.views} views were used, and false roots cannot be ruled out with fewer than {trust.least_views}")
-        if self.unexplained > trust.unexplained[1]:
-            found.append(f"the shape does not explain {100.0 * self.unexplained:.0f} % of the coverage in the pictures")
-        if self.fill > trust.fill[1]:
-            found.append(f"thin roots cover {100.0 * self.fill:.0f} % of the root zone's picture, so that no view separates them from gaps")
         under, over = (reach > trust.widest * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
         if under or over:
             worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))

@@ -19,7 +19,7 @@ import rhizotwin.scenes.dataset
 import rhizotwin.scenes.folders
 import rhizotwin.sim.simulate
 from rhizotwin import cli
-from rhizotwin.recon import read_pictures, reconstruct, shaping
+from rhizotwin.recon import carved_hull, read_pictures, reconstruct, shaping
 from rhizotwin.recon.calibration import markers, poses
 from rhizotwin.recon.coverage import background, silhouettes
 from rhizotwin.recon.results import result
@@ -172,7 +172,7 @@ EARLY = [
     Moment(poses, "find_poses"),
     Moment(background, "estimate"),
     Moment(silhouettes.Silhouette, "cut", 4),
-    Moment(shaping.carve, "carve"),
+    Moment(carved_hull.carve, "carve"),
     Moment(shaping.surface, "surface"),
 ]
 LATE = [

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.recon import shaping
+from rhizotwin.recon import carved_hull
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.read_pictures import read_pictures
@@ -45,7 +45,7 @@ def test_a_ball_beside_the_wall_is_found_through_a_turned_tank(tmp_path: Path) -
     assert found.tank_turn_deg == pytest.approx(TURN_DEG, abs=0.1)
     assert abs(found.tank_turn_deg - TURN_DEG) < 4.0 * found.tank_sigma_deg
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor)
-    hull = shaping.find_hull(dataset, cameras, coverage, Settings(), monitor=monitor).hull.leaves
+    hull = carved_hull.find_hull(dataset, cameras, coverage, Settings(), monitor=monitor).hull.leaves
     assert hull.volume_mm3() == pytest.approx(VOLUME_MM3, rel=0.05)
     size = hull.size.astype(np.float64)
     centres_mm = hull.grid.origin_mm + hull.grid.size_mm * (hull.index + 0.5 * size[:, None])

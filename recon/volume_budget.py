@@ -1,0 +1,172 @@
+"""Assembly of the error budget of a volume, and of the checks of its shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rhizotwin.recon.carved_hull import CarvedHull, missed_share
+from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.trimming import TrimmedHull
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.roots.root_tree import RootSystem
+from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.uncertainty import (
+    bare_uncertainty,
+    canister_uncertainty,
+    hidden_top,
+    occlusion,
+    root_uncertainty,
+    shape_checks,
+    solid_uncertainty,
+    tube_uncertainty,
+    wall_contact,
+)
+from rhizotwin.recon.uncertainty.budget import Budget, Term
+from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration, find_calibration
+from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.recon.uncertainty.hidden_top import HiddenTop
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.rsml import Root
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitedShape:
+    """Shape of solids and tubes whose volume is assessed."""
+
+    leaves: Leaves
+    """Leaves of the whole shape."""
+    thick: Leaves
+    """Leaves of thick roots and solids."""
+    solids: TrimmedHull
+    """Trimmed hull of the solids."""
+    part: Leaves
+    """Leaves of the hull around the solids, before trimming."""
+    system: RootSystem | None
+    """Fitted roots; None if there are none."""
+    roots: Sequence[Root]
+    """The fitted roots as centre lines; empty if there are none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssessedVolume:
+    """Error budget of a volume, with the checks of the shape."""
+
+    budget: Budget
+    checks: tuple[Check, ...]
+    """Checks of the motion of the roots, and of the agreement between silhouettes and shape."""
+    hidden: HiddenTop | None
+    """Parts of taproots that the net pot hides; None if there are none."""
+
+
+def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings) -> AssessedVolume:
+    """Assemble the error budget of a shape, and check the shape against the pictures.
+
+    Parameters
+    ----------
+    carved : CarvedHull
+        Carved hull with its views and silhouettes.
+    shape : UnitedShape
+        The shape.
+    settings : Settings
+        Slack of the outlines, extrapolation of taproots, and limits of trust.
+    """
+    system, missed, volume_mm3 = shape.system, missed_share(carved), shape.leaves.volume_mm3()
+    tubes = None if system is None else tube_uncertainty.estimate(system)
+    terms = (
+        *(() if tubes is None else tubes.terms),
+        *_solid_terms(carved, shape, settings, missed),
+        _merged_term(carved, shape.roots, volume_mm3),
+    )
+    budget = Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, trust=settings.trust)
+    hidden = _hidden_top(carved, shape.roots)
+    if hidden is not None:
+        budget = _add_hidden_top(budget, hidden, extrapolate=settings.hull.extrapolate_taproot)
+    budget = replace(budget, calibration=_calibration(carved, shape, budget, missed))
+    moved = None if system is None else system.cameras.roots
+    sway_mm = None if system is None or moved is None else moved.after_px / system.px_a_mm
+    fill, unexplained = (0.0, 0.0) if tubes is None else (tubes.fill, tubes.unexplained)
+    checks = (
+        shape_checks.check_motion(sway_mm, settings.trust),
+        shape_checks.check_agreement(missed=missed, unexplained=unexplained, fill=fill, trust=settings.trust),
+    )
+    return AssessedVolume(budget=budget, checks=checks, hidden=hidden)
+
+
+def _solid_terms(carved: CarvedHull, shape: UnitedShape, settings: Settings, missed: float) -> tuple[Term, ...]:
+    """Return the terms of solids, hidden parts, wall, water, cameras and canister."""
+    volume_mm3, slack_px = shape.leaves.volume_mm3(), settings.hull.slack_px
+    half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, shape.solids, carved.water)
+    edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
+    return (
+        *solid_uncertainty.estimate_terms(
+            carved.bank,
+            carved.hull,
+            shape.part,
+            shape.solids,
+            slack_px=slack_px,
+            half_excess=half,
+            missed=missed,
+            binary=carved.is_binary,
+        ),
+        occlusion.occlusion_term(carved.bank, carved.maps, shape.leaves, carved.water),
+        wall_contact.wall_contact(shape.thick, carved.water),
+        solid_uncertainty.water_term(volume_mm3),
+        *bare_uncertainty.camera_terms(
+            carved.cameras.bare,
+            shape.leaves,
+            views=carved.bank.count,
+            mm3_per_px=solid_uncertainty.mm3_per_px(carved.hull, slack_px=slack_px),
+        ),
+        canister_uncertainty.canister_term(carved.cameras.views, carved.bank.optics, shape.leaves, volume_mm3, edges=edges),
+    )
+
+
+def _merged_term(carved: CarvedHull, roots: Sequence[Root], volume_mm3: float) -> Term:
+    """Return the term of roots that may be merged into thicker ones."""
+    share = root_uncertainty.merged_share(roots, carved.bank, carved.silhouettes[0].coverage.shape)
+    why = "many roots overlap in few views, so that some may be merged into thicker ones"
+    return Term(name="merged roots", less_mm3=share * volume_mm3, more_mm3=0.0, why=why)
+
+
+def _hidden_top(carved: CarvedHull, roots: Sequence[Root]) -> HiddenTop | None:
+    """Estimate the parts of main roots that the net pot hides.
+
+    Main roots are roots without a parent. The result is None if there are no main roots, or if no part of them is
+    hidden.
+    """
+    main = [root for root in roots if root.parent < 0]
+    if not main:
+        return None
+    # the rounded ends of the tubes, whose centre lines begin a radius below
+    tops_mm = np.array([root.points_mm[0] + [0.0, 0.0, 0.5 * root.diameters_mm[0]] for root in main])
+    return hidden_top.estimate_hidden(main, occlusion.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
+
+
+def _add_hidden_top(budget: Budget, hidden: HiddenTop, *, extrapolate: bool) -> Budget:
+    """Return a budget with the hidden tops of taproots: in the volume if extrapolated, else in the occluded parts."""
+    if extrapolate:
+        return replace(budget, volume_mm3=budget.volume_mm3 + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
+    most_mm3 = occlusion.ANYWHERE * hidden.interval_mm3[1]
+    terms = [replace(t, more_mm3=max(t.more_mm3, most_mm3)) if t.name == "occluded" else t for t in budget.terms]
+    return replace(budget, terms=tuple(terms))
+
+
+def _calibration(carved: CarvedHull, shape: UnitedShape, budget: Budget, missed: float) -> Calibration:
+    """Return the calibration of the 90 % intervals.
+
+    Only scans with greyscale photographs of a canister with markers, and without a tank, are calibrated.
+    """
+    if carved.cameras.markers is None or carved.bank.optics.tank is not None or carved.is_binary:
+        return NOT_CALIBRATED
+    hidden_mm3 = sum(term.more_mm3 for term in budget.terms if term.name == "occluded")
+    return find_calibration(
+        views=carved.bank.count,
+        px_a_mm=projection.px_a_mm(carved.bank, carved.water.centre_mm),
+        missed=missed,
+        translucent=shape.system is not None and shape.system.attenuation.mu_per_mm is not None,
+        width_mm=rsml.mean_diameter_mm(shape.roots) if shape.roots else None,
+        hidden=hidden_mm3 / max(budget.volume_mm3, 1e-9),
+    )
