@@ -80,7 +80,7 @@ def score(
       --volume-ml  measured volume: error of the volume
       --pictures   pictures that the reconstruction did not use: errors in pixels
 
-    Relative errors are estimated value / true value - 1; errors of angles are in degrees. To score the output of another
+    Relative errors are estimated value / true value - 1; angle errors are in degrees. To score the output of another
     program, give one of --mesh, --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
 
     Parameters
