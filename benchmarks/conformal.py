@@ -18,8 +18,8 @@ Factors = Mapping[str, Mapping[str, float]]
 CONFIDENCE = 0.9
 """Nominal coverage of the intervals."""
 LEAST_SCANS = 10
-"""Minimum number of calibration scans of a regime: with fewer than 9 scans, the factor would be the largest ratio or
-infinite."""
+"""Minimum number of calibration scans of a regime. With fewer than 9 scans, no finite factor has the nominal
+coverage."""
 WRONG = 0.04
 """Relative error from which a volume counts as wrong."""
 GEOMETRIC = ("wide_interval",)
@@ -32,7 +32,7 @@ def is_first_half(table: pd.DataFrame) -> pd.Series:
 
 
 def is_eligible(table: pd.DataFrame) -> pd.Series:
-    """Return which volumes no check refuses: those that are not reliable at most because of a wide interval."""
+    """Return which volumes no check refuses: they are reliable, or not reliable only because of a wide interval."""
     codes = table["reasons"].fillna("").str.split()
     return codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found)) & table["regime"].notna()
 
@@ -65,9 +65,9 @@ def calibrate(table: pd.DataFrame) -> Factors:
 
 
 def conformal_quantile(scores: NDArray[np.float64]) -> float:
-    """Return the score (N,) that a further one does not exceed with probability `CONFIDENCE` (Lei et al. 2018).
+    """Return the value that a further score does not exceed with probability `CONFIDENCE` (Lei et al. 2018).
 
-    It is the ceil((N + 1) `CONFIDENCE`)-th smallest, and the largest if N is too small for that.
+    It is the ceil((N + 1) `CONFIDENCE`)-th smallest of the scores (N,), and the largest if N is too small for that.
     """
     rank = math.ceil((len(scores) + 1) * CONFIDENCE)
     return float(np.sort(scores)[min(rank, len(scores)) - 1])

@@ -293,7 +293,7 @@ class Progress:
     quiet: Flag = False
     """Do not show the progress."""
     verbose: Flag = False
-    """Print the name and duration of each stage instead of a progress bar."""
+    """Print the name and duration of each stage, in addition to the progress bar on a terminal."""
 
     def bar(self, **shares: float) -> OneBar:
         """Return a progress bar.

@@ -186,11 +186,11 @@ def reconstruct(
     keep_stages : path, optional
         Folder for the intermediate results of each stage, as JSON and NPZ files.
     method : {"ours", "thesis", "regularised", "hull"}
-        Reconstruction method; all methods but ``ours`` are baselines, see `rhizotwin.baselines`.
+        ``ours`` is the full method. The other methods are baselines, see `rhizotwin.baselines`.
     device : {"auto", "cpu", "cuda"}
         Device for the computation; ``auto`` is the device in use, or otherwise an NVIDIA GPU if available.
     monitor : Monitor, tqdm class, callable or None
-        Receiver of the progress; a monitor can also cancel the reconstruction.
+        Receiver of the progress; a monitor can also cancel the reconstruction, which then raises ``Cancelled``.
 
     Returns
     -------

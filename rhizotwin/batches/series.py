@@ -32,7 +32,7 @@ def vary(
     Raises
     ------
     UserError
-        If the specimen of the scene is not a simulated plant, so that it cannot be varied.
+        If a variation is requested, but the specimen of the scene is not a simulated plant.
     """
     found = {scene.name: scene}
     if treatments is not None:

@@ -197,7 +197,7 @@ def remark(row: dict[str, Any]) -> str:
 def compare(found: Results, baseline: Results) -> list[Finding]:
     """Compare results with a baseline.
 
-    A case that is missing or has failed counts as a deterioration.
+    A case that is missing, or has failed although it was done in the baseline, counts as worse.
 
     Raises
     ------

@@ -61,7 +61,7 @@ def page(several: Sequence[Results]) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Benchmark results</title><style>{_STYLE}</style></head><body><h1>Benchmark results</h1>"
-        "<p>Errors are estimated / true value - 1, and are sorted by absolute value. The interval is the 90 % interval of the volume "
+        "<p>Errors are estimated value / true value - 1, and are sorted by absolute value. The interval is the 90 % interval of the volume "
         "that the method reports. The interval score is the width of the interval plus a penalty if the interval misses the true "
         "volume, relative to the true volume; smaller scores are better.</p>"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

@@ -34,7 +34,8 @@ LETTER_MM = 1.7
 class _View:
     """View of a part on a page.
 
-    The position on the page is corner + scale * (right, -up), where right and up are coordinates in the view.
+    The position on the page is corner + scale * (right, -up), where right and up are measured in the view from the
+    lower left corner of the part's bounding box.
     """
 
     side: Side

@@ -34,7 +34,7 @@ CORNER = Side(
     up=(float(-np.sin(_SLOPE) * np.cos(_TURN)), float(-np.sin(_SLOPE) * np.sin(_TURN)), float(np.cos(_SLOPE))),
     right_label="",
 )
-"""Axonometric view from above. The horizontal viewing direction is between +x, where the camera is, and -y."""
+"""Axonometric view from above. The viewer stands between +x, where the camera is, and -y."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], px_mm: float) -> NDArray[np.bool_]:
-    """Return a mask (N,) of the points that are visible.
+    """Return a mask (N,) of the points (N, 3) that are visible.
 
     A point is hidden if it lies behind the surfaces in its pixel and in all eight adjacent pixels.
     """

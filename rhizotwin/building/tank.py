@@ -49,7 +49,7 @@ def floor_mm(scene: Scene, tank: Tank) -> float:
 def below(scene: Scene) -> Scene:
     """Return the scene from which the parts of the turntable are computed.
 
-    If the scene has a tank, the canister in the copy is higher by `drop_mm`, which lowers the turntable by this
+    If the scene has a tank, the canister in the copy is taller by `drop_mm`, which lowers the turntable by this
     distance.
     """
     if scene.tank is None:

@@ -29,8 +29,7 @@ class WrongPlantError(UserError):
 def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
     """Return the marker strip of the canister with a given number.
 
-    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers. The strip of
-    each further canister has the next marker numbers.
+    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers.
 
     Raises
     ------

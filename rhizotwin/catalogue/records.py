@@ -104,7 +104,7 @@ class StoredResult:
     corrected: bool
     """Whether the result was corrected manually."""
     edits: Path | None
-    """File with the log of manual corrections. It is None if the result was not corrected."""
+    """File with the log of corrections in the folder of the result. It is None if there is no such file."""
     rig_numbers: Mapping[str, float]
     """Rig parameters that were measured in the reconstruction. The keys are listed in
     `experiment.drift.RIG_NUMBERS`."""

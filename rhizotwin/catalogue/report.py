@@ -31,15 +31,16 @@ class DriftPoint:
     result: str
     """Path of the result, as stored in the catalogue."""
     day: float
-    """Time in days since the first scan. It is the age of the plant if a scan has no date."""
+    """Time in days since the first scan. If any scan has no date, it is the age of the plant for all scans."""
     value: float
 
 
 def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
     """Return the time series of all rig parameters, keyed by parameter name.
 
-    The time is the date of the scan. It is the age of the plant if a scan has no date. Each scan contributes only the
-    most recently added uncorrected result, because repeated values would narrow the control limits.
+    The time is the number of days since the first scan, or the age of the plant if any scan has no date. Each scan
+    contributes only the most recently added uncorrected result, because repeated values would narrow the control
+    limits.
 
     Raises
     ------

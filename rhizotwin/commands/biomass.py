@@ -52,11 +52,11 @@ def fit(
     output: Annotated[Path, output("MODEL")],
     balance_g: Annotated[float, option(lambda text: read_number(text, BALANCE_LIMITS_G, "g", "grams"), "G")] = BALANCE_G,
 ) -> None:
-    """Fit a model of mass to volume and other traits, with errors in both variables.
+    """Fit a model that predicts mass from volume or another trait, with errors in both variables.
 
-    Each type of mass (root or shoot, fresh or dry) is fitted to volume, length, surface and leaf area, with a
-    proportional law and with a power law. For each type of mass, the model with the smallest leave-one-out error is
-    selected. Its 90 % intervals combine the interval of the trait, the readability of the balance and the variation
+    Each type of mass (root or shoot, fresh or dry) is fitted as a function of volume, length, surface and leaf area,
+    with a proportional law and with a power law. For each type of mass, the model with the smallest leave-one-out error
+    is selected. Its 90 % intervals combine the interval of the trait, the readability of the balance and the variation
     among plants. Traits that are not reliable are excluded, and their number is printed.
 
     Parameters

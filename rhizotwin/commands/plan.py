@@ -82,7 +82,7 @@ def plan(
     A scan consists of rings: turns of the turntable with the camera at a fixed height. A scene is simulated,
     reconstructed and scored for all combinations of the given numbers of views per ring, camera heights and picture
     sizes. The errors are written as a table (plan.csv, plan.json) and a figure (plan.png), and the plan with the
-    fewest pictures that meets the error limit is printed. To continue after an interruption, or to add views or
+    fewest pixels that meets the error limit is printed. To continue after an interruption, or to add views or
     heights, run the command again. On two cores, a run with 40 pictures of 800x600 pixels takes one to five minutes.
 
     Parameters
@@ -135,9 +135,7 @@ def _print_recommended(chosen: "plans.Row | None", within: float) -> None:
     if chosen is None:
         print(f"no plan has a volume error of at most {within:g} %; try more views, larger pictures or more rings")
     else:
-        print(
-            f"plan with the fewest pictures and a volume error of at most {within:g} %: {chosen.variant.name}, {chosen.pictures} pictures"
-        )
+        print(f"plan with the fewest pixels and a volume error of at most {within:g} %: {chosen.variant.name}, {chosen.pictures} pictures")
 
 
 def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":

@@ -26,8 +26,8 @@ class Study:
 (docs/datasets.md)."""
     method: Literal["ours", "thesis", "regularised", "hull"] = "ours"
     """Reconstruction method: ours (full method), or for comparison hull (visual hull), regularised (regularised \
-visual hull, Zheng et al. 2011) or thesis (method of Kliman's thesis, 2022), whose volume is always marked as not \
-reliable."""
+visual hull, Zheng et al. 2011) or thesis (method of Kliman's thesis, 2022). The methods for comparison always mark \
+the volume as not reliable."""
 
 
 @Parameter(name="*")

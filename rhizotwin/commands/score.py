@@ -80,8 +80,8 @@ def score(
       --volume-ml  measured volume: error of the volume
       --pictures   pictures that the reconstruction did not use: errors in pixels
 
-    Relative errors are estimated / true value - 1. To score the output of another program, give one of --mesh,
-    --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
+    Relative errors are estimated value / true value - 1; angle errors are in degrees. To score the output of another
+    program, give one of --mesh, --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
 
     Parameters
     ----------

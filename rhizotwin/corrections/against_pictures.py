@@ -40,8 +40,8 @@ class Comparison:
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
         """Check that the missing and surplus fractions do not exceed the limit ``trust.missed``."""
-        lacking = f"the corrected shape does not explain {100.0 * self.missed:.1f} % of the roots in a picture"
-        beyond = f"{100.0 * self.surplus:.1f} % of the corrected shape lies where the pictures show no roots"
+        lacking = f"because of the corrections, the shape no longer explains {100.0 * self.missed:.1f} % of the roots in a picture"
+        beyond = f"because of the corrections, another {100.0 * self.surplus:.1f} % of the shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
         return first_problem(
             judge("corrections", self.missed, "share", trust.missed, lacking, advice),

@@ -118,7 +118,7 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
         else:
             found.append(Pair(same[0], one))
     met = {id(pair.measured) for pair in found}
-    notes += [f"{m.who}: the table contains no mass of this plant" for m in measured if id(m) not in met]
+    notes += [f"{m.who}: the table contains no mass that matches this result" for m in measured if id(m) not in met]
     notes += exclusion_notes([pair.measured for pair in found], TRAITS)
     _check_units(found)
     return found, notes

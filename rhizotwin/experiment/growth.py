@@ -100,7 +100,7 @@ def measure(found: Sequence[Measured]) -> Growth:
 def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
     """Return the control charts of the rig.
 
-    The time of a point is the date of its scan, or the day of the plant if a scan has no date.
+    The time of a point is the date of its scan, or the day of the plant if any scan has no date.
     """
     scans = {one.folder: one.subject for one in found if one.folder is not None}
     dated = all(whose.date for whose in scans.values())

@@ -35,7 +35,7 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
     sources : sequence of Path
         Datasets, results, or folders that contain them.
     output : Path
-        Output folder, which must not exist.
+        Output folder, which must be new or empty.
     study : Study
         Description of the data.
     monitor : Monitor
@@ -49,7 +49,7 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
     Raises
     ------
     UserError
-        If a file is damaged or a link, the output folder exists, or rocrate is not installed.
+        If a file is damaged or a link, the output folder is not empty, or rocrate is not installed.
     """
     study = replace(study, published=study.published or datetime.now(UTC).date().isoformat())
     scans, results = published.find(sources)

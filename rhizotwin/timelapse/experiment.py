@@ -294,7 +294,9 @@ def _check(experiment: Experiment, place: Place) -> None:
         safe = _UNSAFE.sub("_", one.name)
         if not one.name or safe in names:
             other = f"is too similar to the name {names[safe]!r}" if one.name else "must not be empty"
-            raise here.at("name").error(f"{other}, because the folders of scans are named after the plants", one.name)
+            raise here.at("name").error(
+                f"{other}; the folders of scans are named after the plants, so each plant needs a name of its own", one.name
+            )
         if one.canister in canisters:
             raise here.at("canister").error(f"is already the canister of plant {canisters[one.canister]}; use another number", one.canister)
         names[safe], canisters[one.canister] = one.name, one.name

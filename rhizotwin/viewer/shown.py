@@ -106,7 +106,9 @@ class Shown:
         from rhizotwin.scoring import surface_distance
 
         if self.truth is None:
-            raise UserError(f"{self.name} cannot be compared with the truth, because the scan was not simulated")
+            raise UserError(
+                f"{self.name} cannot be compared with the truth, because the scan was not simulated or its dataset was not found"
+            )
         away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)
         return root_colours.scale_colours(away / FARTHEST_MM)
 

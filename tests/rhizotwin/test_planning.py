@@ -88,7 +88,7 @@ def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, com
     words = (*words, "--profile", "clean", "--device", "cpu")
     told = command.works(*words, "--within", "50").out
     assert "5x200x150_at_-1900 could not be reconstructed" in told
-    assert "plan with the fewest pictures and a volume error of at most 50 %: 5x200x150_at_-42, 5 pictures" in told
+    assert "plan with the fewest pixels and a volume error of at most 50 %: 5x200x150_at_-42, 5 pictures" in told
     scores = sorted((out / "scores").iterdir())
     assert [path.name for path in scores if "1900" not in path.name] == ["5x200x150_at_-42_seed0.json", "7x200x150_at_-42_seed0.json"]
     assert (out / "plan.png").stat().st_size > 10000
