@@ -158,7 +158,10 @@ _OPTIONAL: dict[str, Fits] = {
     "checks": _list(_CHECK),
     "estimates": _list(_ESTIMATE),
     "calibration": _with(
-        {"regime": _or_none(_text), "factors": lambda value: isinstance(value, dict) and all(_number(factor) and factor > 0.0 for factor in value.values())}
+        {
+            "regime": _or_none(_text),
+            "factors": lambda value: isinstance(value, dict) and all(_number(factor) and factor > 0.0 for factor in value.values()),
+        }
     ),
     "shoot": _or_none(
         _with(

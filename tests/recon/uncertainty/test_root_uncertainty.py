@@ -5,7 +5,7 @@ import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
-from rhizotwin.recon.uncertainty import root_uncertainty
+from rhizotwin.recon.uncertainty import root_residual, root_uncertainty
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.strings import blank_of
@@ -30,7 +30,7 @@ TRUE = [
 def taken() -> tuple[ViewBank, tuple[Silhouette, ...]]:
     """Return pictures of the true roots from all sides, drawn by the module's own pen: a test of what is made of them, not of the pen."""
     empty = blank_of(SCENE)
-    drawn = root_uncertainty._draw(root_uncertainty._Places.project(TRUE, empty.bank), empty.silhouettes, None)
+    drawn = root_residual.render(root_residual.Places.project(TRUE, empty.bank), empty.silhouettes, None)
     return empty.bank, tuple(Silhouette(picture, np.ones(picture.shape, bool)) for picture in drawn)
 
 

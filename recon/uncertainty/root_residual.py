@@ -1,0 +1,232 @@
+"""Comparison of rendered roots with a picture: lengths, tips and widths that are missing or surplus.
+
+Coverage far from all rendered roots, thinned to lines, is missing length, and each connected line a missing root with
+its tip. Centre lines and tips of roots without coverage nearby are surplus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from skimage.measure import label
+from skimage.morphology import skeletonize
+
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.device import numbers
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.scenes import polyline
+from rhizotwin.scenes.rsml import Root
+
+Array = NDArray[np.float64]
+Fixed = NDArray[np.int32]
+"""Positions and sizes in fractions of pixels, as used by OpenCV's drawing functions."""
+
+_FINER = 4
+"""Subdivision of a pixel's edge for drawing roots."""
+_SHIFT = 4
+"""Fractional bits of OpenCV's drawing coordinates: a sixteenth."""
+_PEN_PX = 0.5 / _FINER
+"""Width that OpenCV adds to each side of a filled polygon: it fills every pixel that its edge touches."""
+_LEAST_PX = 1e-6
+"""Minimum length of a segment in a picture; shorter ones have no direction."""
+_SMOOTH_PX = 0.8
+"""Standard deviation of the smoothing of both pictures, so that the lens's own blur (about a pixel) has little
+effect."""
+_LINE = 0.2
+"""Minimum smoothed coverage of a line: a root half a pixel wide has 0.24."""
+_FAINT = 0.05
+"""Minimum smoothed coverage of a rendered root for pixels nearby to be explained by it."""
+_NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+"""Neighbourhood of two pixels, within which lines are compared: smoothing moves the edge of a line by about one."""
+_SHORT_PX = 3
+"""Minimum length of a missing root: shorter lines are noise, or the rim of a root whose radius is too small."""
+_LEAST_FREE = 0.1
+"""Minimum fraction of the root zone outside the roots, for the correction of missing roots for hidden ones."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Differences between one picture and the rendered roots, relative to the rendered roots."""
+
+    missing: float
+    """Length of missing lines relative to the length of the rendered centre lines."""
+    surplus: float
+    """Fraction of the rendered centre lines without coverage nearby."""
+    missing_tips: float
+    """Number of missing roots relative to the number of visible tips."""
+    surplus_tips: float
+    """Fraction of the visible tips without coverage nearby."""
+    width: float
+    """Relative excess of the mean width in the picture."""
+    overlap: float
+    """Length of the projected centre lines relative to the length that is visible, minus 1."""
+
+
+def measure_overlap(lines: NDArray[np.bool_], length_px: float) -> float:
+    """Return the length of all centre lines relative to that of the pixels (H, W) on them, minus 1."""
+    return max(0.0, length_px / max(float(lines.sum()), 1.0) - 1.0)
+
+
+def compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: Places, view: int) -> Residual | None:
+    """Compare a picture with the rendered roots, within usable pixels; None if the picture shows no rendered root.
+
+    Parameters
+    ----------
+    silhouette : Silhouette
+        Measured coverage (H, W).
+    drawn : (H, W) float32 array
+        Coverage by the rendered roots.
+    places : Places
+        Projections of the nodes.
+    view : int
+        Index of the view.
+    """
+    usable = silhouette.usable
+    found, made = (
+        cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX) for picture in (silhouette.coverage, drawn)
+    )
+    covered = (found > _LINE) & usable
+    (lines, length_px), tips = places.centre_lines(view, usable.shape), places.tips(view, usable)
+    centres = lines & usable
+    line = float(centres.sum())
+    if not line or not covered.any():
+        return None
+    beside_picture, beside_roots = (~_dilate(mask) for mask in (covered, made > _FAINT))
+    pieces = label(skeletonize(covered & beside_roots), connectivity=2)
+    sizes = np.bincount(pieces.ravel())[1:]
+    sizes = sizes[sizes >= _SHORT_PX]
+    rows, columns = np.nonzero(covered)
+    zone = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    free = max(float(beside_roots[zone].mean()), _LEAST_FREE)
+    missing, surplus = float(sizes.sum()) / free / line, float((centres & beside_picture).sum()) / line
+    area = float(found[usable].sum()) / max(float(made[usable].sum()), 1e-9)
+    return Residual(
+        missing=missing,
+        surplus=surplus,
+        missing_tips=len(sizes) / free / max(len(tips), 1),
+        surplus_tips=float(beside_picture[tips[:, 1], tips[:, 0]].mean()) if len(tips) else 0.0,
+        width=area / max(1.0 + missing - surplus, 1e-9) - 1.0,
+        overlap=measure_overlap(lines, length_px),
+    )
+
+
+def _dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels within two of a mask (H, W)."""
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), _NEAR) > 0)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Projections of the roots' nodes into pictures."""
+
+    radius_mm: Array
+    """(N,)"""
+    step_mm: Array
+    """(N,) distance from each node to the next of its root; 0 at the last node of a root."""
+    px: Array
+    """(V, N, 2)"""
+    gradient: Array
+    """(V, N, 2, 3) gradients of columns and rows by the point, px/mm."""
+    visible: NDArray[np.bool_]
+    """(V, N)"""
+    tip: NDArray[np.bool_]
+    """(N,) last nodes of roots whose tip is visible in the pictures."""
+
+    @staticmethod
+    def project(roots: Sequence[Root], bank: ViewBank) -> Places:
+        """Project roots into all views."""
+        points = np.concatenate([root.points_mm for root in roots])
+        step = np.concatenate([[*polyline.steps_mm(root.points_mm), 0.0] for root in roots])
+        view = dr.repeat(dr.arange(mi.UInt32, bank.count), len(points))
+        at = projection.project(bank, view, mi.Point3f(*(dr.tile(numbers(part), bank.count) for part in points.T)), mi.Bool(True))
+        shape = (bank.count, len(points))
+        px = np.stack([np.array(at.px.x).reshape(shape), np.array(at.px.y).reshape(shape)], axis=-1)
+        gradient = np.stack([np.moveaxis(np.array(part).reshape(3, *shape), 0, -1) for part in (at.du, at.dv)], axis=-2)
+        radius = np.concatenate([root.diameters_mm for root in roots]) / 2.0
+        tip = np.concatenate([(np.arange(len(root.points_mm)) == len(root.points_mm) - 1) & root.tip_seen for root in roots])
+        return Places(radius, step, px, gradient, np.array(at.visible).reshape(shape), tip)
+
+    def segments(self, view: int) -> NDArray[np.bool_]:
+        """Return the mask (N - 1,) of nodes that are visible together with the next node of their root."""
+        return self.visible[view, :-1] & self.visible[view, 1:] & (self.step_mm[:-1] > 0.0)
+
+    def centre_lines(self, view: int, shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], float]:
+        """Return the mask (H, W) of the pixels on centre lines, and the sum of the lengths of all lines in pixels."""
+        canvas, first = np.zeros(shape, np.uint8), np.flatnonzero(self.segments(view))
+        ends = np.rint(np.stack([self.px[view, first], self.px[view, first + 1]], axis=1)).astype(np.int32)
+        cv2.polylines(canvas, list(ends), False, 1, lineType=cv2.LINE_8)
+        return canvas > 0, float(np.abs(ends[:, 1] - ends[:, 0]).max(axis=1, initial=0).sum())
+
+    def tips(self, view: int, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the columns and rows (T, 2) of the tips on usable pixels (H, W)."""
+        at = np.rint(self.px[view, self.tip & self.visible[view]]).astype(np.int64)
+        at = at[((at >= 0) & (at < usable.shape[::-1])).all(axis=1)]
+        return at[usable[at[:, 1], at[:, 0]]]
+
+    def thin_share(self, limit_px: float) -> float:
+        """Return the fraction of the length that is thinner than a limit, px."""
+        scale = float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.visible])) if self.visible.any() else 0.0
+        return float(self.step_mm[2.0 * self.radius_mm * scale < limit_px].sum()) / max(float(self.step_mm.sum()), 1e-9)
+
+    def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed, Fixed, Fixed]:
+        """Return segments of tubes from nodes (M,) to the next of their root, in OpenCV's drawing coordinates.
+
+        Returns
+        -------
+        first : (K,) int64 array
+            Start nodes of the segments that have a length in the picture.
+        corners, end, radius : (K, 4, 2), (K, 2), (K,) int32 array
+            Corners of their sides, and rounded ends.
+        """
+        step = self.px[view, first + 1] - self.px[view, first]
+        size = np.hypot(*step.T)
+        first, step, size = (part[size >= _LEAST_PX] for part in (first, step, size))
+        across, last = np.stack([-step[:, 1], step[:, 0]], axis=1) / size[:, None], first + 1
+        begin, end = self.px[view, first], self.px[view, last]
+        gradient = (np.einsum("mi,mij->mj", across, self.gradient[view, at]) for at in (first, last))
+        half = [
+            np.maximum(self.radius_mm[at] * np.linalg.norm(way, axis=1) - _PEN_PX, 0.0)  # of a sphere
+            for at, way in zip((first, last), gradient, strict=True)
+        ]
+        to_side, to_other = (wide[:, None] * across for wide in half)
+        corners = np.stack([begin + to_side, end + to_other, end - to_other, begin - to_side], axis=1)
+        return first, _to_fixed_point(corners), _to_fixed_point(end), np.rint(half[1] * _FINER * 2**_SHIFT).astype(np.int32)
+
+
+def render(at: Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | None) -> list[NDArray[np.float32]]:
+    """Return the coverage (H, W) by roots in every view, drawn as filled segments with the opacity of their mean chord.
+
+    Parameters
+    ----------
+    at : Places
+        Projections of the nodes.
+    silhouettes : (V,) sequence of Silhouette
+        Silhouettes with the shape (H, W) of the pictures.
+    mu_per_mm : float or None
+        Attenuation of the roots, 1/mm. None for opaque roots.
+    """
+    dark = np.ones(len(at.radius_mm)) if mu_per_mm is None else -np.expm1(-mu_per_mm * np.pi / 2.0 * at.radius_mm)
+    pictures = []
+    for k, silhouette in enumerate(silhouettes):
+        height, width = silhouette.coverage.shape
+        canvas = np.zeros((height * _FINER, width * _FINER), np.float32)
+        use = at.segments(k)
+        order = np.argsort(dark[:-1], kind="stable")  # darkest last
+        first, sides, ends, radii = at.pieces(k, order[use[order]])
+        for corners, end, radius, shade in zip(sides, ends.tolist(), radii.tolist(), dark[first].tolist(), strict=True):
+            cv2.fillConvexPoly(canvas, corners, shade, lineType=cv2.LINE_8, shift=_SHIFT)
+            cv2.circle(canvas, end, radius, shade, thickness=-1, shift=_SHIFT)
+        pictures.append(cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA))
+    return pictures
+
+
+def _to_fixed_point(px: Array) -> Fixed:
+    """Convert pixels, whose centres are at integers, to OpenCV's drawing coordinates."""
+    return np.rint(((px + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)
