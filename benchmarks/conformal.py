@@ -18,8 +18,7 @@ Factors = Mapping[str, Mapping[str, float]]
 CONFIDENCE = 0.9
 """Nominal coverage of the intervals."""
 LEAST_SCANS = 10
-"""Minimum number of calibration scans of a regime: with fewer than 9 scans, the factor would be the largest ratio or
-infinite."""
+"""Minimum number of calibration scans of a regime. With fewer than 9, the rank of the quantile exceeds their number."""
 WRONG = 0.04
 """Relative error from which a volume counts as wrong."""
 GEOMETRIC = ("wide_interval",)
@@ -87,15 +86,22 @@ def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFra
     """
     made = table.copy()
     for trait in TRAITS:
-        factor = table["regime"].map(lambda regime, trait=trait: factors.get(regime, {}).get(trait, 1.0))
-        value = table[f"{trait}.value"]
-        made[f"{trait}.low"] = (value - factor * (value - table[f"{trait}.low"])).clip(lower=0.0)
-        made[f"{trait}.high"] = value + factor * (table[f"{trait}.high"] - value)
-        wide = np.maximum(value - made[f"{trait}.low"], made[f"{trait}.high"] - value) > widest * value
-        before = np.maximum(value - table[f"{trait}.low"], table[f"{trait}.high"] - value) > widest * value
-        refused = ~(is_eligible(table) if trait == "volume_mm3" else table[f"{trait}.reliable"].astype("boolean").fillna(False) | before)
-        made[f"{trait}.reliable"] = ~(wide | refused)
+        value, low, high = (table[f"{trait}.{name}"] for name in ("value", "low", "high"))
+        factor = table["regime"].map({regime: own.get(trait, 1.0) for regime, own in factors.items()}).astype(float).fillna(1.0)
+        made[f"{trait}.low"] = (value - factor * (value - low)).clip(lower=0.0)
+        made[f"{trait}.high"] = value + factor * (high - value)
+        if trait == "volume_mm3":
+            passed = is_eligible(table)
+        else:
+            passed = table[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(table, trait, widest)
+        made[f"{trait}.reliable"] = passed & ~_is_wide(made, trait, widest)
     return made
+
+
+def _is_wide(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
+    """Return which intervals are too wide for a reliable trait, see `apply`."""
+    value, low, high = (table[f"{trait}.{name}"] for name in ("value", "low", "high"))
+    return np.maximum(value - low, high - value) > widest * value
 
 
 def cross_apply(table: pd.DataFrame, *, widest: float) -> pd.DataFrame:
