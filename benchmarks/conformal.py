@@ -32,7 +32,7 @@ def is_first_half(table: pd.DataFrame) -> pd.Series:
 
 
 def is_eligible(table: pd.DataFrame) -> pd.Series:
-    """Return which volumes no check refuses: they are reliable, or not reliable only because of a wide interval."""
+    """Return which volumes no check refuses: those that are not reliable at most because of a wide interval."""
     codes = table["reasons"].fillna("").str.split()
     return codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found)) & table["regime"].notna()
 
@@ -65,9 +65,9 @@ def calibrate(table: pd.DataFrame) -> Factors:
 
 
 def conformal_quantile(scores: NDArray[np.float64]) -> float:
-    """Return the value that a further score does not exceed with probability `CONFIDENCE` (Lei et al. 2018).
+    """Return the score (N,) that a further one does not exceed with probability `CONFIDENCE` (Lei et al. 2018).
 
-    It is the ceil((N + 1) `CONFIDENCE`)-th smallest of the scores (N,), and the largest if N is too small for that.
+    It is the ceil((N + 1) `CONFIDENCE`)-th smallest, and the largest if N is too small for that.
     """
     rank = math.ceil((len(scores) + 1) * CONFIDENCE)
     return float(np.sort(scores)[min(rank, len(scores)) - 1])
@@ -87,15 +87,22 @@ def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFra
     """
     made = table.copy()
     for trait in TRAITS:
-        factor = table["regime"].map(lambda regime, trait=trait: factors.get(regime, {}).get(trait, 1.0))
-        value = table[f"{trait}.value"]
-        made[f"{trait}.low"] = (value - factor * (value - table[f"{trait}.low"])).clip(lower=0.0)
-        made[f"{trait}.high"] = value + factor * (table[f"{trait}.high"] - value)
-        wide = np.maximum(value - made[f"{trait}.low"], made[f"{trait}.high"] - value) > widest * value
-        before = np.maximum(value - table[f"{trait}.low"], table[f"{trait}.high"] - value) > widest * value
-        refused = ~(is_eligible(table) if trait == "volume_mm3" else table[f"{trait}.reliable"].astype("boolean").fillna(False) | before)
-        made[f"{trait}.reliable"] = ~(wide | refused)
+        value, low, high = (table[f"{trait}.{name}"] for name in ("value", "low", "high"))
+        factor = table["regime"].map({regime: own.get(trait, 1.0) for regime, own in factors.items()}).astype(float).fillna(1.0)
+        made[f"{trait}.low"] = (value - factor * (value - low)).clip(lower=0.0)
+        made[f"{trait}.high"] = value + factor * (high - value)
+        if trait == "volume_mm3":
+            passed = is_eligible(table)
+        else:
+            passed = table[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(table, trait, widest)
+        made[f"{trait}.reliable"] = passed & ~_is_wide(made, trait, widest)
     return made
+
+
+def _is_wide(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
+    """Return which intervals are too wide for a reliable trait, see `apply`."""
+    value, low, high = (table[f"{trait}.{name}"] for name in ("value", "low", "high"))
+    return np.maximum(value - low, high - value) > widest * value
 
 
 def cross_apply(table: pd.DataFrame, *, widest: float) -> pd.DataFrame:

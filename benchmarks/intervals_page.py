@@ -11,6 +11,7 @@ import pandas as pd
 
 from benchmarks import conformal
 from benchmarks.intervals_table import TRAITS, ratios
+from rhizotwin.recon.uncertainty.calibration import THIN_PX
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.figures import figure, png
 
@@ -35,9 +36,10 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "high_trimmed_away": ("few",),
 }
 """Simulated causes that each reason code names correctly. ``harsh`` is the profile of that name, ``coarse`` roots
-thinner than `COARSE_PX`, ``few`` fewer than `FEW` views, ``hidden`` the regime of hidden tops."""
-COARSE_PX = 1.5
-"""Mean diameter, px, below which pictures are coarse: blur of a pixel then changes the coverage of most roots."""
+thinner than `THIN_PX`, ``few`` fewer than `FEW` views, ``hidden`` the regime of hidden parts."""
+WIDTH_MM = 210.0
+"""Width of a picture at the canister's axis: 246 mm in air with the camera of the library. The water magnifies 1.33
+times across the axis and 1.05 times along it, which is 1.18 times on the geometric mean."""
 FEW = 18
 """Number of views below which they are few."""
 
@@ -98,10 +100,9 @@ def _names_cause(row: pd.Series) -> bool:
     """Return whether a reason code names a simulated cause."""
     views = sum(int(count) for count in str(row["views"]).split("+"))
     present = set(str(row["troubles"]).split()) if isinstance(row["troubles"], str) else set()
-    px_a_mm = row["width_px"] / 210.0
-    present |= {row["profile"]} | ({"few"} if views < FEW else set()) | ({"hidden"} if row["regime"] == "hidden top" else set())
-    if row["mean_diameter_mm.true"] * px_a_mm < COARSE_PX:
-        present.add("coarse")
+    width_px = row["mean_diameter_mm.true"] * row["width_px"] / WIDTH_MM
+    applies = {"few": views < FEW, "hidden": row["regime"] == "hidden parts", "coarse": width_px < THIN_PX}
+    present |= {row["profile"], *(cause for cause, here in applies.items() if here)}
     return any(cause in present for code in str(row["reasons"]).split() for cause in CAUSES.get(code, ()))
 
 

@@ -408,9 +408,9 @@ def _paths(name: str, given: Any) -> list[Path]:
 
 
 def _folder_of(dataset: Dataset | str | Path | None) -> Path | None:
-    if dataset is None or isinstance(dataset, str | Path):
-        return None if dataset is None else Path(dataset)
-    return dataset.folder
+    if dataset is None:
+        return None
+    return Path(dataset) if isinstance(dataset, str | Path) else dataset.folder
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from cyclopts import Parameter
 
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import Place
 from rhizotwin.scenes.solution import Solution, read_solution
@@ -91,6 +92,14 @@ def check_paths(_: Any, given: Any) -> None:
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.ENAMETOOLONG):
                     raise ValueError(f"{str(path)[:100]} is not a valid path ({error.strerror}); use another path") from None
+
+
+def check_new_file(path: Path, *suffixes: str) -> None:
+    """Raise UserError if a file to be written exists, or if its name has none of the suffixes."""
+    if path.exists():
+        raise UserError(f"{path} already exists; choose another name")
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise UserError(f"the suffix of {path} must be {' or '.join(suffixes)}")
 
 
 def read_integer(text: str, low: int, high: int, what: str) -> int:

@@ -1,6 +1,6 @@
 """Import of datasets, results and mass tables into a catalogue."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -166,9 +166,9 @@ def set_tags(catalogue: Catalogue) -> list[str]:
     return found
 
 
-def is_sketch(dataset: Dataset) -> bool:
-    """Return whether the pictures of a dataset are sketches of the emulated rig, which show no roots."""
-    settings = dataset.origin.get("settings")
+def is_sketch(origin: Mapping[str, Any]) -> bool:
+    """Return whether the pictures of a dataset of this origin are sketches of the emulated rig, which show no roots."""
+    settings = origin.get("settings")
     twin = settings.get("twin") if isinstance(settings, dict) else None
     return isinstance(twin, dict) and twin.get("fidelity") == "sketch"
 
@@ -209,7 +209,7 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
         complete = dataset.origin.get("complete", True) is True
         values = (
             *(path, dataset.sha256, scene.name, scene.subject.day, scene.subject.date, catalogue.solution_id(scene.solution)),
-            *(len(dataset.frames), int(complete), int(is_sketch(dataset)), now_utc()),
+            *(len(dataset.frames), int(complete), int(is_sketch(dataset.origin)), now_utc()),
         )
         connection.execute(
             "INSERT INTO scans (path, sha256, scene, day, date, solution, pictures, complete, sketch, added_utc)"

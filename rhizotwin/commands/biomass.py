@@ -12,7 +12,7 @@ rhizotwin biomass predict my_other_results --model radish.json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rhizotwin.arguments import OutputFolder, option, output, read_number, with_metavar
+from rhizotwin.arguments import OutputFolder, check_new_file, option, output, read_number, with_metavar
 from rhizotwin.experiment.masses import BALANCE_G
 from rhizotwin.scenes.errors import UserError
 
@@ -83,8 +83,7 @@ def fit(
     given = [*given, last] if sources.is_catalogue(last) else given
     if not given or any(table.suffix.lower() != ".csv" for table in tables):
         raise UserError("the fit needs results and masses; give results followed by the mass table (.csv), or a catalogue with both")
-    if output.exists():
-        raise UserError(f"{output} already exists; choose another name")
+    check_new_file(output)
     from rhizotwin.experiment import biomass, model_file
     from rhizotwin.experiment.masses import read_masses
     from rhizotwin.experiment.measured import read_all
@@ -123,8 +122,8 @@ def predict(
     rhizotwin biomass predict my_results --model radish.json
     rhizotwin biomass predict my_results --model radish.json -o masses.csv
     """
-    if table is not None and (table.suffix.lower() != ".csv" or table.exists()):
-        raise UserError(f"{table} already exists; choose another name" if table.exists() else f"the suffix of {table} must be .csv")
+    if table is not None:
+        check_new_file(table, ".csv")
     from rhizotwin.catalogue import sources
     from rhizotwin.experiment import model_file
     from rhizotwin.experiment.measured import read_all

@@ -20,7 +20,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from rhizotwin.arguments import Flag, OutputFolder, SceneName, list_of, option, output, read_date, read_integer, with_metavar
+from rhizotwin.arguments import (
+    Flag,
+    OutputFolder,
+    SceneName,
+    check_new_file,
+    list_of,
+    option,
+    output,
+    read_date,
+    read_integer,
+    with_metavar,
+)
 from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import printable
@@ -319,8 +330,7 @@ def _show(table: "Table", csv: Path | None) -> None:
     from rhizotwin.scenes import atomic
 
     if csv is not None:
-        if csv.suffix.lower() != ".csv" or csv.exists():
-            raise UserError(f"{csv} already exists; choose another name" if csv.exists() else f"the suffix of {csv} must be .csv")
+        check_new_file(csv, ".csv")
         atomic.write_text(csv, table.csv(), new=True)
         print(f"wrote {len(table.rows)} rows to {csv}")
         return

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rhizotwin import rigs
-from rhizotwin.arguments import OutputFile, SceneName, option, read_length_mm, with_metavar
+from rhizotwin.arguments import OutputFile, SceneName, check_new_file, option, read_length_mm, with_metavar
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
 
@@ -208,8 +208,7 @@ def example(*, output: OutputFile) -> None:
     """
     from rhizotwin.rig.example import EXAMPLE
 
-    if output.exists():
-        raise UserError(f"{output} already exists; choose another name")
+    check_new_file(output)
     write_text(output, EXAMPLE, new=True)
     print(f"wrote {output}; edit the file, then run: rhizotwin rig check {output}")
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, SceneName, SolutionName, output, with_metavar
+from rhizotwin.arguments import Flag, SceneName, SolutionName, check_new_file, output, with_metavar
 from rhizotwin.scenes import files, key_descriptions
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT, Solution
@@ -56,8 +56,8 @@ def scenes(
     if (name is None) != (copy is None and specimen_stl is None):
         raise UserError("a scene must be given together with -o FILE or --specimen-stl FILE; to list the library, give no arguments")
     for path in (copy, specimen_stl):
-        if path is not None and path.exists():
-            raise UserError(f"{path} already exists; choose another name")
+        if path is not None:
+            check_new_file(path)
     if name is not None and specimen_stl is not None:
         from rhizotwin.printable import write_specimen_stl
 

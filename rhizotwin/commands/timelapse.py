@@ -12,8 +12,7 @@ rhizotwin timelapse status my_experiment.toml
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rhizotwin.arguments import Flag, OutputFile, Progress, with_metavar
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.arguments import Flag, OutputFile, Progress, check_new_file, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.timelapse.experiment import Experiment
@@ -40,8 +39,7 @@ def example(*, output: OutputFile) -> None:
     from rhizotwin.scenes import atomic
     from rhizotwin.timelapse.example import EXAMPLE
 
-    if output.suffix != ".toml" or output.exists():
-        raise UserError(f"{output} already exists; choose another name" if output.exists() else f"the suffix of {output} must be .toml")
+    check_new_file(output, ".toml")
     atomic.write_text(output, EXAMPLE, new=True)
     print(f"wrote {output}")
     print(f"next: rhizotwin timelapse run {output}")

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rhizotwin.arguments import list_of, option, output, read_mass_g, with_metavar
+from rhizotwin.arguments import check_new_file, list_of, option, output, read_mass_g, with_metavar
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
@@ -50,10 +50,8 @@ def traits(
     results = result_files.results_in(sources.expand_results(results))
     if mass_g is not None and len(mass_g) != len(results):
         raise UserError(f"--mass-g has {len(mass_g)} values for {len(results)} results; give one value per result, in the same order")
-    if table is not None and table.suffix.lower() not in (".csv", ".json"):
-        raise UserError(f"the suffix of {table} must be .csv or .json")
-    if table is not None and table.exists():
-        raise UserError(f"{table} already exists; choose another name")
+    if table is not None:
+        check_new_file(table, ".csv", ".json")
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)
     masses = [summary.get("mass_g") if mass is None else mass for mass, summary in zip(given, summaries, strict=True)]

@@ -20,6 +20,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar, cast
 
+from rhizotwin.catalogue.adding import is_sketch
 from rhizotwin.report import words
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, printable
@@ -239,7 +240,7 @@ def _scan_entry(path: Path) -> ScanEntry:
             pictures=len(views),
             planned=int(origin.get("planned_views", len(views))),
             complete=bool(origin.get("complete")),
-            sketch=((origin.get("settings") or {}).get("twin") or {}).get("fidelity") == "sketch",
+            sketch=is_sketch(origin),
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error
         known = isinstance(error, UserError | OSError | MemoryError)

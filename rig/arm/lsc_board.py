@@ -117,7 +117,7 @@ class LscBoard:
             "arm: repeated readings of the positions differ; check that the arm is at rest, and check the line to its board"
         )
 
-    def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002
+    def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002 - for the servo bus
         """Read the board's supply voltage until two successive readings agree. All servos share this supply."""
         before_v = self._voltage_once()
         for _ in range(_AGREE_TRIES):
@@ -127,11 +127,11 @@ class LscBoard:
             before_v = now_v
         raise NoAnswerError("arm: repeated readings of the voltage differ; check the supply and the line to the board")
 
-    def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
+    def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002 - for the servo bus
         """Return None, because this board does not report temperatures."""
         return
 
-    def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002
+    def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002 - for the servo bus
         """Return None, because this board does not report the torque."""
         return
 

@@ -85,7 +85,7 @@ class Tripod:
             return
         self._ask(f"Move the camera: {describe_ring(ring)}. Press Enter when done: ")
 
-    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002
+    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002 - for a stand with an arm
         """Take a picture, and read the strip in it. The measurement is None if the strip cannot be read."""
         return self._camera.look()
 
