@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA, Rendering
-from rhizotwin.recon.tubes.tube_profiles import Sections
+from rhizotwin.recon.tubes.tube_sections import Sections
 
 Array = NDArray[np.float64]
 

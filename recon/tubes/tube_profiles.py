@@ -17,25 +17,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
-from rhizotwin.recon.device import TO_LAST, Float, Kernel, UInt32, Vector2f, Vector3f, bilinear, numbers, vectors, wholes
-from rhizotwin.recon.tubes import translucent_tube
-from rhizotwin.recon.tubes.translucent_tube import Layer
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import Float, Kernel, UInt32, Vector3f, wholes
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA, Rendering
+from rhizotwin.recon.tubes.tube_sections import SAMPLES, Sections
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 14
-"""Number of samples in a profile. One half of them lies around each of the tube's two edges."""
-_MARGIN_PX = 1.8
-"""Distance to both sides of each of a tube's edges over which picture and rendering are compared, px. Towards the
-inside, the profile ends at the centre line. Elsewhere, the coverage does not depend on shift and width."""
 _INTERPOLATION_VARIANCE = 0.1
 """Variance of the blur caused by bilinear interpolation, px2."""
-_LEAST_SPEED_PX = 0.3
-"""Minimum length in the picture of one millimetre of a tube, px. Tubes viewed along their axis are shorter, and do not
-appear as strips."""
 LIGHT = ("log mu", "blur variance", "hairs", "index")
 """Names of the light parameters that all roots share: logarithm of the attenuation, variance of the blur of the
 pictures (px2), strength of the root hairs, and relative excess of the roots' refractive index over that of water."""
@@ -54,108 +45,6 @@ probably shows another object.
 
 Only coverage that the tubes do not explain is included, since it may be due to another root. Pixels that the tubes
 cover but the picture shows empty are errors of the tubes."""
-
-
-@dataclass(frozen=True)
-class Sections:
-    """Cross-sections of tubes at their nodes, in the pictures. Fields have shape (M,) on the device.
-
-    A view in which a node is not visible, or in which its tube is viewed end-on, has no cross-section of that node.
-    """
-
-    shape: tuple[int, int]
-    """Number of views V and number of nodes N."""
-    place: UInt32
-    """Index of each cross-section in a flattened array of shape (V, N) (mi.UInt32)."""
-    start: UInt32
-    """Offset of the view's picture in flattened pictures (mi.UInt32)."""
-    columns: int
-    rows: int
-    px: Vector2f
-    """Pixel coordinates of the node (mi.Vector2f)."""
-    normal: Vector2f
-    """Unit vector across the tube in the picture (mi.Vector2f)."""
-    across: Vector3f
-    """Gradient of the node's lateral position in the picture with respect to its position in the canister frame, px/mm
-    (mi.Vector3f)."""
-    scale: Float
-    """Image scale perpendicular to the tube, px/mm (mi.Float)."""
-    half_px: Float
-    """Half-width of the tube, px (mi.Float)."""
-    sine: Float
-    """Sine of the angle between the tube and the line of sight (mi.Float)."""
-    layers: list[Layer]
-    """Strips that represent the tube."""
-
-    @staticmethod
-    def cut(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
-        """Return the cross-sections at the nodes of tubes.
-
-        The result is None if no view shows a node.
-        """
-        p, count = at.on_device, dr.opaque(mi.UInt32, at.shape[1])
-        tangent = vectors(tubes.tangents)
-        t = at.in_all_views(tangent)
-        place = dr.compress(p.visible & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
-        if not dr.width(place):
-            return None
-        view = place // count
-        node = place - view * count
-        px, du, dv = dr.gather(mi.Vector2f, p.px, place), dr.gather(mi.Vector3f, p.du, place), dr.gather(mi.Vector3f, p.dv, place)
-        t, radius_mm = dr.gather(mi.Vector3f, tangent, node), dr.gather(mi.Float, numbers(tubes.radius_mm), node)
-        normal = dr.normalize(mi.Vector2f(-dr.dot(dv, t), dr.dot(du, t)))
-        across = normal.x * du + normal.y * dv
-        scale = dr.norm(across)
-        half_px, sine = radius_mm * scale, sine_to_sight(du, dv, t)
-        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine, half_px, index=evidence.index)
-        start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, sine, layers)
-
-    @property
-    def count(self) -> int:
-        """Return the number of cross-sections."""
-        return int(dr.width(self.place))
-
-    def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
-        """Return the offset of sample k from the tube's centre line, px.
-
-        The samples are evenly spaced from ``-reach_px`` to ``reach_px``.
-        """
-        return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
-
-    def at_edge(self, k: UInt32 | int) -> Float:
-        """Return the offset of sample k from the tube's centre line, px.
-
-        The first half of the `_SAMPLES` samples lies around one edge of the tube, the second half around the other.
-        Adjacent samples at one edge are `edge_step` apart.
-        """
-        number, half = mi.Float(k), _SAMPLES // 2
-        first = number < half
-        inward = dr.select(first, number, number - half) + 0.5
-        return dr.select(first, -1.0, 1.0) * (self.half_px + _MARGIN_PX - inward * self.edge_step)
-
-    @property
-    def edge_step(self) -> Float:
-        """Return the spacing of the samples around an edge, px (mi.Float)."""
-        return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
-
-    def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
-        """Sample flattened pictures of all views with bilinear interpolation.
-
-        The samples are at the distance ``offset_px`` from the tube's centre line.
-        """
-        u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
-        v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
-        return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
-
-    def spread(self, value: Float) -> Float:
-        """Return a flattened array of shape (V, N) with one value for each cross-section (M,) (mi.Float).
-
-        It is 0 where a view has no cross-section of a node.
-        """
-        whole = dr.zeros(mi.Float, self.shape[0] * self.shape[1])
-        dr.scatter(whole, value, self.place)
-        return whole
 
 
 @dataclass(frozen=True)
@@ -430,7 +319,7 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
 
     many = _size(changes) - 5  # excluding direction, scale and lone
     begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(many + 3))
-    sums = list(dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:])
+    sums = list(dr.while_loop(begin, lambda k, *_: k < SAMPLES, body)[1:])
     uncovered, passing, passing_alone = sums[7:10]
     step = cut.edge_step
     weight = step / (1.0 + uncovered * step / OUTLIER)
@@ -494,7 +383,7 @@ def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
     whole = np.full(at.shape, np.nan)
     if cut is not None:
         total = dr.zeros(mi.Float, cut.count)
-        for k in range(_SAMPLES):
+        for k in range(SAMPLES):
             total += dr.square(cut.read(cut.at_edge(k), difference)[0])
         whole.ravel()[np.array(cut.place)] = np.array(total * cut.edge_step)
     return whole
