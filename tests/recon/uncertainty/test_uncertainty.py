@@ -58,12 +58,10 @@ def test_the_interval_holds_what_is_one_sided_nine_times_of_ten(even: float) -> 
     ("changes", "says"),
     [
         ({"views": TrustSettings().least_views - 1}, "only 7 views"),
-        ({"unexplained": 0.3}, "30 % of the coverage"),
-        ({"fill": 0.6}, "60 % of the root zone"),
         ({"terms": (term(1.0, 1.0), term(2.0, 40.0, "missing roots"))}, "of the missing roots"),
         ({"terms": (term(20.0, 0.0, "hull"), term(20.0, 0.0, "faces"), term(0.0, 24.0, "missing roots"))}, "of the hull"),
     ],
-    ids=["views", "unexplained", "fill", "interval", "side"],
+    ids=["views", "interval", "side"],
 )
 def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object], says: str) -> None:
     good = budget_of(term(3.0, 4.0))
