@@ -45,7 +45,7 @@ CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {
     "views, half a turn": (lambda: check_views(list(range(0, 180, 9)), 20), "bad", ""),
     "views, half left out": (lambda: check_views(list(range(0, 360, 18)), 40), "bad", ""),
     "sight, crowded": (lambda: check_agreement(missed=0.01, unexplained=0.0, fill=0.6), "bad", "60 %"),
-    "sight, unexplained": (lambda: check_agreement(missed=0.01, unexplained=0.3, fill=0.1), "bad", "30 %"),
+    "sight, unexplained": (lambda: check_agreement(missed=0.01, unexplained=0.3, fill=0.1), "bad", "30.0 %"),
     "sight, much missed": (lambda: check_agreement(missed=0.35, unexplained=0.0, fill=0.1), "bad", "35.0 %"),
     "sharpness, alike": (lambda: check_sharpness(0.4, 0.1), "good", ""),
     "sharpness, apart": (lambda: check_sharpness(0.9, 1.4), "bad", "1.40 px more than others"),
