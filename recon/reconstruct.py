@@ -16,7 +16,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, remeasure_coverage
-from rhizotwin.recon.device import release
+from rhizotwin.recon.device import release, tuned_process
 from rhizotwin.recon.read_pictures import Pictures, picture_hash, read_pictures
 from rhizotwin.recon.results import calibration_summary, divide_by_plant
 from rhizotwin.recon.results.by_plant import PlantResult
@@ -49,6 +49,7 @@ _ON_DEVICE = ("evidence", "bank", "maps", "silhouettes")
 stage folder."""
 
 
+@tuned_process()
 def reconstruct(
     dataset: Dataset | Path | str,
     *,

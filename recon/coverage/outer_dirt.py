@@ -138,11 +138,13 @@ def _dark_texels(
     at = wall.crossings(views[k], optics, face)
     share, sees = np.zeros(rows * columns, np.float32), np.zeros(rows * columns, np.float32)
     for column, row in zip(at.column, at.row, strict=True):
-        nearest = np.rint(row).astype(np.int32)
-        here = usable[k] & ~wide & (nearest >= 0) & (nearest < rows)
-        texel = nearest[here] * columns + np.mod(np.rint(column[here]).astype(np.int32), columns)
+        nearest = np.rint(row)
+        here = np.flatnonzero(usable[k] & ~wide & (nearest >= 0) & (nearest < rows))
+        texel = nearest.ravel()[here].astype(np.intp) * columns + np.mod(np.rint(column.ravel()[here]).astype(np.intp), columns)
         number = np.bincount(texel, minlength=rows * columns)
-        share += np.bincount(texel, weights=dark[here], minlength=rows * columns) / np.maximum(number, 1)
+        count = np.bincount(texel[dark.ravel()[here]], minlength=rows * columns)
+        some = np.flatnonzero(count)  # few of the texels
+        share[some] += count[some] / number[some]
         sees += number > 0
     return share.reshape(rows, columns), sees.reshape(rows, columns)
 
