@@ -309,8 +309,8 @@ def _scale(view: View, optics: Optics) -> float:
     """Return the scale of a picture at the canister's axis, at half the depth of the water, px/mm."""
     middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
     x, y, _ = view.centre_mm / view.rho_mm
-    px, _ = cameras.project(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
-    return float(np.linalg.norm(px[0, 0] - px[1, 0]))
+    px = cameras.project_inner(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
+    return float(np.linalg.norm(px[0] - px[1]))
 
 
 def _estimate_backgrounds(

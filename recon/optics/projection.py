@@ -25,7 +25,7 @@ from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vecto
 from rhizotwin.recon.optics import ray_kernel, window
 from rhizotwin.recon.optics.cameras import View, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
-from rhizotwin.recon.optics.start_tables import CELL_MM, view_table
+from rhizotwin.recon.optics.start_tables import CELL_MM, direct_table, tank_table
 from rhizotwin.recon.optics.window import Place
 from rhizotwin.scenes import frames
 
@@ -80,8 +80,8 @@ class ViewBank:
         Views whose camera distances and heights agree within `_TABLE_MM` use copies of the same start table.
         """
         packed = np.zeros((len(views), _PARAMETERS))
-        made: dict[tuple[int, ...], Array] = {}
-        tables = []
+        made: dict[tuple[float, ...], Array] = {}
+        tables, (step_rho, step_z) = [], _TABLE_MM
         for k, view in enumerate(views):
             cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
             turn = view.azimuth_from_canister
@@ -91,11 +91,13 @@ class ViewBank:
             packed[k, 17:22] = view.camera.distortion
             packed[k, 22] = optics.n_water  # not a literal of the kernel, as it may change
             packed[k, _SWAY:] = *view.sway, optics.water_z_mm
-            key: tuple[int, ...] = (round(view.rho_mm / _TABLE_MM[0]), round(float(view.centre_mm[2]) / _TABLE_MM[1]))
-            if optics.tank is not None:
-                key += _pack_tank(packed[k], view, optics)
+            camera_mm = step_rho * round(view.rho_mm / step_rho), step_z * round(float(view.centre_mm[2]) / step_z)
+            if optics.tank is None:
+                tables.append(direct_table(*camera_mm, optics))
+                continue
+            key = *camera_mm, *_pack_tank(packed[k], view, optics)
             if key not in made:
-                made[key] = view_table(view, optics)
+                made[key] = tank_table(view, optics)
             tables.append(made[key])
         shape = tables[0].shape[:2]
         return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))

@@ -6,6 +6,8 @@ through a point is the number of its images, and the adjacent lines of the fan y
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy import ndimage
 
@@ -24,27 +26,31 @@ _NAMES = np.linspace(-0.9, 0.9, 4001)
 interpolation. The range exceeds that of rays through a tank's front (64 degrees to either side)."""
 
 
-def view_table(view: View, optics: Optics) -> Array:
-    """Compute the start table of a view over positions in its azimuth frame.
+@lru_cache(maxsize=128)
+def direct_table(rho_mm: float, z_cam_mm: float, optics: Optics) -> Array:
+    """Compute the start table of a camera without a tank. The latest tables are kept.
+
+    Parameters
+    ----------
+    rho_mm, z_cam_mm : float
+        Horizontal distance of the camera from the axis, and height of the camera in the canister frame, mm.
+    optics : Optics
+        Optics of the canister.
 
     Returns
     -------
     (ny, nx, 2) float64 array
-        Initial value (impact parameter in air, mm, or q_y through a tank), and horizontal distance to the nearest point
-        at which the view is blind or shows two images, mm. Without a tank, rows are |y| from -1 mm, because y < 0
+        Initial value (impact parameter in air, mm), and horizontal distance to the nearest point at which the view is
+        blind or shows two images, mm, over positions in the azimuth frame. Rows are |y| from -1 mm, because y < 0
         mirrors y > 0.
     """
-    return _direct_table(view, optics) if optics.tank is None else _tank_table(view, optics)
-
-
-def _direct_table(view: View, optics: Optics) -> Array:
-    z_cam, reach = float(view.centre_mm[2]), view.rho_mm - optics.outer_radius_mm
-    steepest = max(abs(optics.water_z_mm - z_cam), abs(optics.floor_z_mm - z_cam))
+    reach = rho_mm - optics.outer_radius_mm
+    steepest = max(abs(optics.water_z_mm - z_cam_mm), abs(optics.floor_z_mm - z_cam_mm))
     p_max = float(np.sin(np.arctan2(steepest, reach)))
-    b_a, count = _round_fan(optics, view.rho_mm, 0.5 * p_max)
+    b_a, count = _round_fan(optics, rho_mm, 0.5 * p_max)
     single = count == 1
     for p_z in (0.0, p_max):
-        single &= _round_fan(optics, view.rho_mm, p_z)[1] == 1
+        single &= _round_fan(optics, rho_mm, p_z)[1] == 1
     if optics.straight:
         single[:] = True
     whole = np.concatenate([single[:1:-1], single[1:]])  # y < 0 mirrors y > 0
@@ -53,7 +59,15 @@ def _direct_table(view: View, optics: Optics) -> Array:
     return np.stack([b_a, clear_mm], axis=-1)
 
 
-def _tank_table(view: View, optics: Optics) -> Array:
+def tank_table(view: View, optics: Optics) -> Array:
+    """Compute the start table of a view through a tank.
+
+    Returns
+    -------
+    (ny, nx, 2) float64 array
+        Initial value (q_y), and horizontal distance to the nearest point at which the view is blind or shows two
+        images, mm, over positions in the azimuth frame.
+    """
     at = tank_view(view, optics)
     reach = float(at.centre_mm[0]) - at.tank.front_mm
     climbs = [float(np.sin(np.arctan2(z - view.centre_mm[2], reach + at.tank.front_mm))) for z in (optics.water_z_mm, optics.floor_z_mm)]
