@@ -152,7 +152,7 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
     atomic.temporary_path(out / "view" / "b").write_text("half")
     with folders.lock_folder(out):
         assert names(out / "view") == ["a"]
-    assert "process 7 on gone (since then) was stopped before it finished; its remaining files are recovered" in caplog.text
+    assert "process 7 on gone (since then) was stopped before it released its lock; this run takes over the lock" in caplog.text
     assert names(out) == ["view"]
 
 
