@@ -1,4 +1,4 @@
-"""Compute the joint angles for a ring of the scan plan, and correct them with the pose measured from the markers.
+"""Compute the joint angles for a ring of the capture plan, and correct them with the pose measured from the markers.
 
 Angles are in degrees in this module, and in radians in the modules that it imports.
 """
