@@ -23,7 +23,7 @@ from typing import TypeVar, cast
 from rhizotwin.catalogue.adding import is_sketch
 from rhizotwin.report import words
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import error_sentence, printable
+from rhizotwin.scenes.formatting import error_sentence, is_expected, printable
 from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.subject import Subject, from_summary
 from rhizotwin.stored.result_files import read_summary
@@ -243,8 +243,7 @@ def _scan_entry(path: Path) -> ScanEntry:
             sketch=is_sketch(origin),
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error
-        known = isinstance(error, UserError | OSError | MemoryError)
-        reason = error_sentence(error) if known else f"dataset.json is damaged ({type(error).__name__}: {str(error)[:100]})"
+        reason = error_sentence(error) if is_expected(error) else f"dataset.json is damaged ({type(error).__name__}: {str(error)[:100]})"
         text = printable(f"the dataset cannot be read: {reason}")
         return ScanEntry(name=name, subject="", plant="", pictures=0, planned=0, complete=False, error=text)
 
