@@ -118,7 +118,7 @@ class ScanFolders:
         """
         folder = _inside(self.scans, name)
         if not (folder / "dataset.json").is_file():
-            raise UserError(f"the scan {name!r} does not exist")
+            raise UserError(f"the scan {name!r} does not exist; choose a scan from the list")
         return folder
 
     def result(self, name: str) -> Path:
@@ -141,7 +141,7 @@ class ScanFolders:
         """
         path = self.result(name) / "report.html"
         if path.is_symlink() or not path.is_file():
-            raise UserError(f"the scan {name!r} has no report")
+            raise UserError(f"the scan {name!r} has no report; add the scan to the queue of reconstructions")
         return path
 
     def growth(self) -> Path | None:
@@ -165,7 +165,7 @@ class ScanFolders:
         """
         entry = self._entry(self.scan(name) / "dataset.json", _scan_entry)
         if entry is None:
-            raise UserError(f"the scan {name!r} does not exist")
+            raise UserError(f"the scan {name!r} does not exist; choose a scan from the list")
         return entry
 
     def result_of(self, name: str) -> ResultEntry | None:
