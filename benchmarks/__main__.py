@@ -18,6 +18,7 @@ from benchmarks.run import Run
 from benchmarks.targets import TARGETS
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 
 HERE = Path(__file__).resolve().parent
 
@@ -125,7 +126,10 @@ def _thesis(given: argparse.Namespace) -> int:
 
 
 def _intervals(given: argparse.Namespace) -> int:
-    """Measure random scans, or read their table; report the coverage, and record the calibration if asked to."""
+    """Measure random scans, or read their table; report the coverage, and record the calibration if asked to.
+
+    Return 1 if a scan failed.
+    """
     from benchmarks import conformal, intervals, intervals_page, intervals_table
     from rhizotwin.recon.settings import TrustSettings
     from rhizotwin.recon.uncertainty import calibration
@@ -137,6 +141,10 @@ def _intervals(given: argparse.Namespace) -> int:
         table = intervals_table.table_of(intervals.measure(numbers, processes=given.processes, device=given.device, say=say))
     else:
         table = intervals_table.read(given.table)
+    failures = intervals_table.failures(table)
+    if failures and len(failures) == len(table):
+        say(_failed_scans(failures, len(table)))
+        return 1
     factors = conformal.calibrate(table)
     text = intervals_page.page(table, factors, widest=TrustSettings.widest)
     say("\n" + text)
@@ -146,10 +154,16 @@ def _intervals(given: argparse.Namespace) -> int:
     atomic.write_text(output.with_suffix(".md"), text)
     intervals_page.draw(table, output.with_suffix(".png"))
     if given.calibrate:
-        source = f"benchmarks/intervals.csv: conformal prediction from {len(table)} random scans"
+        source = f"benchmarks/intervals.csv: conformal prediction from {len(table) - len(failures)} random scans"
         atomic.write_json(calibration.TABLE, {"source": source, "confidence": conformal.CONFIDENCE, "factors": factors})
     say(f"every number: {output}")
-    return 0
+    if failures:
+        say(_failed_scans(failures, len(table)))
+    return 1 if failures else 0
+
+
+def _failed_scans(failures: Sequence[str], scans: int) -> str:
+    return f"{len(failures)} of {count(scans, 'random scan')} failed; the first error is: {failures[0]}"
 
 
 def _batch(given: argparse.Namespace) -> int:

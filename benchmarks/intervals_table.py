@@ -40,6 +40,13 @@ def read(path: Path) -> pd.DataFrame:
     return pd.read_csv(path, keep_default_na=False, na_values=[""], dtype={"troubles": "string", "reasons": "string", "regime": "string"})
 
 
+def failures(table: pd.DataFrame) -> list[str]:
+    """Return the number and error of each failed scan."""
+    if "error" not in table:
+        return []
+    return [f"scan {row['number']}: {row['error']}" for _, row in table[table["error"].notna()].iterrows()]
+
+
 def _row(record: dict[str, Any]) -> dict[str, Any]:
     row = {
         "number": record["number"],

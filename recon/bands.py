@@ -89,7 +89,7 @@ def _ratio(dataset: Dataset, frame: Frame) -> float:
 def _rows(scene: Scene, frame: Frame) -> slice:
     """Return the picture rows that show the roots, below the net pot, or the shoot, above it.
 
-    The rows are predicted from the camera's nominal position according to the plan of the scan.
+    The rows are predicted from the camera's nominal position according to the capture plan.
     """
     ring, pot = scene.plan.rings[frame.ring], scene.net_pot
     z_mm = pot.skirt_bottom_mm if frame.kind == "root" else pot.top_mm

@@ -353,7 +353,7 @@ def scan(
         Name or file of the scene on the rig. Required with a rig file; the emulated rig uses ``printed_8ml`` by
         default.
     plan : str, optional
-        Scan plan file, or scene, whose rings (turns at one camera height and tilt) replace the rings of the scene.
+        Capture plan file, or scene, whose rings (turns at one camera height and tilt) replace the rings of the scene.
     resume : bool
         Continue an interrupted scan.
     table_angle_deg : float, optional

@@ -152,7 +152,9 @@ def _traits(result_folder: Path, output: Path) -> list[Path]:
 def _roots_of(result_folder: Path) -> Path:
     file = result_folder / "roots.rsml"
     if not file.is_file():
-        raise UserError(f"the result {result_folder} has no centre lines, because no thin roots were found")
+        raise UserError(
+            f"the result {result_folder} has no centre lines, because no thin roots were found; export its traits (.csv) instead"
+        )
     return file
 
 

@@ -115,7 +115,7 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     errors : TwinErrors
         Options of the emulated rig.
     plan : str or None
-        Scan plan file, or scene, whose rings replace the rings of ``scene``; None: as in the scene.
+        Capture plan file, or scene, whose rings replace the rings of ``scene``; None: as in the scene.
 
     Returns
     -------
@@ -246,7 +246,7 @@ def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:
 
 
 def _with_plan(scene: Scene, plan: str | None) -> Scene:
-    """Return a copy of the scene with the rings of a scan plan, which is a file or another scene."""
+    """Return a copy of the scene with the rings of a capture plan, which is a file or another scene."""
     if plan is None:
         return scene
     path = Path(plan)

@@ -189,7 +189,7 @@ class Jog:
         else:
             seen, why = self._look()
             if seen is None:
-                raise RigError(f"turntable: the angle cannot be determined from the markers: {why}")
+                raise RigError(f"turntable: the angle cannot be determined from the markers ({why}); give the angle, for example: home 90")
             angle_deg = facing_angle(seen, self._scene)
         angle_deg %= 360.0
         self._devices.table.declare(angle_deg)

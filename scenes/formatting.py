@@ -12,6 +12,8 @@ from rhizotwin.scenes.errors import UserError
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Error numbers which indicate that the disk is full."""
+TRACEBACK_ADVICE = f"run the command again with {DEBUG_VARIABLE}=1 for a traceback"
+"""Advice to users of the command line after an unexpected error."""
 
 
 def decimals(half: float) -> int:
@@ -41,9 +43,34 @@ def round_digits(value: float, digits: int = 3) -> str:
     return f"{round(value, last):.{max(0, last)}f}"
 
 
+def count(number: int, noun: str, plural: str = "") -> str:
+    """Format a number with its noun, such as ``1 dataset`` or ``2 datasets``.
+
+    Parameters
+    ----------
+    number : int
+        Number of things.
+    noun : str
+        Noun in the singular.
+    plural : str
+        Plural of the noun; by default, the noun with an s.
+    """
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def was(number: int) -> str:
+    """Return the verb ``was`` or ``were`` that belongs to a number of things."""
+    return "was" if number == 1 else "were"
+
+
 def printable(text: str) -> str:
     """Replace each control code in a text by a question mark, so that the text cannot control a terminal."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def is_expected(error: BaseException) -> bool:
+    """Return whether `error_sentence` explains an error completely, so that no traceback is needed."""
+    return isinstance(error, UserError | MemoryError | OSError)
 
 
 def error_sentence(error: BaseException) -> str:
@@ -59,4 +86,4 @@ def error_sentence(error: BaseException) -> str:
             return f"{where}the disk is full; free some space and run the same command again"
         return f"{where}{error.strerror or text}; check the path and its permissions"
     what = f"the program was stopped by an unexpected error ({type(error).__name__}: {text})"
-    return f"{what}; run the command again with {DEBUG_VARIABLE}=1 for a traceback"
+    return f"{what}; {TRACEBACK_ADVICE}"

@@ -40,7 +40,7 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0) | NO_WAIT
 _WINDOWS_LOCK_AT = 2**30
 """Offset of the locked byte in a lock file. It is far beyond the content, because Windows also prevents reading of
 locked bytes."""
-_NO_LOCK = "{path}: the entry is not a regular file and was not created by this program; remove it and run the command again"
+_NO_LOCK = "{path}: the entry is not a lock file of this program, because it is {kind}; remove it and run the command again"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
@@ -63,8 +63,8 @@ def lock_file(path: Path, *, what: str) -> Iterator[bool]:
     Raises
     ------
     UserError
-        If another process holds the lock (the message states process and computer), or the file is a link or not a
-        regular file.
+        If another process holds the lock (the message states process and computer), or the file is a symbolic link, has
+        several names (hard links), or is not a regular file.
     OSError
         If the file cannot be created.
     """
@@ -72,7 +72,7 @@ def lock_file(path: Path, *, what: str) -> Iterator[bool]:
     try:
         if left is not None:
             logging.getLogger(__name__).warning(
-                "%s: %s was stopped before it finished; its remaining files are recovered", printable(what), _holder(left)
+                "%s: %s was stopped before it released its lock; this run takes over the lock", printable(what), _holder(left)
             )
         said = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
         os.ftruncate(descriptor, 0)
@@ -134,14 +134,16 @@ def _acquire(path: Path, what: str) -> tuple[int, bytes | None]:
                 continue
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
-                    raise UserError(_NO_LOCK.format(path=path)) from None
+                    raise UserError(_NO_LOCK.format(path=path, kind="a link, a folder or a device")) from None
                 raise
         except FileNotFoundError:  # the folder was removed
             continue
         try:
             status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
-                raise UserError(_NO_LOCK.format(path=path))
+            if not stat.S_ISREG(status.st_mode):
+                raise UserError(_NO_LOCK.format(path=path, kind="a pipe or a device"))
+            if status.st_nlink > 1:
+                raise UserError(_NO_LOCK.format(path=path, kind="a file that has several names (hard links)"))
             free = try_lock(descriptor)
             os.lseek(descriptor, 0, os.SEEK_SET)
             said = os.read(descriptor, 4096)

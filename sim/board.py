@@ -168,7 +168,7 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
             if square_px < LEAST_SQUARE_PX:
                 raise UserError(
                     f"the board's squares of {board.square_mm:g} mm are only {square_px:.0f} px wide at the working distance of "
-                    f"{working_distance_mm(scene):.0f} mm; must be at least {LEAST_SQUARE_PX:g} px wide; use larger squares (--square-mm)"
+                    f"{working_distance_mm(scene):.0f} mm, but at least {LEAST_SQUARE_PX:g} px are needed; use larger squares (--square-mm)"
                 )
             return cam_from_board
         best = max(best, share)

@@ -180,7 +180,7 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
     radius_mm = max(specimen.orders[0].diameter_mm, specimen.hypocotyl_diameter_mm) / 2.0 if specimen.orders else 0.0
     x, y, z = specimen.origin_mm
     if not specimen.orders:
-        raise UserError("specimen.orders is empty; must contain at least the parameters of the taproot.")
+        raise UserError("specimen.orders is empty; add a section [[specimen.orders]] with the parameters of the taproot.")
     if z + radius_mm > limits.high_z_mm or z - radius_mm < limits.low_z_mm or np.hypot(x, y) + radius_mm > limits.radius_mm:
         raise UserError(
             f"specimen.origin_mm {specimen.origin_mm} is too close to the edge of the water; a root of diameter "

@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count, was
 from rhizotwin.scenes.reading import MOST_MESH_MIB, check_size
 from rhizotwin.sim.solids import Array, Faces, to_manifold
 
@@ -63,7 +64,7 @@ def _read(path: Path) -> tuple[Array, Faces]:
     """Read the vertices (V, 3), mm, and the faces (F, 3) of a mesh file."""
     if path.suffix.lower() not in SUFFIXES:
         raise UserError(
-            f"{path}: the extension '{path.suffix}' is not supported; must be a mesh (.ply, .stl, .obj) or traced roots (.rsml)."
+            f"{path}: the extension '{path.suffix}' is not supported; the file must be a mesh (.ply, .stl, .obj) or traced roots (.rsml)."
         )
     if not path.is_file():
         raise UserError(f"{path}: the file does not exist; check the path of the specimen's mesh.")
@@ -76,7 +77,7 @@ def _read(path: Path) -> tuple[Array, Faces]:
             f"{path}: the file could not be read as a {path.suffix[1:].upper()} mesh ({type(error).__name__}); export the mesh again."
         ) from error
     if len(faces) > MOST_FACES:
-        raise UserError(f"{path}: the mesh has {len(faces)} triangles; must have at most {MOST_FACES}; simplify the mesh.")
+        raise UserError(f"{path}: the mesh has {len(faces)} triangles, but at most {MOST_FACES} are supported; simplify it.")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise UserError(f"{path}: the file is damaged, because faces refer to missing vertices; export the mesh again.")
     return vertices, faces.astype(np.int32)
@@ -123,14 +124,15 @@ def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str])
         raise UserError(f"{path}: all faces of the mesh are degenerate; export the mesh again.")
     missing = _single_edges(joined)
     if missing:
-        raise UserError(f"{path}: the surface is not closed: {missing} edges have only one face; close the holes in a mesh editor.")
+        raise UserError(f"{path}: the surface is not closed at {count(missing, 'edge')}; close the holes in a mesh editor.")
     if open_edges(joined):
         mesh = trimesh.Trimesh(unique, joined, process=False)
         trimesh.repair.fix_winding(mesh)
         joined = np.asarray(mesh.faces, dtype=np.int32)
         if open_edges(joined):
             raise UserError(
-                f"{path}: the faces at {open_edges(joined)} edges are inconsistently oriented; recompute the normals in a mesh editor."
+                f"{path}: the faces at {count(open_edges(joined), 'edge')} are inconsistently oriented; "
+                "recompute the normals in a mesh editor."
             )
         notes.append(f"{path}: faces with an inconsistent orientation were inverted.")
     return unique, joined
@@ -161,9 +163,10 @@ def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> m
         united = united - shell if inside else united + shell
         kinds["cavity" if inside else "turned"] += 1
     if kinds["turned"]:
-        notes.append(f"{path}: the normals of {kinds['turned']} shell(s) pointed inwards; these shells were inverted.")
+        notes.append(f"{path}: {count(kinds['turned'], 'shell')} with normals that pointed inwards {was(kinds['turned'])} inverted.")
     if kinds["cavity"]:
-        notes.append(f"{path}: {kinds['cavity']} closed cavities inside the specimen were kept and filled with water.")
+        cavities = count(kinds["cavity"], "closed cavity", "closed cavities")
+        notes.append(f"{path}: {cavities} inside the specimen {was(kinds['cavity'])} kept and filled with water.")
     if len(bodies) > 1:
         notes.append(f"{path}: {len(bodies)} separate shells were united; overlaps are counted once in the volume.")
     return united

@@ -156,12 +156,13 @@ def format_size(points_mm: Array) -> str:
 
 
 def _advice(points_mm: Array, scene: Scene) -> str:
+    """Return a placement that fits; factor and shift are relative to the given points (N, 3)."""
     most = maximum_scale(points_mm, scene)
     if most >= 1.0:
         x, y, z = translation_below_grid(points_mm, scene)
-        return f"Move it below the grid with --shift-mm={x:.1f},{y:.1f},{z:.1f} or --place auto."
+        return f"Move it below the grid with --shift-mm={x:.1f},{y:.1f},{z:.1f} (relative to its present position) or --place auto."
     x, y, z = translation_below_grid(most * points_mm, scene)
     return (
-        f"Reduce it with --scale {most:g} --shift-mm={x:.1f},{y:.1f},{z:.1f} or --scale {most:g} --place auto, "
-        "or check the unit of the file."
+        f"Reduce it with --scale {most:g} --shift-mm={x:.1f},{y:.1f},{z:.1f} (relative to its present size and position) "
+        f"or --scale {most:g} --place auto, or check the unit of the file."
     )

@@ -62,11 +62,11 @@ def check_samples(fidelity: str, samples: int | None) -> int:
     Raises `UserError` if a value is invalid.
     """
     if fidelity not in DEFAULT_SAMPLES:
-        raise UserError(f"fidelity {fidelity!r} is not known; must be one of: {', '.join(DEFAULT_SAMPLES)}")
+        raise UserError(f"fidelity {fidelity!r} is not known; give one of: {', '.join(DEFAULT_SAMPLES)}")
     count = DEFAULT_SAMPLES[fidelity] if samples is None else samples
     if count < 1 or (fidelity == "backlit" and round(count**0.5) ** 2 != count):
         raise UserError(
-            f"samples is {count}; must be a positive number of rays per pixel, "
+            f"samples is {count}, but the number of rays per pixel must be positive, "
             "and a square number such as 4, 9 or 16 for the fidelity 'backlit'"
         )
     return count

@@ -58,11 +58,8 @@ def find_cameras(
         If fewer than `LEAST_VIEWS` pictures have a camera pose, or if the scene has a tank but no marker strip.
     """
     scene, optics = pictures.dataset.scene, Optics.from_scene(pictures.dataset.scene)
-    if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
-        raise UserError(
-            f"{pictures.dataset.folder}: the position of the tank can only be estimated from the markers of all pictures together. "
-            "The scene must have a marker strip, and the dataset must not contain camera poses."
-        )
+    if scene.tank is not None:
+        _require_markers(pictures, single_view)
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
         return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
@@ -89,6 +86,22 @@ def find_cameras(
         warnings=(*solved.warnings, *left_out),
     )
     return _require_views(pictures, cameras)
+
+
+def _require_markers(pictures: Pictures, single_view: bool) -> None:
+    """Raise a UserError if the position of a tank cannot be estimated from the markers of all pictures."""
+    if pictures.frames[0].cam_from_canister is not None:
+        reason = "the dataset contains camera poses; import the pictures again without --cameras"
+    elif pictures.dataset.scene.strip.rows == 0:
+        reason = "the scene has no marker strip; take the scan with a strip, or remove the section [tank] if there is no tank"
+    elif single_view:
+        reason = "this method calibrates each picture alone; use --method ours"
+    else:
+        return
+    raise UserError(
+        f"{pictures.dataset.folder}: the position of the tank can only be estimated from the markers of all pictures together, "
+        f"but {reason}."
+    )
 
 
 def _calibrate_bare(pictures: Pictures, monitor: Monitor) -> Cameras:

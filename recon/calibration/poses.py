@@ -172,12 +172,15 @@ def _add_pose(view: Camera, pose: Array, local: view_fit.Linearised, covariance:
     return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
 
 
-def _misfit_reason(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
-    """Return the reason to exclude a view with a large reprojection error; None if the error is acceptable."""
+def _misfit_reason(error_px: float | None, median_px: float, settings: CalibrationSettings, *, of: str = "all pictures") -> str | None:
+    """Return the reason to exclude a view with a large reprojection error; None if the error is acceptable.
+
+    ``of`` names the pictures whose median error is given.
+    """
     if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
     return (
-        f"its markers deviate from the fitted camera by {error_px:.2g} px (median of all pictures: {median_px:.2g} px), so the strip "
+        f"its markers deviate from the fitted camera by {error_px:.2g} px (median of {of}: {median_px:.2g} px), so the strip "
         "or the camera moved, or the picture is blurred"
     )
 
@@ -297,7 +300,7 @@ def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSet
             continue
         median_px = float(np.median(fit.rig_px[members]))
         for i in members:
-            reason = _misfit_reason(float(fit.rig_px[i]), median_px, settings) if median_px < STILL_PX else None
+            reason = _misfit_reason(float(fit.rig_px[i]), median_px, settings, of="its ring") if median_px < STILL_PX else None
             if reason:
                 found[keys[i]] = reason
     return found

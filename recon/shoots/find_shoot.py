@@ -94,8 +94,8 @@ def _hidden_warning(share: float) -> str:
 
 def _enclosed_warning(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of the shoot's hull is space between leaves that no picture shows. The leaf area could not be determined, "
-        "and the surface area is too small, but height and projected areas are valid. Add a higher ring."
+        f"The leaf area could not be determined, because {100.0 * share:.0f} % of the shoot's hull is empty space that leaves hide in "
+        "every picture. The surface area is too small, but height and projected areas are valid. Add a ring at a greater height."
     )
 
 

@@ -137,5 +137,5 @@ def _system(address: str) -> tuple[AbstractFileSystem, str]:
     try:
         found: tuple[Any, str] = url_to_fs(address)
     except (ImportError, ValueError) as error:
-        raise UserError(f"{address}: the address could not be opened ({error})") from None
+        raise UserError(f"{address}: the address could not be opened ({error}); check its protocol, such as s3:// or sftp://") from None
     return found

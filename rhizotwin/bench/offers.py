@@ -77,7 +77,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
         posed = [(files[k], np.asarray(found.all[k].cam_from_canister)) for k in used]
         lens = found.lens.as_pinhole()
     if not posed:
-        raise UserError(f"{dataset_folder}: no camera pose could be estimated from the pictures")
+        raise UserError(f"{dataset_folder}: no camera pose could be estimated from the pictures; use the true cameras with --cameras true")
     write_nerfstudio(goal / "transforms.json", lens, posed)
     write_colmap(goal / "colmap", lens, posed)
     for file, mask in masks.items():

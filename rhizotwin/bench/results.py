@@ -121,7 +121,8 @@ def read(path: Path) -> Results:
         )
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise UserError(
-            f"{path} is not a file written by 'rhizotwin bench run' or 'rhizotwin bench score' ({printable(str(error))[:200]})"
+            f"{path} is not a file written by 'rhizotwin bench run' or 'rhizotwin bench score' ({printable(str(error))[:200]}); "
+            "run the benchmark again"
         ) from None
 
 

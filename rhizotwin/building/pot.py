@@ -1,5 +1,7 @@
 """Net pot with its grid, holder of the wire phantom, and ring that centres the canister on the turntable."""
 
+import math
+
 import numpy as np
 
 from rhizotwin.building.measures import Measures
@@ -49,13 +51,18 @@ def _refuse_pot(scene: Scene, measures: Measures, *, skirt_mm: float, funnel_mm:
         least_mm = scene.canister.outer_radius_mm + measures.fit_mm + measures.paper_mm + LEAST_WALL_MM
         raise UserError(
             f"the outer wall of the net pot would be {max(skirt_mm, 0.0):.2f} mm thick, but at least {LEAST_WALL_MM:g} mm are needed; "
-            f"set net_pot.outer_radius_mm to at least {least_mm:.2f} for this canister and these dimensions"
+            f"set net_pot.outer_radius_mm to at least {_round_up(least_mm):g} for this canister and these dimensions"
         )
     if pot.grid_z_mm > -SEAT_MM or pot.top_mm < funnel_mm + NOTCH_MM or pot.skirt_bottom_mm >= 0.0:
         raise UserError(
             f"the net pot of the scene cannot be printed; net_pot.grid_z_mm must be {-SEAT_MM:g} or lower, net_pot.top_mm at least "
-            f"{funnel_mm + NOTCH_MM:.1f}, and net_pot.skirt_bottom_mm below 0"
+            f"{_round_up(funnel_mm + NOTCH_MM):g}, and net_pot.skirt_bottom_mm below 0"
         )
+
+
+def _round_up(length_mm: float) -> float:
+    """Round a length up to 0.01 mm, so that a value copied from a message is accepted."""
+    return math.ceil(100.0 * (length_mm + 1e-9)) / 100.0
 
 
 def net_pot(scene: Scene, measures: Measures) -> Part:

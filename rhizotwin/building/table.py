@@ -5,6 +5,7 @@ centres the plate, and loose balls between plate and base support the weight. Th
 beside the plate, out of the camera's view.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -267,7 +268,7 @@ def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
     if high < 10.0:
         raise UserError(
             f"clearance.floor_z_mm {floor_mm:g} leaves {high:.1f} mm for the feet of the turntable, but 10 mm are needed; set it to "
-            f"{base_top_mm(scene) - BASE_MM - 10.0:.0f} or lower"
+            f"{math.floor(base_top_mm(scene) - BASE_MM - 10.0)} or lower"
         )
     if measures.motor_length_mm > high + measures.profile_mm:
         raise UserError(

@@ -178,13 +178,13 @@ def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
     if source.suffix.lower() == ".csv":
         return [], [], [source]
     if not source.is_dir():
-        raise UserError(f"{source}: the folder or table (.csv) does not exist")
+        raise UserError(f"{source}: the folder or table (.csv) does not exist; check the path")
     heads = sorted(path for name in ("dataset.json", "result.json") for path in source.rglob(name) if not _is_hidden(path, source))
     tables = sorted(path for path in source.rglob("*.csv") if not _is_hidden(path, source) and _is_of_masses(path))
     scans = [path.parent for path in heads if path.name == "dataset.json"]
     results = [path.parent for path in heads if path.name == "result.json"]
     if not (scans or results or tables):
-        raise UserError(f"{source}: the folder contains no dataset, no result and no mass table")
+        raise UserError(f"{source}: the folder contains no dataset, no result and no mass table; check the path")
     return scans, results, tables
 
 

@@ -38,7 +38,9 @@ def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
     """
     count = strip.rows * strip.columns
     if not count:
-        raise UserError(f"canister {canister}: the scene has no marker strip (strip.rows = 0) by which plants could be identified")
+        raise UserError(
+            f"canister {canister}: the scene has no marker strip (strip.rows = 0) by which plants could be identified; add a strip"
+        )
     first = strip.first_id + (canister - 1) * count
     capacity = len(get_dictionary(strip.dictionary).bytesList)
     most = (capacity - strip.first_id) // count

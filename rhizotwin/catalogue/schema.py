@@ -228,7 +228,7 @@ def explained(error: sqlite3.Error, path: Path) -> UserError:
         return UserError(f"{path}: another program has been writing to the file for more than {BUSY_S:g} s; end that program and try again")
     if "no space" in str(error) or "disk is full" in str(error):
         return UserError(f"{path}: the disk is full; free some space and try again")
-    return UserError(f"{path}: the file cannot be used as a catalogue ({error})")
+    return UserError(f"{path}: the file cannot be used as a catalogue ({error}); check the path and its permissions")
 
 
 @contextmanager

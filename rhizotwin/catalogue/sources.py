@@ -32,7 +32,9 @@ def expand_scans(sources: Sequence[str]) -> list[str]:
         with Catalogue.open(source, read_only=True) as catalogue:
             scans = [str(one.path) for one in catalogue.scans() if one.complete and not one.sketch]
         if not scans:
-            raise UserError(f"{source}: the catalogue has no complete scan that can be reconstructed")
+            raise UserError(
+                f"{source}: the catalogue has no complete scan that can be reconstructed; add scans with `rhizotwin catalogue add`"
+            )
         found += scans
     return found
 

@@ -21,6 +21,7 @@ from rhizotwin.arguments import (
     with_metavar,
 )
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count, was
 from rhizotwin.scenes.solution import Factors
 
 if TYPE_CHECKING:
@@ -179,8 +180,8 @@ def _print_outcome(made: "Batch", what: str) -> None:
     """
     for job, sentence in made.failed:
         print(f"failed: {job.name}: {sentence}")
-    kept = f", and {len(made.kept)} were already finished" if made.kept else ""
-    print(f"{len(made.done)} scans were {what}{kept}")
+    kept = f", and {len(made.kept)} {was(len(made.kept))} already finished" if made.kept else ""
+    print(f"{count(len(made.done), 'scan')} {was(len(made.done))} {what}{kept}")
     if made.failed:
-        count = len(made.failed) + len(made.done) + len(made.kept)
-        raise UserError(f"{len(made.failed)} of {count} scans failed; run the same command again to retry them")
+        total = len(made.failed) + len(made.done) + len(made.kept)
+        raise UserError(f"{len(made.failed)} of {count(total, 'scan')} failed; run the same command again to retry them")

@@ -21,6 +21,7 @@ from rhizotwin import command_steps
 from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, list_of, option, read_number, with_metavar
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count, was
 
 if TYPE_CHECKING:
     from rhizotwin.bench.benchmarks import Benchmark
@@ -301,5 +302,5 @@ def gate(
     worse = [one for one in findings if one.worse]
     for one in worse:
         print(f"{one.case}, {one.quantity}: {one.sentence}")
-    print(f"{len(findings)} values were compared, and {len(worse)} are worse")
+    print(f"{count(len(findings), 'value')} {was(len(findings))} compared; worse: {len(worse)}")
     return 1 if worse else 0

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from rhizotwin.arguments import OutputFolder, check_new_file, option, output, read_number, with_metavar
 from rhizotwin.experiment.masses import BALANCE_G
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model, Pair
@@ -157,7 +158,7 @@ def _print_fits(model: "Model", found: "list[Pair]") -> None:
     print("error: RMS leave-one-out error; covered: fraction of plants within their 90 % interval; *: selected relation")
     known = biomass.ratios(found)
     if known:
-        print(f"fresh root mass per volume: mean {np.mean([ratio for _, ratio in known]):.4g} g/ml of {len(known)} plants")
+        print(f"fresh root mass per volume: mean {np.mean([ratio for _, ratio in known]):.4g} g/ml of {count(len(known), 'plant')}")
     for one in model.tried:
         if one.kind == "root_fresh" and one.trait == "volume" and one.proportional:
             middle, reach = one.line.intercept, one.line.reach(biomass.SHARE) * one.line.covariance[0][0] ** 0.5

@@ -36,6 +36,7 @@ from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Camera, Scene
 
 if TYPE_CHECKING:
@@ -237,7 +238,7 @@ def transfer(
     write_text(output, transfer_text(found, len(images)))
     low, high = found.reached
     print(f"response curve: {found.curve.name}, measured from {100.0 * low:.0f} to {100.0 * high:.0f} % of full scale")
-    print(f"RMS residual {100.0 * found.residual:.1f} % of the light, {len(images)} pictures, {min(times):g} to {max(times):g} s")
+    print(f"RMS residual {100.0 * found.residual:.1f} % of the light, {count(len(images), 'picture')}, {min(times):g} to {max(times):g} s")
     print(f"wrote {output}: paste its contents into the [camera] section of the scene file")
 
 
@@ -284,7 +285,7 @@ def simulate(
 
     with progress.bar(render=1.0) as bar:
         simulate_board(changed, made, output, pictures=taken.pictures, seed=taken.seed, monitor=bar)
-    print(f"wrote {taken.pictures} pictures of the board to {output}, and the true lens to {output / 'truth' / 'camera.json'}")
+    print(f"wrote {count(taken.pictures, 'picture')} of the board to {output}, and the true lens to {output / 'truth' / 'camera.json'}")
     print(f"next: rhizotwin calibrate camera {output} -o my_lens")
 
 

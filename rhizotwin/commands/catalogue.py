@@ -34,7 +34,7 @@ from rhizotwin.arguments import (
 )
 from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import printable
+from rhizotwin.scenes.formatting import count, printable
 
 if TYPE_CHECKING:
     from rhizotwin.catalogue.adding import Added
@@ -248,8 +248,9 @@ def check(catalogue: CatalogueFile, /, *, quick: Flag = False) -> int:
         entries = len(opened.scans()) + len(opened.results()) + len(opened.mass_tables())
     for one in problems:
         print(f"{one.kind:<10} {one.path}: {one.text}")
-    counted = f"{len(problems)} {'difference' if len(problems) == 1 else 'differences'}"
-    print(f"{catalogue}: {entries} datasets, results and tables, {counted if problems else 'no difference'}")
+    print(
+        f"{catalogue}: {count(entries, 'entry', 'entries')} checked, {count(len(problems), 'difference') if problems else 'no difference'}"
+    )
     return int(bool(problems))
 
 
@@ -319,10 +320,10 @@ def _report(catalogue: Path, made: "Added") -> None:
     """Print the number of added entries, and the messages about entries that could not be added."""
     for sentence in made.failed:
         print(f"not added: {sentence}")
-    print(f"{catalogue}: added {len(made.scans)} datasets, {len(made.results)} results and {len(made.tables)} mass tables")
+    scans, results, tables = len(made.scans), len(made.results), len(made.tables)
+    print(f"{catalogue}: added {count(scans, 'dataset')}, {count(results, 'result')} and {count(tables, 'mass table')}")
     if made.failed:
-        entries = "1 entry" if len(made.failed) == 1 else f"{len(made.failed)} entries"
-        raise UserError(f"{entries} could not be added to {catalogue}, for the reasons printed above")
+        raise UserError(f"{count(len(made.failed), 'entry', 'entries')} could not be added to {catalogue}, for the reasons printed above")
 
 
 def _show(table: "Table", csv: Path | None) -> None:
@@ -332,13 +333,13 @@ def _show(table: "Table", csv: Path | None) -> None:
     if csv is not None:
         check_new_file(csv, ".csv")
         atomic.write_text(csv, table.csv(), new=True)
-        print(f"wrote {len(table.rows)} rows to {csv}")
+        print(f"wrote {count(len(table.rows), 'row')} to {csv}")
         return
     rows: list[Sequence[str]] = [table.head, *([_cell(value) for value in row] for row in table.rows)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(table.head))]
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    print(f"{len(table.rows)} row{'' if len(table.rows) == 1 else 's'}")
+    print(count(len(table.rows), "row"))
 
 
 def _cell(value: object) -> str:

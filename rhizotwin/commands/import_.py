@@ -5,6 +5,7 @@ from typing import Annotated
 
 from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, with_metavar
 from rhizotwin.scenes import files
+from rhizotwin.scenes.formatting import count
 
 
 def import_(
@@ -61,5 +62,5 @@ def import_(
         made = import_pictures(pictures, described, output, cameras=cameras, masks=masks, no_strip=no_strip, monitor=bar)
     for note in made.notes:
         print(f"note: {note}")
-    print(f"wrote {len(made.dataset.frames)} pictures to {output}")
+    print(f"wrote {count(len(made.dataset.frames), 'picture')} to {output}")
     print(f"next: rhizotwin reconstruct {output} -o my_result")

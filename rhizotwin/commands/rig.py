@@ -22,6 +22,7 @@ from rhizotwin import rigs
 from rhizotwin.arguments import OutputFile, SceneName, check_new_file, option, read_length_mm, with_metavar
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 
 DISTANCE_LIMITS_MM, HEIGHT_LIMITS_MM = (20.0, 10000.0), (-2000.0, 2000.0)
 
@@ -79,7 +80,7 @@ def check(
         if first_day is not None:
             wrong = _walk(bench, first_day, recorder, wrong, stack)
     if wrong:
-        raise UserError(f"{wrong} check{'' if wrong == 1 else 's'} of {bench.rig.name} failed, for the reasons printed above")
+        raise UserError(f"{count(wrong, 'check')} of {bench.rig.name} failed, for the reasons printed above")
 
 
 def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: ExitStack) -> int:

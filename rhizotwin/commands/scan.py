@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from rhizotwin import command_steps, rigs
 from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def scan(
         )
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     made = _scan(bench, output, subject, options=options, twin=emulated, progress=progress)
-    print(f"wrote {len(made.frames)} pictures to {output / 'images'}")
+    print(f"wrote {count(len(made.frames), 'picture')} to {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
         print(f"next: rhizotwin reconstruct {output} -o my_result")
 

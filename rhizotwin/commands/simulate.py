@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from rhizotwin import command_steps, front_door
 from rhizotwin.arguments import Device, OutputDataset, Progress, Samples, SceneChanges, SceneName, Seed, SubjectOptions
+from rhizotwin.scenes.formatting import count
 
 
 @Parameter(name="*")
@@ -74,5 +75,5 @@ def simulate(
 
     for note in load_truth(output).drawn["notes"]:
         print(f"note: {note}")
-    print(f"wrote {len(dataset.frames)} pictures to {output / 'images'} and the ground truth to {output / 'truth'}")
+    print(f"wrote {count(len(dataset.frames), 'picture')} to {output / 'images'} and the ground truth to {output / 'truth'}")
     print(f"next: rhizotwin reconstruct {output} -o my_result")

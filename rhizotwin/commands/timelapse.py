@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rhizotwin.arguments import Flag, OutputFile, Progress, check_new_file, with_metavar
+from rhizotwin.scenes.formatting import count
 
 if TYPE_CHECKING:
     from rhizotwin.timelapse.experiment import Experiment
@@ -96,7 +97,7 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
 
     loaded = load_experiment(experiment)
     if not loaded.catalogue_path.exists():
-        print(f"{len(loaded.visits())} scans are planned, and none has been started")
+        print(f"{count(len(loaded.visits()), 'scan')} planned; none has been started")
         return
     with Catalogue.open(loaded.catalogue_path, read_only=True) as catalogue:
         for visit in catalogue.visits() if every else ():
@@ -113,7 +114,7 @@ def _print(experiment: "Experiment", outcome: "Outcome") -> None:
 
     Each missed scan is printed with its reason, followed by the paths of the growth report and the catalogue.
     """
-    print(f"{outcome.scanned} scans are finished, {len(outcome.missed)} were missed, and {len(outcome.open)} are still planned")
+    print(f"scans: {outcome.scanned} finished, {len(outcome.missed)} missed, {len(outcome.open)} still planned")
     for visit in outcome.missed:
         print(f"missed: {visit.plant}, planned for {visit.due_utc}: {visit.note}")
     if outcome.growth is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from rhizotwin.arguments import check_new_file, list_of, option, output, read_mass_g, with_metavar
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 
 if TYPE_CHECKING:
     from rhizotwin.scenes.traits import Traits
@@ -69,7 +70,7 @@ def traits(
             for folder, summary, one, mass in zip(results, summaries, found, masses, strict=True)
         ]
         atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
-    print(f"wrote the traits of {len(found)} result{'s' if len(found) > 1 else ''} to {table}")
+    print(f"wrote the traits of {count(len(found), 'result')} to {table}")
 
 
 def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:

@@ -8,6 +8,7 @@ from rhizotwin import command_steps
 from rhizotwin.arguments import Page, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
+from rhizotwin.scenes.formatting import count, was
 
 
 def view(
@@ -43,7 +44,9 @@ def view(
         check_readable(strange[0], deep=False)
         raise UserError(f"{strange[0]} is neither a result nor a dataset; give a folder written by 'rhizotwin reconstruct'")
     if not results or len(datasets) > 1:
-        raise UserError(f"{len(results)} results and {len(datasets)} datasets were given; give at least one result and at most one dataset")
+        raise UserError(
+            f"{count(len(results), 'result')} and {count(len(datasets), 'dataset')} given; give at least one result and at most one dataset"
+        )
     from rhizotwin.viewer import guard
 
     served = guard.serve(host=page.host, port=page.port)
@@ -57,4 +60,4 @@ def view(
             time.sleep(1.0)
     finally:
         if lost := viewer.unsaved():
-            print(f"{lost} correction{'s were' if lost > 1 else ' was'} not saved", flush=True)
+            print(f"{count(lost, 'correction')} {was(lost)} not saved", flush=True)

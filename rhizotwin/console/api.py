@@ -157,7 +157,7 @@ def _add_state(app: FastAPI, console: Console) -> None:
         """Return the HTML page with the growth curves."""
         path = console.folders.growth()
         if path is None:
-            raise UserError("the experiment has no growth curves yet")
+            raise UserError("the experiment has no growth curves yet; they appear when the first scans are reconstructed")
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 

@@ -210,7 +210,7 @@ class Console:
             raise UserError(f"the reconstruction of {scan} failed: {job['error']}")
         result: dict[str, Any] | None = next((one["result"] for one in state["scans"] if one["name"] == scan), None)
         if result is None:
-            raise UserError(f"the scan {scan} has no result")
+            raise UserError(f"the scan {scan} has no result; add it to the queue of reconstructions first")
         return result
 
     def _wait(self, until: Any, timeout_s: float, late: str) -> dict[str, Any]:

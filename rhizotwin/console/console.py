@@ -5,6 +5,7 @@ All clients share its state.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from contextlib import ExitStack
@@ -34,7 +35,7 @@ from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import error_sentence
+from rhizotwin.scenes.formatting import count, error_sentence, is_expected
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.timelapse.runner import Runner
 
@@ -250,8 +251,8 @@ class Console:
                 return
             finally:
                 self.schedule = None
-            left = f", and {len(outcome.open)} are still planned" if outcome.open else ""
-            self.messages.add(f"the schedule has ended: {outcome.scanned} scans are finished, {len(outcome.missed)} were missed{left}")
+            left = f", {len(outcome.open)} still planned" if outcome.open else ""
+            self.messages.add(f"the schedule has ended: {count(outcome.scanned, 'scan')} finished, {len(outcome.missed)} missed{left}")
 
         self.set_live(on=False)
         self.rig.begin(f"schedule of {self.experiment.name}", run)
@@ -368,6 +369,8 @@ class Console:
         self.messages.add(text)
 
     def _show_error(self, error: Exception) -> None:
+        if not is_expected(error):
+            logging.getLogger(__name__).error("the console continues after an unexpected error", exc_info=error)
         text = for_console(error_sentence(error))
         self.devices.read_error(text)
         self.messages.error(text)

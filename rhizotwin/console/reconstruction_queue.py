@@ -230,10 +230,13 @@ def read(path: Path) -> list[Job]:
         jobs = plain["jobs"]
         version = plain["schema_version"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise UserError(f"{path}: the queue of reconstructions could not be read ({error}); move the file elsewhere") from None
+        raise UserError(
+            f"{path}: the queue of reconstructions could not be read ({error}); move the file elsewhere, and start the console again"
+        ) from None
     if version != SCHEMA_VERSION or not isinstance(jobs, list):
         raise UserError(
-            f"{path}: the file has schema_version {version!r}, but this program reads {SCHEMA_VERSION}; move the file elsewhere"
+            f"{path}: the file has schema_version {version!r}, but this program reads {SCHEMA_VERSION}; "
+            "move the file elsewhere, and start the console again"
         )
     found = [from_plain(Job, job, Place(str(path)).at("jobs", number)) for number, job in enumerate(jobs)]
     for job in found:

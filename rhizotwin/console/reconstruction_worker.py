@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import threading
@@ -16,8 +17,9 @@ from typing import Any
 
 from rhizotwin import command_steps, engine
 from rhizotwin.arguments import Progress
+from rhizotwin.console.messages import for_console
 from rhizotwin.recon.settings import PictureSettings
-from rhizotwin.scenes.formatting import error_sentence
+from rhizotwin.scenes.formatting import error_sentence, is_expected
 from rhizotwin.scenes.terminal import OneBar
 
 LOOK_S = 1.0
@@ -89,8 +91,10 @@ def work(line: Connection, dataset: str, output: str, console: int) -> None:
         settings = command_steps.settings_of(None, pictures=PictureSettings(tolerant=True))
         progress = SentProgress(send=lambda stage, done: send([stage, done]))
         command_steps.reconstruct_whole(Path(dataset), Path(output), settings=settings, progress=progress)
-    except Exception as error:  # noqa: BLE001 - sent to the console, which shows it
-        send({"error": error_sentence(error)})
+    except Exception as error:  # sent to the console, which shows it
+        if not is_expected(error):
+            logging.getLogger(__name__).error("%s: the reconstruction failed with an unexpected error", dataset, exc_info=error)
+        send({"error": for_console(error_sentence(error))})
     else:
         send({"error": ""})
 

@@ -23,7 +23,7 @@ from typing import TypeVar, cast
 from rhizotwin.catalogue.adding import is_sketch
 from rhizotwin.report import words
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import error_sentence, printable
+from rhizotwin.scenes.formatting import error_sentence, is_expected, printable
 from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.subject import Subject, from_summary
 from rhizotwin.stored.result_files import read_summary
@@ -118,7 +118,7 @@ class ScanFolders:
         """
         folder = _inside(self.scans, name)
         if not (folder / "dataset.json").is_file():
-            raise UserError(f"the scan {name!r} does not exist")
+            raise UserError(f"the scan {name!r} does not exist; choose a scan from the list")
         return folder
 
     def result(self, name: str) -> Path:
@@ -141,7 +141,7 @@ class ScanFolders:
         """
         path = self.result(name) / "report.html"
         if path.is_symlink() or not path.is_file():
-            raise UserError(f"the scan {name!r} has no report")
+            raise UserError(f"the scan {name!r} has no report; add the scan to the queue of reconstructions")
         return path
 
     def growth(self) -> Path | None:
@@ -165,7 +165,7 @@ class ScanFolders:
         """
         entry = self._entry(self.scan(name) / "dataset.json", _scan_entry)
         if entry is None:
-            raise UserError(f"the scan {name!r} does not exist")
+            raise UserError(f"the scan {name!r} does not exist; choose a scan from the list")
         return entry
 
     def result_of(self, name: str) -> ResultEntry | None:
@@ -243,8 +243,7 @@ def _scan_entry(path: Path) -> ScanEntry:
             sketch=is_sketch(origin),
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error
-        known = isinstance(error, UserError | OSError | MemoryError)
-        reason = error_sentence(error) if known else f"dataset.json is damaged ({type(error).__name__}: {str(error)[:100]})"
+        reason = error_sentence(error) if is_expected(error) else f"dataset.json is damaged ({type(error).__name__}: {str(error)[:100]})"
         text = printable(f"the dataset cannot be read: {reason}")
         return ScanEntry(name=name, subject="", plant="", pictures=0, planned=0, complete=False, error=text)
 

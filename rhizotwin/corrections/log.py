@@ -110,7 +110,7 @@ def read(path: Path, result_folder: Path) -> Log:
             raise ValueError(f"schema_version is not {SCHEMA_VERSION}")
         log = Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
-        raise UserError(f"{path} could not be read as a log of corrections: {error}") from None
+        raise UserError(f"{path} could not be read as a log of corrections ({error}); give a file saved by 'rhizotwin view'") from None
     if log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
         raise UserError(
             f"{path} contains corrections of a different result and cannot be applied to {result_folder}; "
@@ -132,7 +132,7 @@ def _edit(entry: Any) -> Edit:
     if unknown:
         raise ValueError(f"a correction has the unknown key {sorted(unknown)[0]!r}")
     if entry["do"] not in KINDS:
-        raise ValueError(f"{entry['do']!r} is not a kind of correction; must be one of: {', '.join(KINDS)}")
+        raise ValueError(f"{entry['do']!r} is not a kind of correction; the kind must be one of: {', '.join(KINDS)}")
     box = entry.get("box_mm")
     return Edit(
         do=entry["do"],
@@ -148,14 +148,14 @@ def _edit(entry: Any) -> Edit:
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r} is not a valid number of a root or voxel; must be an integer of at least 0")
+        raise ValueError(f"{value!r} is not a valid number of a root or voxel; the number must be an integer of at least 0")
     return value
 
 
 def _triple(value: Any) -> Triple:
     x, y, z = (float(number) for number in value)
     if not all(math.isfinite(number) for number in (x, y, z)):
-        raise ValueError(f"{value!r} is not a valid point; must be three finite numbers")
+        raise ValueError(f"{value!r} is not a valid point; a point must be three finite numbers")
     return x, y, z
 
 

@@ -134,7 +134,8 @@ def _check_strips(plant: str, days: Sequence[Measured]) -> None:
     for one, strip in strips[1:]:
         if strip != strips[0][1]:
             raise UserError(
-                f"plant {plant}: {strips[0][0].name} and {one.name} were scanned with different marker strips and cannot be aligned"
+                f"plant {plant}: {strips[0][0].name} and {one.name} were scanned with different marker strips and cannot be aligned; "
+                "omit the scans with one of the strips"
             )
 
 

@@ -82,7 +82,7 @@ def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
         if match is None:
             continue
         if match[3] not in GRAMS:
-            raise UserError(f"{path}: the column {column} has the unknown unit {match[3]!r}; must be g, mg or kg")
+            raise UserError(f"{path}: the column {column} has the unknown unit {match[3]!r}; the unit must be g, mg or kg")
         kind = f"{match[1]}_{match[2]}"
         if kind in found:
             raise UserError(f"{path}: the columns {found[kind][0]} and {column} contain the same mass; remove one of them")
@@ -101,7 +101,7 @@ def _read_row(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance
     grams: dict[str, float] = {}
     for kind, (column, value, scale) in given.items():
         if value is not None and not value > 0.0:
-            raise UserError(f"{row.where}: {column} is {value:g}; must be positive, or the cell must be empty")
+            raise UserError(f"{row.where}: {column} is {value:g}; enter a positive number, or leave the cell empty")
         if value is not None:
             grams[kind] = value * scale
     if grams and not whose.plant:

@@ -184,7 +184,7 @@ def _read_row(row: tables.Row) -> Measured:
         in_mm3 = 1.0
         if stem == "volume":
             if match[2] not in _MM3:
-                raise UserError(f"{row.where}: the column {column} has no known unit; must be (mm3), (cm3), (ml) or (l)")
+                raise UserError(f"{row.where}: the column {column} has no known unit; the unit must be (mm3), (cm3), (ml) or (l)")
             in_mm3 = _MM3[match[2]]
         numbers[names[stem] + end] = value * in_mm3
     traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
@@ -226,7 +226,7 @@ def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Ass
         word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")
     verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)}
     if word and word not in verdicts:
-        raise UserError(f"{row.where}: the verdict on {name} is {word!r}; must be one of: {', '.join(verdicts)}")
+        raise UserError(f"{row.where}: the verdict on {name} is {word!r}; a verdict must be one of: {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
     interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
     return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

@@ -42,11 +42,11 @@ def read_table(path: Path) -> list[Row]:
         raise UserError(f"{path} is not a text file in UTF-8; save the table as CSV") from None
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
     if len(lines) < 2:
-        raise UserError(f"{path} contains no rows below the header")
+        raise UserError(f"{path} contains no rows below the header; add one row per plant or scan")
     try:
         rows = [next(csv.reader(io.StringIO(line), strict=True)) for _, line in lines]
     except csv.Error as error:
-        raise UserError(f"{path} could not be read as a CSV table: {error}") from None
+        raise UserError(f"{path} could not be read as a CSV table ({error}); save the table again as CSV") from None
     head = [name.strip() for name in rows[0]]
     twice = sorted({name for name in head if name and head.count(name) > 1})
     if twice:
@@ -76,7 +76,7 @@ def number(row: Row, column: str) -> float | None:
     except ValueError:
         raise UserError(f"{row.where}: {column} is {text!r}, which is not a number; write the unit in the column name") from None
     if not abs(value) < float("inf"):
-        raise UserError(f"{row.where}: {column} is {text!r}, which is not a finite number")
+        raise UserError(f"{row.where}: {column} is {text!r}, which is not a finite number; correct it, or leave the cell empty")
     return value
 
 

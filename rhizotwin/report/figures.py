@@ -93,7 +93,7 @@ def for_screen(dataset: Dataset, file: str) -> Floats | None:
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
-    """Return the planned camera position of each picture in the scan plan.
+    """Return the planned camera position of each picture in the capture plan.
 
     Positions (3,), mm, are in the canister frame and keyed by file name. Pictures that are not part of the plan are
     omitted.

@@ -58,7 +58,7 @@ def read_shape(path: Path) -> Mesh:
         If the file is missing or damaged, has no faces, or has an unsupported format.
     """
     if path.suffix.lower() not in MESHES:
-        raise UserError(f"{path} has no supported mesh format; must be one of: {', '.join(MESHES)}")
+        raise UserError(f"{path} has no supported mesh format; the format must be one of: {', '.join(MESHES)}")
     read = result_files.read_mesh(path)
     merged = trimesh.Trimesh(read.vertices_mm, read.faces, process=False)
     merged.merge_vertices()  # triangles in an STL file have separate vertices
@@ -83,7 +83,7 @@ def read_voxels(path: Path) -> Leaves:
         If the file is missing or damaged, or has an unsupported format.
     """
     if path.suffix.lower() not in VOXELS:
-        raise UserError(f"{path} has no supported voxel format; must be one of: {', '.join(VOXELS)}")
+        raise UserError(f"{path} has no supported voxel format; the format must be one of: {', '.join(VOXELS)}")
     _check(path)
     try:
         block, origin_mm, voxel_mm = _read_nrrd(path) if path.suffix.lower() == ".nrrd" else _read_npz(path)
@@ -91,13 +91,13 @@ def read_voxels(path: Path) -> Leaves:
         raise UserError(f"{path} could not be read as voxels: {printable(str(error))[:200]}") from None
     if block.ndim != 3 or not block.size or block.dtype.kind not in "buif":
         raise UserError(
-            f"{path}: the array has the shape {block.shape} and the type {block.dtype}; must be a numeric array with three axes"
+            f"{path}: the array has the shape {block.shape} and the type {block.dtype}; it must be a numeric array with three axes"
         )
     if not (np.isfinite(origin_mm).all() and math.isfinite(voxel_mm) and voxel_mm > 0.0):
         raise UserError(f"{path}: the origin must be finite, and the voxel size must be finite and positive")
     share = _to_fractions(block)
     if not np.isfinite(share).all() or share.min() < 0.0 or share.max() > 1.0:
-        raise UserError(f"{path}: occupancies must be between 0 and 1")
+        raise UserError(f"{path}: occupancies must be between 0 and 1; export fractions instead of labels")
     if (occupied := int(np.count_nonzero(share))) > MOST_OCCUPIED:
         raise UserError(f"{path}: the number of occupied voxels is {occupied}, but must be at most {MOST_OCCUPIED}; use larger voxels")
     low = np.argwhere(share).astype(np.int32)
@@ -119,7 +119,7 @@ def read_points(path: Path) -> Floats:
         If the file is missing, damaged or empty, or has an unsupported format.
     """
     if path.suffix.lower() not in POINTS:
-        raise UserError(f"{path} has no supported point format; must be one of: {', '.join(POINTS)}")
+        raise UserError(f"{path} has no supported point format; the format must be one of: {', '.join(POINTS)}")
     _check(path)
     if path.suffix.lower() == ".ply":
         loaded = result_files.load_geometry(path, "points")
@@ -130,7 +130,7 @@ def read_points(path: Path) -> Floats:
         except (ValueError, IndexError) as error:
             raise UserError(f"{path} could not be read as points: {printable(str(error))[:200]}") from None
     if not len(points) or not np.isfinite(points).all():
-        raise UserError(f"{path} contains {len(points)} points; must contain at least one, and all coordinates must be finite")
+        raise UserError(f"{path} contains {len(points)} points; at least one is needed, and all coordinates must be finite")
     return points
 
 

@@ -129,7 +129,9 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
             f"{path} is damaged: the arrays have the shapes {shapes}, but must be (N, 3), (N,) and (N,); repeat the reconstruction."
         )
     if not count:
-        raise UserError(f"{path} contains an empty shape, because nothing was reconstructed.")
+        raise UserError(
+            f"{path} contains an empty shape, because nothing was reconstructed; check the pictures and the scene, then reconstruct again."
+        )
     return leaves
 
 
@@ -146,13 +148,13 @@ def check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
 def read_mesh(path: Path) -> Mesh:
     """Read vertices and faces of a mesh file. Raise `UserError` if the file is missing or damaged, or has no faces."""
     if not Path(path).is_file():
-        raise UserError(f"the triangle mesh {path} does not exist.")
+        raise UserError(f"the triangle mesh {path} does not exist; check the path.")
     check_size(path, Path(path).stat(), most_mib=MOST_SHAPE_MIB)
     plain = plain_ply.read(Path(path))
     mesh = _read_any_mesh(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
     vertices, faces = mesh.vertices_mm, mesh.faces
     if not len(faces) or not np.isfinite(vertices).all():
-        raise UserError(f"{path} has {len(faces)} triangles; must have at least one triangle, and finite vertices.")
+        raise UserError(f"{path} has {len(faces)} triangles; at least one is needed, and all coordinates must be finite.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(
             f"{path} is damaged: triangles refer to vertices {faces.min()} to {faces.max()}, "
@@ -165,7 +167,7 @@ def read_mesh(path: Path) -> Mesh:
 def _read_any_mesh(path: Path) -> Mesh:
     loaded = load_geometry(path, "mesh")
     if not hasattr(loaded, "faces"):  # points only
-        raise UserError(f"{path} has no triangles; must have at least one triangle.")
+        raise UserError(f"{path} has no triangles; export the shape as a triangle mesh.")
     return Mesh.of(loaded)
 
 
@@ -189,7 +191,7 @@ def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
     try:
         return trimesh.load(path, process=False, force="mesh" if kind == "mesh" else None)
     except Exception as error:  # noqa: BLE001 - the parsers of trimesh raise various exceptions
-        raise UserError(f"{path} could not be read as {kind}: {printable(str(error))[:200]}.") from None
+        raise UserError(f"{path} could not be read as {kind} ({printable(str(error))[:200]}); export the file again.") from None
 
 
 def read_roots(folder: Path) -> tuple[Root, ...]:

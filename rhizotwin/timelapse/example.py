@@ -7,7 +7,7 @@ name = "low nitrogen"
 
 # Rig file ("rhizotwin rig example" writes an example), or "twin" for the emulated rig in virtual time.
 rig = "twin"
-# Scene of the rig (canister, marker strip, calibrated camera and scan plan): a name from "rhizotwin scenes", or a file.
+# Scene of the rig (canister, marker strip, calibrated camera and capture plan): a name from "rhizotwin scenes", or a file.
 scene = "radish_day15a"
 
 # Catalogue file, and folders of datasets and results, relative to the folder of this file.

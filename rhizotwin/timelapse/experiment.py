@@ -118,7 +118,7 @@ class Experiment:
     rig: str
     """Rig file, or "twin" for the emulated rig, which runs in virtual time."""
     scene: str
-    """Name or file of the rig's scene, with canister, marker strip, calibrated camera and scan plan."""
+    """Name or file of the rig's scene, with canister, marker strip, calibrated camera and capture plan."""
     plants: tuple[Member, ...]
     """Plants and phantoms."""
     schedule: Schedule

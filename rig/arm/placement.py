@@ -1,4 +1,4 @@
-"""Compute the joint angles for a ring of the scan plan, and correct them with the pose measured from the markers.
+"""Compute the joint angles for a ring of the capture plan, and correct them with the pose measured from the markers.
 
 Angles are in degrees in this module, and in radians in the modules that it imports.
 """
@@ -152,7 +152,8 @@ def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float,
     excess, joints_deg = _fit_joints(part, joints_rad)
     if excess.min() > ROUNDING_DEG:
         raise UnsafeError(
-            f"arm: ({at}) mm cannot be reached within the joints' limits: {_describe_excess(part, joints_deg[excess.argmin()])}"
+            f"arm: ({at}) mm cannot be reached within the joints' limits: {_describe_excess(part, joints_deg[excess.argmin()])}; "
+            "choose another position or direction"
         )
     elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
     return _clip_joints(part, joints_deg[int(np.argmax(elbow_up))])
@@ -276,8 +277,8 @@ def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branc
     turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
     if turn_deg > MOST_AZIMUTH_DEG:
         raise UnsafeError(
-            f"arm: for {_describe_position(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, but at more than "
-            f"{MOST_AZIMUTH_DEG:g} deg it does not face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
+            f"arm: {_describe_position(cam_from_rig)} would be {turn_deg:.1f} deg from the rig's x axis, but at more than "
+            f"{MOST_AZIMUTH_DEG:g} deg it does not face the backlight; move the arm's base (arm.position_mm) nearer to y = 0"
         )
     return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
 

@@ -226,8 +226,8 @@ class _Scan:
             self._session.drop([file])
             self._observer.on_drop([file])
         raise RigError(
-            f"turntable: {why}, because the table slipped or does not move, or the camera was pushed or hangs. The picture was removed; "
-            "free the table, check the camera, then finish the scan with --resume"
+            f"turntable: {why}; the picture was removed. Check that the table turns freely and that the camera did not move or hang, "
+            "then finish the scan with --resume"
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
@@ -393,9 +393,8 @@ class _Scan:
         names = slipped[0].name if len(slipped) == 1 else f"{slipped[0].name} to {slipped[-1].name}"
         text = (
             f"turntable: the markers of {names} show angles that differ from the commanded angles, because the table slipped or the "
-            "camera was pushed; "
+            "camera was pushed; these pictures are removed"
         )
-        text += "these pictures are removed"
         self._note("slipped", text)
         return text
 

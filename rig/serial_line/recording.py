@@ -267,12 +267,12 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     try:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: the file cannot be read as a recording ({error})") from error
+        raise UserError(f"{path}: the file cannot be read as a recording ({error}); check the path") from error
     # the last line is incomplete if a crash has truncated it
     plain = [_parse_line(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
-        raise UserError(f"{path}: the file is not a recording of format {FORMAT}")
+        raise UserError(f"{path}: the file is not a recording of format {FORMAT}; give a file written with --record")
     if not -len(begins) <= session < len(begins):
         raise UserError(f"{path}: the recording has {len(begins)} sessions, but session {session} was requested")
     first = begins[session]
@@ -295,5 +295,5 @@ def _parse_line(path: Path, number: int, line: str) -> dict[str, Any]:
             plain["sent"] = {">": True, "<": False}[plain["dir"]]
             plain["data"] = bytes.fromhex(plain["hex"])
     except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: line {number} is damaged ({error!r})") from error
+        raise UserError(f"{path}: line {number} is damaged ({error!r}); record the session again") from error
     return plain

@@ -62,7 +62,9 @@ class Record:
             with path.open("a", encoding="utf-8") as file:
                 file.writelines(_line(shot) for shot in self.shots)
         except OSError as error:
-            raise UserError(f"{path}: the file cannot be used for the twin's record of pictures ({error.strerror})") from error
+            raise UserError(
+                f"{path}: the file cannot be used for the twin's record of pictures ({error.strerror}); choose another file"
+            ) from error
         self._path = path
 
     def end(self) -> None:

@@ -42,7 +42,7 @@ class RigErrors:
     canister_from_strip: frames.Array
     distortion: tuple[float, float, float, float, float]
     ring_cameras: tuple[frames.Array, ...]
-    """Transforms ``cam_from_rig``, one for each ring of the scan plan. They apply to a camera that is placed by
+    """Transforms ``cam_from_rig``, one for each ring of the capture plan. They apply to a camera that is placed by
     hand."""
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks import __main__ as command
 from benchmarks import conformal, intervals_page, intervals_table
 from benchmarks.intervals_table import TRAITS
 from rhizotwin.recon.settings import TrustSettings
@@ -57,6 +58,21 @@ def test_coverage_over_repeated_small_calibrations_is_nominal() -> None:
         factor = conformal.conformal_quantile(np.abs(rng.standard_normal(19)))
         held.append((np.abs(rng.standard_normal(200)) <= factor).mean())
     assert np.mean(held) == pytest.approx(0.9, abs=0.01)
+
+
+@pytest.mark.parametrize(("crashed", "code"), [(0, 0), (2, 1), (24, 1)])
+def test_failed_scans_are_counted_and_set_the_exit_code(
+    crashed: int, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = scans(24, seed=2).astype(object)
+    if crashed:
+        table.loc[: crashed - 1, "error"] = "MemoryError: too large"
+        table.loc[: crashed - 1, [name for name in table if name not in ("number", "error")]] = None
+    table.to_csv(tmp_path / "table.csv", index=False)
+    words = ["intervals", "--table", str(tmp_path / "table.csv"), "-o", str(tmp_path / "out.csv")]
+    assert command.main(words) == code
+    said = f"{crashed} of 24 random scans failed; the first error is: scan 0: MemoryError"
+    assert (said in capsys.readouterr().out) == bool(crashed)
 
 
 def test_a_factor_is_one_unless_the_coverage_differs_significantly() -> None:

@@ -95,7 +95,7 @@ def test_tables_of_growth_and_biomass_are_frames(tmp_path: Path, command: Comman
 def test_a_failed_batch_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "scan").mkdir()
     (tmp_path / "scan" / "dataset.json").write_text("{}")
-    with pytest.raises(rt.UserError, match="1 of 1 scans failed"):
+    with pytest.raises(rt.UserError, match="1 of 1 scan failed"):
         rt.batch(tmp_path / "scan", tmp_path / "results", workers=1)
 
 

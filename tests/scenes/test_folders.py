@@ -145,6 +145,18 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="symbolic links need rights on Windows")
+def test_what_is_not_a_lock_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "linked").symlink_to("file")
+    (tmp_path / "named_twice").hardlink_to(tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    for name, kind in (("linked", "a link, a folder or a device"), ("named_twice", "several names"), ("pipe", "a pipe or a device")):
+        with pytest.raises(UserError, match=rf"{name}: the entry is not a lock file of this program, because it is .*{kind}"):
+            lock_file(tmp_path / name, what="it").__enter__()
+    assert (tmp_path / "file").read_text() == "kept"
+
+
 def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     out = made(tmp_path / "out", view_in_a="kept")
     (out / folders.LOCK).write_text('{"pid": 7, "host": "gone", "since": "then"}')
@@ -152,7 +164,7 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
     atomic.temporary_path(out / "view" / "b").write_text("half")
     with folders.lock_folder(out):
         assert names(out / "view") == ["a"]
-    assert "process 7 on gone (since then) was stopped before it finished; its remaining files are recovered" in caplog.text
+    assert "process 7 on gone (since then) was stopped before it released its lock; this run takes over the lock" in caplog.text
     assert names(out) == ["view"]
 
 

@@ -1,6 +1,7 @@
 """The printed parts are closed, can be printed, fit what they hold, and do not run into each other."""
 
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -162,6 +163,17 @@ def test_what_cannot_be_printed_is_refused() -> None:
         table.table_foot(Scene(), MEASURES, -165.0)
     with pytest.raises(UserError, match="does not fit the printer's build volume of 150 x 150"):
         check_bed(PARTS["scene"][0], (150.0, 150.0, 200.0))
+
+
+@pytest.mark.parametrize(("key", "bad_mm"), [("top_mm", 0.5), ("outer_radius_mm", 77.0)])
+def test_a_net_pot_with_the_advised_size_is_accepted(key: str, bad_mm: float) -> None:
+    measures = replace(MEASURES, fit_mm=0.2871)  # so that rounding to the nearest number would be too small
+    pot = replace(Scene().net_pot, **{key: bad_mm})
+    with pytest.raises(UserError, match=key) as refused:
+        net_pot(replace(Scene(), net_pot=pot), measures)
+    advised = re.search(rf"{key}(?: to)? at least ([0-9.]+[0-9])", str(refused.value))
+    assert advised is not None
+    net_pot(replace(Scene(), net_pot=replace(pot, **{key: float(advised[1])})), measures)
 
 
 def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_it() -> None:

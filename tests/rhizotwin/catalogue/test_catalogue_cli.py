@@ -37,7 +37,7 @@ def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Com
     _results(make_dataset, ball_result)
     (tmp_path / "masses.csv").write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
     words = ("catalogue", "add", file, tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
-    assert "added 4 datasets, 4 results and 1 mass tables" in command.works(*words).out
+    assert "added 4 datasets, 4 results and 1 mass table" in command.works(*words).out
     assert command.works("catalogue", "list", file).out.split()[:4] == ["plants", "2", "scans", "4"]
     assert "low N" in command.works("catalogue", "list", file, "plants").out
     assert "2 rows" in command.works("catalogue", "list", file, "scans", "--plant", "P2").out
@@ -129,9 +129,9 @@ def test_strips_of_canisters(tmp_path: Path, command: Command):
 def test_time_lapse_commands(tmp_path: Path, command: Command):
     file = tmp_path / "e.toml"
     command.works("timelapse", "example", "-o", file)
-    assert "60 scans are planned" in command.works("timelapse", "status", file).out
+    assert "60 scans planned" in command.works("timelapse", "status", file).out
     save_scene(SCENE, tmp_path / "scene.toml")
     text = file.read_text().replace("radish_day15a", "scene.toml").replace("rounds = 10", "rounds = 1").replace('"bench"', '"clean"')
     file.write_text(text)
-    assert "6 scans are finished, 0 were missed, and 0 are still planned" in command.works("timelapse", "run", file, "--quiet").out
+    assert "scans: 6 finished, 0 missed, 0 still planned" in command.works("timelapse", "run", file, "--quiet").out
     assert command.works("timelapse", "status", file, "--every").out.count("scanned") == 6

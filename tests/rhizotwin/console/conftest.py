@@ -19,7 +19,8 @@ from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 VIEWS = 4
 TWIN = rigs.TwinPictures(fidelity="sketch", profile="clean", seed=2)
 PORT = 8760
-LONG_S = 180.0
+LONG_S = 600.0
+"""Limit of each wait, s. Waits end with their condition; the limit only ends a test that hangs, even on a busy computer."""
 
 
 def until(found: Callable[[], Any]) -> Any:
@@ -29,7 +30,7 @@ def until(found: Callable[[], Any]) -> Any:
         if value := found():
             return value
         time.sleep(0.02)
-    raise AssertionError("waited in vain")
+    raise AssertionError(f"waited {LONG_S:g} s in vain")
 
 
 class Lab:

@@ -76,11 +76,12 @@ def test_reconstructions_end_with_a_report_or_a_reason(folders: ScanFolders) -> 
         queue.add("P7")
         stages: set[object] = set()
 
-        def both() -> bool:
+        def has_ended(number: int) -> bool:
             stages.update(job.get("stage") for job in queue.plain())
-            return len(ended) == 2
+            return len(ended) == number
 
-        until(both)
+        until(lambda: has_ended(1))
+        until(lambda: has_ended(2))
     finally:
         queue.close()
     assert [(job.scan, job.state) for job in ended] == [("P9", "failed"), ("P7", "done")]

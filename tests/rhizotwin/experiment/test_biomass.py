@@ -120,7 +120,7 @@ MISTAKES = {
     "unit in the cell": ("plant,root_fresh_g\nA,34 mg\n", "'34 mg', which is not a number; write the unit in the column name"),
     "unknown unit": ("plant,root_fresh_oz\nA,1\n", "must be g, mg or kg"),
     "nothing weighed": ("plant,height_mm\nA,1\n", "contains no column of masses"),
-    "below zero": ("plant,root_fresh_g\nA,-1\n", "must be positive"),
+    "below zero": ("plant,root_fresh_g\nA,-1\n", "enter a positive number"),
     "exceeds its fresh mass": ("plant,root_fresh_g,root_dry_g\nA,1,34\n", "exceeds its fresh mass"),
     "torn foil": ("plant,root_dry_g,root_foil_g,root_foil_scraped_g\nA,1,5,4\n", "was torn"),
     "comma decimals": ("plant,root_fresh_g\nA,0,5\n", "replace decimal commas by points"),

@@ -86,7 +86,9 @@ def test_biomass_fits_reliable_traits_and_predictions_carry_the_verdict(tmp_path
 def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
     path = table(tmp_path)
     path.write_text(path.read_text(encoding="utf-8").replace(",reliable,", ",fine,", 1), encoding="utf-8")
-    with pytest.raises(UserError, match=r"line 2: the verdict on total_length is 'fine'; must be one of: reliable, not reliable, not"):
+    with pytest.raises(
+        UserError, match=r"line 2: the verdict on total_length is 'fine'; a verdict must be one of: reliable, not reliable, not"
+    ):
         read_all([path])
 
 
