@@ -1,9 +1,6 @@
 """Steps shared by several commands, such as starting the compute engine and reconstructing a dataset."""
 
-import gc
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 def start_engine(device: str, *, quiet: bool = False) -> None:
     """Start the compute engine on a device, and print the name of the device."""
     chosen = engine.start(device)
-    gc.freeze()  # exclude the loaded modules from garbage collection, which runs about forty times in a reconstruction
     if not quiet:
         print(chosen)
 
@@ -64,20 +60,6 @@ def refuse_place(output: Path, source: Path) -> None:
         raise UserError(f"{output} contains {strange[0]}, which would be deleted with the earlier result; move it or choose a new folder")
     if output.resolve() == source.resolve() or output.resolve() in source.resolve().parents:
         raise UserError(f"the result would overwrite its input {source}; choose another folder for the result")
-
-
-@contextmanager
-def _exclude_from_collection() -> Iterator[None]:
-    """Exclude all objects that already exist, including all modules, from garbage collection.
-
-    This saves time, because a reconstruction runs the garbage collector about fifty times to free memory.
-    """
-    gc.collect()
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
 
 
 def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "PictureSettings | None" = None) -> "Settings":
@@ -153,7 +135,7 @@ def reconstruct_whole(
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # report a damaged file before the long computation
-    with new_folder(output, replaces=RESULT_NAMES) as building, _exclude_from_collection():
+    with new_folder(output, replaces=RESULT_NAMES) as building:
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
             reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
