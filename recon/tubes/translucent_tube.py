@@ -16,11 +16,9 @@ integral s^(2k+1) dh``. Gauss quadrature of this stack (Golub and Welsch 1969, M
 half-widths e w and heights h with the same integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6 alpha``. If
 pixels and blur are as wide as the root, pictures contain no more information.
 
-Hairs of length l form a grey sleeve of attenuation m around the root. On either side of the root, a line of sight
-passes through the sleeve over the length ``sqrt((w + l)^2 - x^2) - sqrt(w^2 - x^2)``. The faint opacity of the sleeve
-integrates to ``pi m l (2 w + l) / sin(theta)``. Its mean square of x is that of a strip whose squared half-width is
-three quarters of ``w^2 + (w + l)^2``. The sleeve is therefore represented by one more strip, and the root's own strips
-absorb the light that the sleeve transmits.
+Hairs of length l form a grey sleeve of attenuation m around the root. A line of sight then has the optical depth of a
+disc of radius w + l and attenuation m, plus that of a disc of radius w and attenuation mu - m. The faint outer disc is
+also represented by two strips, with the half-widths sin(72 deg) (w + l) and sin(36 deg) (w + l).
 """
 
 from __future__ import annotations
@@ -34,12 +32,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.translucency import Hairs
-from rhizotwin.recon.device import TO_LAST, Float, numbers
+from rhizotwin.recon.device import TO_LAST, Bool, Float, numbers
 
 Array = NDArray[np.float64]
 
 LAYERS = 2
 """Number of strips that represent a root."""
+_SLEEVE = (0.4 * np.pi, 0.5 + 0.05**0.5), (0.2 * np.pi, 0.5 - 0.05**0.5)
+"""Two strips that represent a faint disc, from the wider to the narrower. The first value is the angle whose sine is
+the half-width relative to the radius. The second value is the fraction of the absorbed light. They are the Gauss
+quadrature of a semicircle, as described above."""
+_FAINTEST = 0.1
+"""Minimum attenuation of a root after subtraction of the hairs' attenuation, as a fraction of that before."""
 HAIRS = Hairs(length_mm=0.3, mu_per_mm=0.05)
 """Typical root hairs of radish in water. They are 0.1 to 0.5 mm long and 10 um thick, with about thirty hairs per
 millimetre of root.
@@ -132,7 +136,8 @@ def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float,
     if mu_per_mm is None:
         own = [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
     else:
-        own = _translucent_strips(mu_per_mm, index, radius_mm, sine, half_px)
+        less_per_mm = max(mu_per_mm - hairs * HAIRS.mu_per_mm, _FAINTEST * mu_per_mm)
+        own = _translucent_strips(less_per_mm, index, radius_mm, sine, half_px)
     return _add_hairs(own, hairs, radius_mm, sine, half_px) if hairs else own
 
 
@@ -158,21 +163,35 @@ def _translucent_strips(mu_per_mm: float, index: float, radius_mm: Float, sine: 
 
 
 def _add_hairs(own: list[Layer], strength: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
-    """Return the strips of roots with hairs.
+    """Return the strips of roots with hairs: those of the roots, and those of the sleeve."""
+    px_a_mm, outer_mm = half_px / radius_mm, radius_mm + dr.opaque(mi.Float, HAIRS.length_mm)
+    mu = dr.opaque(mi.Float, strength * HAIRS.mu_per_mm) / sine
+    sleeve, left, left_slope = list[Layer](), mi.Float(1.0), mi.Float(0.0)  # transmittance of the wider strips, and its slope
+    for turn, share in _SLEEVE:
+        width = float(np.sin(turn))
+        depth = (0.5 * np.pi * share / width) * mu  # per mm of the outer radius
+        passing = dr.exp(-depth * outer_mm)
+        slope = -passing * depth / px_a_mm
+        height = left * (1 - passing)
+        sleeve.append(Layer(width * outer_mm * px_a_mm, height, height * width, left_slope * (1 - passing) - left * slope))
+        left, left_slope = left * passing, left_slope * passing + left * slope
+    return [
+        *(_behind(one, sleeve, [one.half_px <= other.half_px for other in sleeve]) for one in own),
+        *(_behind(one, own, [one.half_px < other.half_px for other in own]) for one in sleeve),
+    ]
 
-    The opacity of the given strips is reduced by the light that the hairs absorb. One strip for the hairs is appended.
+
+def _behind(strip: Layer, others: list[Layer], hidden: list[Bool]) -> Layer:
+    """Return a strip without the light that the wider ones of other strips absorb.
+
+    Coverages A and S of two stacks of strips add to A + S - A S, where the product of two strips is as wide as the
+    narrower one. ``hidden`` contains, for each of the others, whether it is wider.
     """
-    long, mu = dr.opaque(mi.Float, HAIRS.length_mm), dr.opaque(mi.Float, strength * HAIRS.mu_per_mm)
-    px_a_mm = half_px / radius_mm
-    outer = radius_mm + long
-    half_mm = dr.sqrt(0.75 * (dr.square(radius_mm) + dr.square(outer)))
-    wider = 0.75 * (radius_mm + outer) / half_mm  # d half_mm / d radius_mm
-    depth = (0.5 * np.pi) * mu * long * (radius_mm + outer) / (half_mm * sine)
-    left = dr.exp(-depth)
-    darker = left * depth * (2.0 / (radius_mm + outer) - wider / half_mm) / px_a_mm  # d height / d half_px
-    sleeve = Layer(half_mm * px_a_mm, 1 - left, (1 - left) * wider, darker)
-    behind = [Layer(one.half_px, one.height * left, one.by_width * left, one.by_height * left - one.height * darker) for one in own]
-    return [*behind, sleeve]
+    passing, slope = mi.Float(1.0), mi.Float(0.0)
+    for other, wider in zip(others, hidden, strict=True):
+        passing -= dr.select(wider, other.height, 0.0)
+        slope -= dr.select(wider, other.by_height, 0.0)
+    return Layer(strip.half_px, strip.height * passing, strip.by_width * passing, strip.by_height * passing + strip.height * slope)
 
 
 _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
@@ -209,15 +228,11 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
     mu_per_mm, hairs, index : float or None, float, float
         Same as in `layers`.
     """
-    own = radius_mm
-    if mu_per_mm is not None:
-        layer = strips(mu_per_mm * radius_mm, index)
-        own = np.asarray(radius_mm * (layer.width * layer.height).sum(axis=0))
-    if not hairs:
-        return own
-    half_mm = np.sqrt(0.75 * (radius_mm**2 + (radius_mm + HAIRS.length_mm) ** 2))
-    left = np.exp(-0.5 * np.pi * hairs * HAIRS.mu_per_mm * HAIRS.length_mm * (2.0 * radius_mm + HAIRS.length_mm) / half_mm)
-    return np.asarray(own * left + half_mm * (1.0 - left))
+    width = numbers(radius_mm)
+    found = mi.Float(0.0)
+    for layer in layers(mu_per_mm, hairs, width, mi.Float(1.0), width, index=index):
+        found += layer.half_px * layer.height
+    return np.array(found, np.float64)
 
 
 @cache

@@ -75,8 +75,9 @@ def test_what_only_scatters_is_not_told_apart(shared: bool, expected: float) -> 
     assert abs(np.mean(found)) < 0.2
 
 
-def test_the_covariance_is_the_scatter_over_noise() -> None:
-    """Of the step from the true light: five roots are few clusters, so that it is known to a third."""
+def test_the_covariance_is_the_scatter_over_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the step from the true light, for a model without error: five roots are few clusters, so that it is known to a third."""
+    monkeypatch.setattr(root_light, "MODEL_ERROR", 0.0)
     true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
     steps, sigmas = [], []
     for seed in range(8):
@@ -88,3 +89,16 @@ def test_the_covariance_is_the_scatter_over_noise() -> None:
         sigmas.append(np.sqrt(np.diag(fit.light.covariance(root_light.light_vector(seen), bald)))[:2])
     assert np.abs(np.mean(steps, axis=0)).max() < 0.03
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(sigmas), axis=0)), np.std(steps, axis=0), rtol=0.6)
+
+
+def test_an_error_of_the_model_does_not_average_out() -> None:
+    """The covariance is that of the light parameters if the error of the coverage is the same in all profiles."""
+    true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
+    seen = replace(drawn(STAR, true, noise=1e-4, opacity=True).with_opacity(), mu_per_mm=2.0, blur_px=0.4)
+    prior = replace(Prior.from_evidence(seen), free=BALD)
+    system = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=prior).light
+    assert system is not None
+    worst = np.sqrt(np.diag(system.covariance(root_light.light_vector(seen), prior)))[:2]
+    free = np.flatnonzero(BALD)
+    per_profile = system.reduced[np.ix_(free, free)] / system.lone
+    np.testing.assert_allclose(worst, root_light.MODEL_ERROR * np.sqrt(np.diag(np.linalg.inv(per_profile))), rtol=0.1)
