@@ -66,41 +66,6 @@ no root is straight for more than a few diameters."""
 
 
 @dataclass(frozen=True)
-class Strips:
-    """Strips that represent translucent roots. Each field has shape (LAYERS, ...)."""
-
-    width: Array
-    """Ratio e of the strip's half-width to the root's radius."""
-    height: Array
-    """Opacity h of the strip."""
-    width_slope: Array
-    """Derivative de / d log tau of the width."""
-    height_slope: Array
-    """Derivative dh / d log tau of the opacity."""
-
-
-def strips(tau: Array, index: float = 1.0) -> Strips:
-    """Return the strips that represent round translucent roots viewed from the side.
-
-    Parameters
-    ----------
-    tau : (...) float64 array
-        Product of attenuation and radius.
-    index : float
-        Refractive index of the tissue, relative to water.
-    """
-    log_tau, table = _table()
-    rim = np.sqrt(1.0 - index**-2.0) / (_RIM[1] - _RIM[0])
-    level = min(int(rim), len(_RIM) - 2)
-    columns = (level + 1 - rim) * table[:, :, level] + (rim - level) * table[:, :, level + 1]
-    place = (np.log(np.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
-    before = np.minimum(place.astype(np.int64), len(log_tau) - 2)
-    part = place - before
-    rest = 1.0 - part
-    return Strips(*(np.stack([layer.take(before) * rest + layer[1:].take(before) * part for layer in column]) for column in columns))
-
-
-@dataclass(frozen=True)
 class Layer:
     """Strip that represents a root in a picture. All fields are mi.Float."""
 
@@ -116,8 +81,7 @@ class Layer:
 def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float, *, index: float = 1.0) -> list[Layer]:
     """Return the strips that represent roots in a picture.
 
-    This is the version of `strips` for Dr.Jit kernels. Without attenuation, a root is represented by a single opaque
-    strip.
+    Without attenuation, a root is represented by a single opaque strip.
 
     Parameters
     ----------
@@ -237,9 +201,10 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Return the tabulated log tau (T,), and the fields of `Strips` as an array (4, LAYERS, R, T).
+    """Return the tabulated log tau (T,), and the strips as an array (4, LAYERS, R, T).
 
-    R is the number of ratios in `_RIM`.
+    The first axis contains the ratio of the strip's half-width to the root's radius, the opacity of the strip, and
+    their derivatives with respect to log tau. R is the number of ratios in `_RIM`.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     part = 0.5 * (node + 1.0)

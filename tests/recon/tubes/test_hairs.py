@@ -39,12 +39,12 @@ def test_strips_with_hairs_have_the_moments_of_the_root_in_its_sleeve(radius: fl
         assert float(sum(moments)) == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.parametrize("mu", [None, 2.0])
-def test_slopes_of_strips_with_hairs_are_derivatives(mu: float | None) -> None:
+@pytest.mark.parametrize(("mu", "hairs"), [(None, 1.0), (2.0, 0.0), (2.0, 1.0)])
+def test_slopes_of_strips_are_derivatives(mu: float | None, hairs: float) -> None:
     radius, scale, step = 0.3, 4.0, 1e-3
 
     def at(mm: float) -> list[translucent_tube.Layer]:
-        return translucent_tube.layers(mu, 1.0, mi.Float(mm), mi.Float(0.8), mi.Float(scale * mm))
+        return translucent_tube.layers(mu, hairs, mi.Float(mm), mi.Float(0.8), mi.Float(scale * mm))
 
     for now, more, less in zip(at(radius), at(radius + step), at(radius - step), strict=True):
         change = 2.0 * scale * step
