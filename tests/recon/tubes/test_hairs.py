@@ -65,7 +65,7 @@ def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, ha
 def test_pictures_tell_whether_roots_have_hairs_which_are_not_counted_as_root(strength: float) -> None:
     """In pictures that are fine enough to show hairs: 0.2 mm a pixel."""
     sharp = blank_of(Scene(camera=Camera().resized((1200, 900)), plan=CapturePlan(rings=(Ring(views=6),))))
-    true = replace(sharp, mu_per_mm=1.0, hairs=strength)
+    true = replace(sharp, mu_per_mm=1.0, hairs=strength, index=1.0 + root_light.BENDING[0])
     seen = replace(drawn(CROWD, true, noise=0.003, opacity=True).with_opacity(), mu_per_mm=1.0, hairs=0.5)
     fixed = np.zeros(len(CROWD.radius_mm), bool)
     fit = tube_fit.fit(seen, root_light.match_absorption(CROWD, fixed, true, seen), fixed, steps=10, light=Prior.from_evidence(seen))
