@@ -54,6 +54,10 @@ def hide_posix() -> None:
     played = types.ModuleType("msvcrt")
     played.locking, played.LK_NBLCK = locking, 2  # type: ignore[attr-defined]
     sys.modules["msvcrt"] = played
+    # this library chooses by the platform at every call
+    own = types.ModuleType("sys")
+    own.__dict__.update(sys.__dict__)
+    importlib.import_module("threadpoolctl").sys = own  # type: ignore[attr-defined]
     sys.platform = "win32"
 
 
