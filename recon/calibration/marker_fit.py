@@ -20,11 +20,9 @@ MARGIN: Final = 0.16
 side."""
 TARGET_PX: Final = 90.0
 """Maximum side of a marker for the fit, px. Larger markers are downsampled."""
-REACH: Final = 1.3
-"""Maximum absolute value of s and of t at which the pattern is tabulated. The marker itself covers the range [-1, 1] in
-both coordinates."""
-SAMPLES_A_PIXEL, MOST_SAMPLES = 4, 209
-"""Number of samples of the tabulated pattern per pixel, and maximum number of samples in each direction."""
+GRID: Final = np.linspace(-1.3, 1.3, 209)
+"""Values of s and of t at which the pattern is tabulated. The marker itself covers the range [-1, 1] in both
+coordinates."""
 FLAT: Final = 6.0
 """Distance from an edge of the pattern beyond which the blurred edge is treated as constant, in standard deviations of
 the blur. The error is below 1e-8. Smaller factors would lead to denormal float32 numbers, which are slow."""
@@ -80,12 +78,24 @@ class MarkerFit:
     linear in light, the bend is therefore zero (`recon.calibration.curve`)."""
 
 
+class Scratch:
+    """Preallocated memory for tabulated patterns.
+
+    The memory is reused between markers, because allocation takes longer than filling.
+    """
+
+    def __init__(self) -> None:
+        self.planes = np.empty((4, len(GRID), len(GRID)), np.float32)
+        self.table = np.empty((len(GRID), len(GRID), 4), np.float32)
+
+
 def fit_marker(
     image: NDArray[np.uint8 | np.uint16],
     white: NDArray[np.bool_],
     start_px: Array,
     *,
     blur_px: float = FIRST_BLUR_PX,
+    scratch: Scratch | None = None,
 ) -> MarkerFit | None:
     """Fit the known pattern of a marker to the picture.
 
@@ -105,6 +115,8 @@ def fit_marker(
         Initial corners, px, accurate to about two pixels.
     blur_px : float
         Initial standard deviation of the blur, px. The blur of a neighbouring marker is a good initial value.
+    scratch : Scratch or None
+        Memory of a previous fit in the same thread; by default, new memory is allocated.
 
     Returns
     -------
@@ -113,7 +125,7 @@ def fit_marker(
     """
     side_px = float(np.mean(np.linalg.norm(np.roll(start_px, -1, axis=0) - start_px, axis=1)))
     window = _window(image, start_px, side_px)
-    fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px)
+    fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px, scratch or Scratch())
     if window is None or fitted is None:
         return None
     warp, blur, covariance, correlation, bend = fitted
@@ -176,7 +188,9 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
     return _Window(light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px)
 
 
-def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tuple[Array, float, Array, float, float] | None:
+def _gauss_newton(
+    window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
+) -> tuple[Array, float, Array, float, float] | None:
     """Fit the marker model to the cropped pixels by Gauss-Newton.
 
     Return, in this order, the parameters H and b (11,), the blur, the covariance (18, 18) of all parameters, the
@@ -184,9 +198,7 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
     Long sums use `_products`, because a multi-threaded BLAS would compete with threads that measure other pictures.
     """
     warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
-    grid = np.linspace(-REACH, REACH, min(MOST_SAMPLES, 2 * int(np.ceil(REACH * SAMPLES_A_PIXEL / window.pixel)) + 1))
-    planes = np.empty((4, len(grid), len(grid)), np.float32)  # used again, because allocation takes longer than filling
-    table, tabled, rows = np.empty((len(grid), len(grid), 4), np.float32), np.zeros(2), np.empty((19, 0))
+    table, tabled, rows, zero = scratch.table, np.zeros(2), np.empty((19, 0)), np.zeros(1)
     s, t = _start_st(warp, xy)
     for iteration in range(MOST_STEPS):
         if iteration < 2:
@@ -194,14 +206,14 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
             if np.count_nonzero(inside) < LEAST_PIXELS:
                 return None
             xy, light, s, t = xy[:, inside], light[inside], s[inside], t[inside]
-        sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), _warp(warp, np.zeros(1), np.zeros(1))), (2, 2)), axis=1)
+        sigma = blur / np.linalg.norm(np.reshape(_slope(warp, zero, _warp(warp, zero, zero)), (2, 2)), axis=1)
         if np.any(np.abs(sigma - tabled) > RETABLE * tabled):
-            table, tabled = cv2.merge(_pattern(white, grid, sigma, planes), table), sigma
+            table, tabled = _pattern(white, float(sigma[0]), float(sigma[1]), scratch), sigma
         with np.errstate(all="ignore"):  # a diverging fit may fold the marker
             s, t, to_h = _invert(warp, xy, s, t)
         if not (np.isfinite(s).all() and np.isfinite(t).all()):
             return None
-        at = [np.clip((c - grid[0]) / (grid[1] - grid[0]), -1e6, 1e6).astype(np.float32) for c in (s, t)]
+        at = [np.clip((c - GRID[0]) / (GRID[1] - GRID[0]), -1e6, 1e6).astype(np.float32) for c in (s, t)]
         pattern, by_s, by_t, by_log_blur = cv2.remap(table, *at, cv2.INTER_LINEAR).reshape(-1, 4).T.astype(np.float64)
         if rows.shape[1] != len(s):
             rows = np.empty((19, len(s)))
@@ -288,10 +300,8 @@ def _fill_warp_derivatives(
         np.multiply(change, bulge, out=rows[row])
 
 
-def _pattern(white: NDArray[np.bool_], grid: Array, blur: Array, planes: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on a grid (G,) x (G,) (rows along t, columns along s).
-
-    ``blur`` contains the standard deviations of the blur along s and t. The tables are written to ``planes`` (4, G, G).
+def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: Scratch) -> NDArray[np.float32]:
+    """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (rows along t, columns along s).
 
     The modules of the pattern are convolved with a Gaussian in closed form.
 
@@ -301,9 +311,9 @@ def _pattern(white: NDArray[np.bool_], grid: Array, blur: Array, planes: NDArray
     cells = np.pad(white.astype(np.float32), 1, constant_values=1.0)
     edges = np.linspace(-1.0, 1.0, len(white) + 1)
     factors: list[list[NDArray[np.float32]]] = []
-    for sigma in blur.tolist():
-        z = np.clip((grid[:, None] - edges) / sigma, -FLAT, FLAT)
-        step = np.ones((len(grid), len(edges) + 2))
+    for sigma in (sigma_s, sigma_t):
+        z = np.clip((GRID[:, None] - edges) / sigma, -FLAT, FLAT)
+        step = np.ones((len(GRID), len(edges) + 2))
         step[:, 1:-1], step[:, -1] = 0.5 * (1.0 + erf(z * np.sqrt(0.5))), 0.0
         slope, bend = np.zeros_like(step), np.zeros_like(step)
         slope[:, 1:-1] = np.exp(-0.5 * z * z) / (sigma * np.sqrt(2.0 * np.pi))
@@ -311,10 +321,11 @@ def _pattern(white: NDArray[np.bool_], grid: Array, blur: Array, planes: NDArray
         factors.append([(f[:, :-1] - f[:, 1:]).astype(np.float32) for f in (step, slope, bend)])
     (s0, s1, s2), (t0, t1, t2) = factors
     cells_s0, t0_cells = cells @ s0.T, t0 @ cells
+    planes = scratch.planes  # five small products: BLAS would divide a larger one among threads that wait for each other
     for left, right, plane in ((t0, cells_s0, 0), (t0_cells, s1.T, 1), (t1, cells_s0, 2), (t0_cells, s2.T, 3)):
         np.matmul(left, right, out=planes[plane])
     planes[3] += t2 @ cells_s0
-    return list(planes)
+    return np.asarray(cv2.merge(list(planes), scratch.table), np.float32)
 
 
 def _matrix(warp: Array) -> Array:

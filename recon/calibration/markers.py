@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, MarkerFit, fit_marker
+from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, MarkerFit, Scratch, fit_marker
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import get_dictionary, marker_cells
@@ -110,10 +110,10 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     if len(ids) and not measure:
         return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
     found: dict[int, MarkerFit] = {}
-    blur_px = FIRST_BLUR_PX
+    blur_px, scratch = FIRST_BLUR_PX, Scratch()
     for marker_id, start_px in zip(ids, corners_px, strict=True):
         white = marker_cells(strip.dictionary, int(marker_id))
-        fit = fit_marker(image, white, start_px, blur_px=blur_px)
+        fit = fit_marker(image, white, start_px, blur_px=blur_px, scratch=scratch)
         if fit is not None:
             blur_px, found[int(marker_id)] = fit.blur_px, fit
     if not found:
