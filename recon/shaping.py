@@ -15,9 +15,7 @@ from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
-from rhizotwin.recon.uncertainty import (
-    diameter_uncertainty,
-)
+from rhizotwin.recon.uncertainty import diameter_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.volume_budget import UnitedShape, assess_volume
 from rhizotwin.scenes.model import Scene

@@ -85,5 +85,4 @@ def error_sentence(error: BaseException) -> str:
         if error.errno in FULL:
             return f"{where}the disk is full; free some space and run the same command again"
         return f"{where}{error.strerror or text}; check the path and its permissions"
-    what = f"the program was stopped by an unexpected error ({type(error).__name__}: {text})"
-    return f"{what}; {TRACEBACK_ADVICE}"
+    return f"the program was stopped by an unexpected error ({type(error).__name__}: {text}); {TRACEBACK_ADVICE}"

@@ -72,13 +72,11 @@ without a profile of a lone root (a root that no other hides or overlaps in the 
 100/mm2. A thousandth of it remains in the direction in which a wider, fainter root looks the same."""
 LEAST_VARIANCE = 1e-5
 """Minimum variance of the coverage. It corresponds to a standard deviation of 0.003, which is one grey level of 8
-bits."""
-MODEL_ERROR = 0.003
-"""Standard deviation of the error of the coverage that all profiles have in common: that of the empty backlight, and of
-the model of a root.
+bits.
 
-The scatter between roots and views does not show it. Without it, the strength of hairs was 3.0 +- 0.4 instead of 1, and
-the excess of the refractive index 0.05 +- 0.005 instead of 0."""
+For the light parameters, it is also the variance of the error that all profiles have in common: that of the empty
+backlight, and of the model of a root. The scatter between roots and views does not show it. Without it, the strength of
+hairs was 3.0 +- 0.4 instead of 1, and the excess of the refractive index 0.05 +- 0.005 instead of 0."""
 LEAST_LONE = 1500
 """Minimum number of profiles of lone roots (roots that no other root hides or overlaps) for attenuation and hairs to be
 estimated. With fewer profiles, only the blur is fitted, to all profiles.
@@ -220,7 +218,7 @@ class LightSystem:
         meat = _scatter(profiles, back.reshape(count, 4, many), lone, tubes)
         reduced = 0.5 * (reduced + reduced.T)
         count = int(lone.sum())
-        return LightSystem(reduced, right, meat + (LEAST_VARIANCE + count * MODEL_ERROR**2) * reduced, count)
+        return LightSystem(reduced, right, meat + (1 + count) * LEAST_VARIANCE * reduced, count)
 
     def step(self, light: Array, prior: Prior) -> Array:
         """Return the step (L,) of the light parameters within their bounds.

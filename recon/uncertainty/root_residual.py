@@ -65,13 +65,6 @@ class Residual:
     """Fraction of the visible tips without coverage nearby."""
     width: float
     """Relative excess of the mean width in the picture."""
-    overlap: float
-    """Length of the projected centre lines relative to the length that is visible, minus 1."""
-
-
-def measure_overlap(lines: NDArray[np.bool_], length_px: float) -> float:
-    """Return the length of all centre lines relative to that of the pixels (H, W) on them, minus 1."""
-    return max(0.0, length_px / max(float(lines.sum()), 1.0) - 1.0)
 
 
 def compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: Places, view: int) -> Residual | None:
@@ -93,8 +86,7 @@ def compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: Places, 
         cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX) for picture in (silhouette.coverage, drawn)
     )
     covered = (found > _LINE) & usable
-    (lines, length_px), tips = places.centre_lines(view, usable.shape), places.tips(view, usable)
-    centres = lines & usable
+    centres, tips = places.centre_lines(view, usable.shape)[0] & usable, places.tips(view, usable)
     line = float(centres.sum())
     if not line or not covered.any():
         return None
@@ -113,7 +105,6 @@ def compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: Places, 
         missing_tips=len(sizes) / free / max(len(tips), 1),
         surplus_tips=float(beside_picture[tips[:, 1], tips[:, 0]].mean()) if len(tips) else 0.0,
         width=area / max(1.0 + missing - surplus, 1e-9) - 1.0,
-        overlap=measure_overlap(lines, length_px),
     )
 
 
@@ -163,6 +154,11 @@ class Places:
         ends = np.rint(np.stack([self.px[view, first], self.px[view, first + 1]], axis=1)).astype(np.int32)
         cv2.polylines(canvas, list(ends), False, 1, lineType=cv2.LINE_8)
         return canvas > 0, float(np.abs(ends[:, 1] - ends[:, 0]).max(axis=1, initial=0).sum())
+
+    def overlap(self, view: int, shape: tuple[int, ...]) -> float:
+        """Return the length of all centre lines relative to that of the pixels (H, W) on them, minus 1."""
+        lines, length_px = self.centre_lines(view, shape)
+        return max(0.0, length_px / max(float(lines.sum()), 1.0) - 1.0)
 
     def tips(self, view: int, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the columns and rows (T, 2) of the tips on usable pixels (H, W)."""

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
@@ -24,10 +23,6 @@ from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traced_roots import merge_shared_stretches
-
-Array = NDArray[np.float64]
-Fixed = NDArray[np.int32]
-"""Positions and sizes in fractions of pixels, as used by OpenCV's drawing functions."""
 
 VIEWS = 16
 """Number of pictures that are compared; carving orders them so that neighbours are spread over the turn. More pictures
@@ -98,7 +93,7 @@ def estimates(
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
-    merged = _merged([view.overlap for view in residuals], bank.count)
+    merged = _merged(places, silhouettes[0].coverage.shape, bank.count)
     changes = {
         "total_length_mm": (
             length_mm,
@@ -119,13 +114,13 @@ def merged_share(roots: Sequence[Root], bank: ViewBank, shape: tuple[int, ...]) 
     """Return the fraction of the roots that may be merged into thicker ones, for pictures of a shape (H, W)."""
     if not roots:
         return 0.0
-    places = root_residual.Places.project(roots, bank.select(range(min(VIEWS, bank.count))))
-    lines = [places.centre_lines(view, shape) for view in range(len(places.px))]
-    return _merged([root_residual.measure_overlap(mask, length_px) for mask, length_px in lines], bank.count)
+    return _merged(root_residual.Places.project(roots, bank.select(range(min(VIEWS, bank.count)))), shape, bank.count)
 
 
-def _merged(overlaps: Sequence[float], views: int) -> float:
-    return _CROWDED * max(0.0, _mean_of(overlaps) / views - _SEPARABLE)
+def _merged(places: root_residual.Places, shape: tuple[int, ...], views: int) -> float:
+    """Return `merged_share`, given the projections of the nodes into some of the views."""
+    overlap = _mean_of([places.overlap(view, shape) for view in range(len(places.px))])
+    return _CROWDED * max(0.0, overlap / views - _SEPARABLE)
 
 
 def _mean_of(values: Sequence[float]) -> float:

@@ -77,7 +77,7 @@ def test_what_only_scatters_is_not_told_apart(shared: bool, expected: float) -> 
 
 def test_the_covariance_is_the_scatter_over_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the step from the true light, for a model without error: five roots are few clusters, so that it is known to a third."""
-    monkeypatch.setattr(root_light, "MODEL_ERROR", 0.0)
+    monkeypatch.setattr(root_light, "LEAST_VARIANCE", 1e-9)
     true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
     steps, sigmas = [], []
     for seed in range(8):
@@ -101,4 +101,4 @@ def test_an_error_of_the_model_does_not_average_out() -> None:
     worst = np.sqrt(np.diag(system.covariance(root_light.light_vector(seen), prior)))[:2]
     free = np.flatnonzero(BALD)
     per_profile = system.reduced[np.ix_(free, free)] / system.lone
-    np.testing.assert_allclose(worst, root_light.MODEL_ERROR * np.sqrt(np.diag(np.linalg.inv(per_profile))), rtol=0.1)
+    np.testing.assert_allclose(worst, np.sqrt(root_light.LEAST_VARIANCE * np.diag(np.linalg.inv(per_profile))), rtol=0.1)
