@@ -95,7 +95,8 @@ class Budget:
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
             found.append(f"only {self.views} views were used, and false roots cannot be ruled out with fewer than {trust.least_views}")
-        under, over = (reach > trust.widest * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
+        # also true if an end is not a number
+        under, over = (not reach <= trust.widest * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
         if under or over:
             worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))
             found.append(

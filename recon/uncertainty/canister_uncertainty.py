@@ -112,7 +112,7 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     Parameters
     ----------
     views : sequence of View
-        Views of the scan, of which a subset is used.
+        Views of the scan in any order, of which `VIEWS` are used, evenly spaced around the turn.
     believed, true : Optics
         Assumed and actual optics.
     points_mm : (N, 3) float64
@@ -120,8 +120,9 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     true_views : sequence of View, optional
         Actual views, if they differ.
     """
-    step = max(1, len(views) // VIEWS)
-    some = list(zip(views, views if true_views is None else true_views, strict=True))[::step]
+    pairs = list(zip(views, views if true_views is None else true_views, strict=True))
+    around = np.argsort([np.arctan2(view.centre_mm[1], view.centre_mm[0]) for view in views])
+    some = [pairs[around[int(place)]] for place in np.linspace(0, len(pairs), min(VIEWS, len(pairs)), endpoint=False)]
     corners = np.concatenate([points_mm + 0.5 * side * CUBE_MM * np.eye(3)[axis] for axis in range(3) for side in (-1.0, 1.0)])
     found = corners + _shifts(some, believed, true, corners)
     ends = found.reshape(3, 2, len(points_mm), 3)

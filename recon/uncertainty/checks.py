@@ -134,12 +134,12 @@ def judge(name: Name, value: float, unit: str, limits: Limits, found: str, advic
     return make_check(name, state, value, unit, limits, found, "" if state == "good" else advice)
 
 
-def first_problem(*made: Check) -> Check:
-    """Return the first check whose state is not good.
+def worst(*made: Check) -> Check:
+    """Return the check with the worst state: the first bad one, else the first fair one, else the first unknown one.
 
     If all are good, the last check is returned.
     """
-    return next((check for check in made if check.state != "good"), made[-1])
+    return next((check for state in ("bad", "fair", "unknown") for check in made if check.state == state), made[-1])
 
 
 def make_unknown(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
@@ -167,8 +167,9 @@ def make_unknown(name: Name, found: str, advice: str = "", *, unit: str = "", li
 def classify(value: float, fair: float, bad: float) -> State:
     """Classify a value as good, fair or bad.
 
-    The value should be small. If ``fair`` is larger than ``bad``, it should be large.
+    The value should be small. If ``fair`` is larger than ``bad``, it should be large. A value that is not a number is
+    bad.
     """
     if fair > bad:
         value, fair, bad = -value, -fair, -bad
-    return "bad" if value > bad else "fair" if value > fair else "good"
+    return "good" if value <= fair else "fair" if value <= bad else "bad"

@@ -14,7 +14,7 @@ from rhizotwin.recon.calibration.curve import MOST_BEND
 from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.read_pictures import CurveFound
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, State, first_problem, judge, make_check, make_unknown
+from rhizotwin.recon.uncertainty.checks import Check, State, judge, make_check, make_unknown, worst
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Scene
 
@@ -54,7 +54,7 @@ def check_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings
     patchy = f"the brightness of the panel varies by {100.0 * uneven:.2g} % across the panel and between pictures"
     evened = f"the brightness of the panel varies by {100.0 * bands:.2g} % within a picture, which was corrected row by row"
     lamp = "use a lamp on direct current, and keep shadows off the panel"
-    return first_problem(
+    return worst(
         judge("exposure", clipped, "share", trust.clipped, full, "reduce the exposure, so that the panel is at 0.8 of full scale"),
         judge("exposure", level, "share", trust.dim, dim, "increase the exposure, so that the panel is at 0.8 of full scale"),
         judge("exposure", uneven, "share", trust.uneven, patchy, lamp),
@@ -94,7 +94,7 @@ def check_sharpness(blur_px: float | None, refocus_px: float | None = None, trus
     if refocus_px is None:
         return sharp
     finding = f"some pictures are blurred by {refocus_px:.2f} px more than others"
-    return first_problem(
+    return worst(
         judge("sharpness", refocus_px, "px", trust.refocus_px, finding, "focus once, manually, and wait longer after each step"), sharp
     )
 
@@ -108,7 +108,7 @@ def check_markers(inset_px: float | None, corners_px: float | None, trust: Trust
     larger = "larger" if inset_px > 0 else "smaller"
     finding = f"the markers appear {abs(inset_px):.3f} px {larger} on each side than printed"
     advice = "set the camera's transfer, switch off its sharpening, and measure the print with a ruler"
-    return first_problem(
+    return worst(
         judge("markers", corners_px, "px", trust.corners_px, apart, scene),
         judge("markers", abs(inset_px), "px", trust.inset_px, finding, advice),
     )
@@ -133,7 +133,7 @@ def check_canister(pose: CanisterPose | None, scene: Scene, trust: TrustSettings
     measure = "measure its outer diameter (and its wall) with callipers and enter them in the scene"
     oval = f"the canister is oval: its radius varies by +-{pose.oval_mm:.2f} mm"
     finding = f"the canister's edges deviate by {pose.after_mm:.3f} mm (median) from an oval of +-{pose.oval_mm:.2f} mm"
-    return first_problem(
+    return worst(
         judge("canister", share, "share", trust.radius_share, other, measure),
         judge("canister", pose.oval_mm, "mm", trust.oval_mm, oval, "use another tube, or stiffen it with a ring"),
         judge("canister", pose.after_mm, "mm", trust.edge_mm, finding, "the tube is deformed: use another"),
@@ -177,7 +177,7 @@ def check_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: in
     gap_deg = float(np.max(np.diff(np.append(order, order[0] + 360.0)))) if used else 360.0
     lost = f"{pictures - used} of {pictures} pictures could not be used"
     finding = f"{used} views, with a largest step of {gap_deg:.0f} degrees between neighbours"
-    return first_problem(
+    return worst(
         judge("views", out, "share", trust.left_out, lost, "check why each was left out, and take them again"),
         judge("views", gap_deg, "deg", trust.gap_deg, finding, "take more views, evenly spaced around the turn"),
     )

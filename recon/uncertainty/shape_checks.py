@@ -4,7 +4,7 @@ They cover motion of the roots, dirt, and agreement of the views.
 """
 
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, classify, first_problem, judge, make_check, make_unknown
+from rhizotwin.recon.uncertainty.checks import Check, classify, judge, make_check, make_unknown, worst
 
 
 def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
@@ -37,7 +37,7 @@ def check_dirt(share: float | None, spread: float | None = None, trust: TrustSet
     else:
         finding = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
         made.append(judge("dirt", share, "share", trust.dirt, finding, "clean the canister inside and outside, and remove the bubbles"))
-    return first_problem(*made)
+    return worst(*made)
 
 
 def check_agreement(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:

@@ -14,7 +14,7 @@ from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.budget import Term
-from rhizotwin.recon.uncertainty.checks import Check, first_problem, judge
+from rhizotwin.recon.uncertainty.checks import Check, judge, worst
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files
@@ -43,7 +43,7 @@ class Comparison:
         lacking = f"because of the corrections, the shape no longer explains {100.0 * self.missed:.1f} % of the roots in a picture"
         beyond = f"because of the corrections, another {100.0 * self.surplus:.1f} % of the shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
-        return first_problem(
+        return worst(
             judge("corrections", self.missed, "share", trust.missed, lacking, advice),
             judge("corrections", self.surplus, "share", trust.missed, beyond, advice),
         )

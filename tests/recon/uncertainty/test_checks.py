@@ -1,5 +1,6 @@
 """Checks of trust: what passes, what is said, and what takes the trust away."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,15 @@ from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.read_pictures import CurveFound
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import Budget, Term
-from rhizotwin.recon.uncertainty.picture_checks import check_canister, check_curve, check_exposure, check_scan, check_sharpness, check_views
+from rhizotwin.recon.uncertainty.picture_checks import (
+    check_canister,
+    check_curve,
+    check_exposure,
+    check_markers,
+    check_scan,
+    check_sharpness,
+    check_views,
+)
 from rhizotwin.recon.uncertainty.shape_checks import check_agreement, check_dirt, check_motion
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Frame
@@ -54,6 +63,12 @@ CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {
     "water, clear": (lambda: check_dirt(0.0, 0.001), "good", ""),
     "water, milky": (lambda: check_dirt(0.0, 0.05), "bad", "5.0 %"),
     "water, not measured": (lambda: check_dirt(None, None), "unknown", ""),
+    "water, clear on a dirty wall": (lambda: check_dirt(0.9, 0.021), "bad", "90.0 % of the visible wall"),
+    "exposure, slightly clipped and uneven": (lambda: exposed(1.0, 1.0, clipped=0.003, uneven=0.1), "bad", "across the panel"),
+    "sharpness, slightly apart and blurred": (lambda: check_sharpness(3.0, 0.6), "bad", "3.00 px"),
+    "markers, slightly apart and too large": (lambda: check_markers(0.077, 0.31), "bad", "0.077 px larger"),
+    "views, a few left out and half a turn": (lambda: check_views(list(range(0, 180, 9)), 23), "bad", "largest step"),
+    "motion, not a number": (lambda: check_motion(math.nan), "bad", ""),
     "canister, no edges": (lambda: check_canister(None, Scene()), "unknown", ""),
     "canister, no edges in a tank": (lambda: check_canister(None, Scene(tank=Tank())), "bad", ""),
 }
@@ -65,6 +80,13 @@ def test_what_was_found_is_judged_and_what_is_bad_comes_with_advice(check: Calla
     assert found.state == state
     assert says in found.found
     assert found.advice if state == "bad" else not found.advice or state != "good"
+
+
+def test_a_volume_that_is_not_a_number_is_not_trusted() -> None:
+    term = Term(name="outlines", less_mm3=2.0, more_mm3=2.0, why="outlines")
+    assert not Budget(volume_mm3=math.nan, terms=(term,), views=40).volume((90.0, 110.0)).trusted
+    broken = Term(name="outlines", less_mm3=2.0, more_mm3=math.nan, why="outlines")
+    assert not Budget(volume_mm3=100.0, terms=(broken,), views=40).volume((90.0, 110.0)).trusted
 
 
 def test_a_failed_check_takes_the_trust_away_and_says_why() -> None:
