@@ -8,13 +8,12 @@ taken are kept, and a later run takes only the missing pictures.
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 from rhizotwin.rig import bands
-from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, Shot
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
@@ -24,25 +23,21 @@ from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.safety import make_safe
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.rig.scanning.scan_turntable import BoardFaultError, ScanTurntable, Taken
-from rhizotwin.rig.scanning.session import Session, open_session, picture_file
+from rhizotwin.rig.scanning.session import Session, open_session
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.rig.scanning.turn_check import TurnCheck
+from rhizotwin.rig.scanning.view_pictures import ViewPictures
 from rhizotwin.scenes import plan
-from rhizotwin.scenes.dataset import Dataset, Frame
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import lock_folder
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import View
 
 MOST_FAULTS = 3
 """Maximum number of successive faults of the board. The number is reset by every picture taken."""
-DIMMER, BRIGHTER = 0.6, 1.6
-"""Minimum and maximum ratio of the panel's brightness to its brightness in the first picture of the ring. Outside this
-range, the lights are failing."""
 
 T = TypeVar("T")
-Picture: TypeAlias = tuple[Frame, Grey]
 
 
 def scan(
@@ -123,15 +118,10 @@ class _Scan:
         if devices.arm is not None and devices.rig.arm is not None:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._camera, note=self._note)
         self._board_used = self._arm_used = self._homed = False
-        self._main = ""
-        """Name of the band in which the markers are visible in this ring."""
-        self._selected: str | None = ""
-        """Name of the band to which the lamps and the filter are set. It is None after a fault."""
-        self._placement = 0
-        self._rest_s = devices.rig.turntable.settle_s
+        self._views = ViewPictures(
+            devices, scene, self._camera, self._turntable, self._stand, self._observer, note=self._note, now_s=self._now_s
+        )
         self._rest_known = devices.rig.turntable.rest == "given"
-        self._bright = 0.0
-        """Brightness of the panel in the ring's first picture, as a fraction of full scale."""
 
     def run(self, planned: list[View]) -> Dataset:
         """Take the missing pictures and return the dataset. The rig is always left in a safe state."""
@@ -189,17 +179,16 @@ class _Scan:
 
     def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
         ring = self._scene.plan.rings[index]
-        self._main = plan.main_band(self._scene, index)
-        self._select(self._main)
+        self._views.begin_ring(index)
         self._turntable.forget_references()
         self._stand.place(ring)
         self._run_with_recovery(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
         self._run_with_recovery(lambda: self._measure_rest(views), near_deg=views[0].table_deg)
-        self._placement = self._session.next_placement(index)
+        self._views.placement = self._session.next_placement(index)
         self._watch.begin_ring()
         for view in views:
             self._wait()
-            (frame, image), others, again = self._run_with_recovery(partial(self._shoot, view), near_deg=view.table_deg)
+            (frame, image), others, again = self._run_with_recovery(partial(self._views.take, view), near_deg=view.table_deg)
             self._refuse_still()
             for one in ((frame, image), *others):
                 self._session.record(*one)
@@ -242,7 +231,7 @@ class _Scan:
         chosen = choose_acceleration(
             self._turntable, lambda: devices.camera.capture().image, devices.clock, angles_deg=angles_deg, part=devices.rig.turntable
         )
-        self._rest_s, self._rest_known = chosen.rest_s, True
+        self._views.rest_s, self._rest_known = chosen.rest_s, True
         self._note("rest", f"turntable: {chosen.text()}")
 
     def _report_unverified(self, planned: int) -> None:
@@ -260,7 +249,7 @@ class _Scan:
         shot, seen = self._stand.search(self._scene.plan.rings[index])
         self._turntable.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
-        self._bright = preflight.measure_exposure(shot.image).bright
+        self._views.bright = preflight.measure_exposure(shot.image).bright
         if not self._homed:
             self._identify(shot.image)
             before = self._session.frames_of(index)
@@ -281,102 +270,15 @@ class _Scan:
             try:
                 if fault is not None:
                     self._session.flush()  # the pictures determine the angle
-                    self._turntable.band, self._selected = self._main, None  # the markers are needed, regardless of the band that failed
-                    self._turn_filter(self._main)
+                    self._views.reset_band()  # the markers are needed
                     if self._turntable.recover(fault, near_deg=near_deg, again=faults > 1):
-                        self._placement += 1
+                        self._views.placement += 1
                 return action()
             except BoardFaultError as another:
                 fault, faults = another, faults + 1
                 if faults > MOST_FAULTS:
                     self._turntable.lost = True
                     raise
-
-    def _select(self, band: str) -> None:
-        """Set lamps and filter for a band of the camera, unless they are already set."""
-        if band == self._selected:
-            return
-        self._selected = None
-        self._turntable.light(band)
-        self._turn_filter(band)
-        self._selected = band
-
-    def _turn_filter(self, band: str) -> None:
-        part = bands.band_part(self._devices.rig, band)
-        if part is not None and part.filter_deg is not None and self._devices.arm is not None:
-            self._devices.arm.turn_filter(part.filter_deg)
-
-    def _shoot(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
-        """Rotate the table, wait, take the picture, and verify that the table has not moved.
-
-        The same view is then taken in all other bands. If the observer measures motion, another picture is taken and
-        compared.
-        """
-        main, clock = self._main, self._devices.clock
-        self._select(main)
-        read_deg = self._turntable.turn(view.table_deg)
-        moved_s = clock.now_s()
-        joints_deg, joints_read_deg = self._stand.joints()  # while the water comes to rest
-        clock.sleep(self._rest_s - (clock.now_s() - moved_s))
-        shot = self._lit_picture(view.table_deg)
-        frame = Frame(
-            file=picture_file(view, main),
-            sha256="",
-            kind=view.kind,
-            band=main,
-            view=view.index if main else None,
-            ring=view.ring,
-            table_deg=view.table_deg,
-            table_read_deg=read_deg,
-            placement=self._placement,
-            joints_deg=joints_deg,
-            joints_read_deg=joints_read_deg,
-            exposure_s=shot.exposure_s,
-            gain=shot.gain,
-            time_s=round(self._now_s(), 6),
-        )
-        again = self._camera.picture().image if self._observer.watches_motion else None
-        return (frame, shot.image), self._other_bands(view, frame), again
-
-    def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
-        """Take the same view in all other bands of the camera, and restore the first band."""
-        taken: list[Picture] = []
-        for band in plan.ring_bands(self._scene, view.ring):
-            if band == frame.band:
-                continue
-            self._select(band)
-            shot = self._camera.picture()
-            self._turntable.verify(view.table_deg)
-            now_s = round(self._now_s(), 6)
-            own = replace(frame, file=picture_file(view, band), band=band, exposure_s=shot.exposure_s, gain=shot.gain, time_s=now_s)
-            taken.append((own, shot.image))
-        if taken:
-            self._select(frame.band)
-        return taken
-
-    def _lit_picture(self, angle_deg: float) -> Shot:
-        """Take a picture, and verify that the table is at rest and the brightness of the panel is unchanged.
-
-        The picture is the only evidence, because the state of the lamps cannot be read back.
-        """
-        bright = 0.0
-        for again in (False, True):
-            if again:
-                self._note(
-                    "lights",
-                    f"lights: the brightness of the panel changed from {self._bright:.2f} to {bright:.2f} of full scale; the lamps are "
-                    "switched on again",
-                )
-                self._turntable.light()
-            shot = self._camera.picture(table_deg=angle_deg)
-            self._turntable.verify(angle_deg)
-            bright = preflight.measure_exposure(shot.image).bright
-            if DIMMER * self._bright <= bright <= BRIGHTER * self._bright:
-                return shot
-        raise RigError(
-            f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, "
-            "their supply and that nothing hides the panel, then finish the scan with --resume"
-        )
 
     def _remove_slipped(self, pictures: list[Taken]) -> str:
         """Remove pictures whose measured angles differ from the commanded angles, and return their description.

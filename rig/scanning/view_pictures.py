@@ -1,0 +1,162 @@
+"""Pictures of one view of a scan, in every band of the camera.
+
+Before each picture the lamps and the filter are set for its band. After it, the table angle and the brightness of the
+panel are verified.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeAlias
+
+from rhizotwin.rig import bands
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.scanning.observer import Observer
+from rhizotwin.rig.scanning.preflight import measure_exposure
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
+from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
+from rhizotwin.rig.scanning.session import picture_file
+from rhizotwin.rig.scanning.stand import Stand
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.picture_codec import Grey
+from rhizotwin.scenes.plan import View
+
+DIMMER, BRIGHTER = 0.6, 1.6
+"""Minimum and maximum ratio of the panel's brightness to its brightness in the first picture of the ring. Outside this
+range, the lights are failing."""
+
+Picture: TypeAlias = tuple[Frame, Grey]
+
+
+class ViewPictures:
+    """Takes the pictures of each view of a scan, in all bands of the camera."""
+
+    def __init__(
+        self,
+        devices: Devices,
+        scene: Scene,
+        camera: ScanCamera,
+        turntable: ScanTurntable,
+        stand: Stand,
+        observer: Observer,
+        *,
+        note: Callable[[str, str], None],
+        now_s: Callable[[], float],
+    ) -> None:
+        self._devices = devices
+        self._scene = scene
+        self._camera = camera
+        self._turntable = turntable
+        self._stand = stand
+        self._observer = observer
+        self._note = note
+        self._now_s = now_s
+        self._main = ""
+        """Name of the band in which the markers are visible in this ring."""
+        self._selected: str | None = ""
+        """Name of the band to which the lamps and the filter are set. It is None after a fault."""
+        self.placement = 0
+        """Number of the camera's placement in this ring, which is stored in the frames."""
+        self.rest_s = devices.rig.turntable.settle_s
+        """Pause between a turn of the table and the picture, s."""
+        self.bright = 0.0
+        """Brightness of the panel in the ring's first picture, as a fraction of full scale."""
+
+    def begin_ring(self, index: int) -> None:
+        """Set lamps and filter for the band in which the markers are visible in a ring."""
+        self._main = plan.main_band(self._scene, index)
+        self._select(self._main)
+
+    def reset_band(self) -> None:
+        """Set the filter for the band of the markers, regardless of the band in which the board failed."""
+        self._turntable.band, self._selected = self._main, None
+        self._turn_filter(self._main)
+
+    def take(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
+        """Rotate the table, wait, take the picture, and verify that the table has not moved.
+
+        The same view is then taken in all other bands. If the observer measures motion, another picture is taken and
+        compared.
+        """
+        main, clock = self._main, self._devices.clock
+        self._select(main)
+        read_deg = self._turntable.turn(view.table_deg)
+        moved_s = clock.now_s()
+        joints_deg, joints_read_deg = self._stand.joints()  # while the water comes to rest
+        clock.sleep(self.rest_s - (clock.now_s() - moved_s))
+        shot = self._lit_picture(view.table_deg)
+        frame = Frame(
+            file=picture_file(view, main),
+            sha256="",
+            kind=view.kind,
+            band=main,
+            view=view.index if main else None,
+            ring=view.ring,
+            table_deg=view.table_deg,
+            table_read_deg=read_deg,
+            placement=self.placement,
+            joints_deg=joints_deg,
+            joints_read_deg=joints_read_deg,
+            exposure_s=shot.exposure_s,
+            gain=shot.gain,
+            time_s=round(self._now_s(), 6),
+        )
+        again = self._camera.picture().image if self._observer.watches_motion else None
+        return (frame, shot.image), self._other_bands(view, frame), again
+
+    def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
+        """Take the same view in all other bands of the camera, and restore the first band."""
+        taken: list[Picture] = []
+        for band in plan.ring_bands(self._scene, view.ring):
+            if band == frame.band:
+                continue
+            self._select(band)
+            shot = self._camera.picture()
+            self._turntable.verify(view.table_deg)
+            now_s = round(self._now_s(), 6)
+            own = replace(frame, file=picture_file(view, band), band=band, exposure_s=shot.exposure_s, gain=shot.gain, time_s=now_s)
+            taken.append((own, shot.image))
+        if taken:
+            self._select(frame.band)
+        return taken
+
+    def _lit_picture(self, angle_deg: float) -> Shot:
+        """Take a picture, and verify that the table is at rest and the brightness of the panel is unchanged.
+
+        The picture is the only evidence, because the state of the lamps cannot be read back.
+        """
+        bright = 0.0
+        for again in (False, True):
+            if again:
+                self._note(
+                    "lights",
+                    f"lights: the brightness of the panel changed from {self.bright:.2f} to {bright:.2f} of full scale; the lamps are "
+                    "switched on again",
+                )
+                self._turntable.light()
+            shot = self._camera.picture(table_deg=angle_deg)
+            self._turntable.verify(angle_deg)
+            bright = measure_exposure(shot.image).bright
+            if DIMMER * self.bright <= bright <= BRIGHTER * self.bright:
+                return shot
+        raise RigError(
+            f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self.bright:.0f} %; check the lamps, "
+            "their supply and that nothing hides the panel, then finish the scan with --resume"
+        )
+
+    def _select(self, band: str) -> None:
+        """Set lamps and filter for a band of the camera, unless they are already set."""
+        if band == self._selected:
+            return
+        self._selected = None
+        self._turntable.light(band)
+        self._turn_filter(band)
+        self._selected = band
+
+    def _turn_filter(self, band: str) -> None:
+        part = bands.band_part(self._devices.rig, band)
+        if part is not None and part.filter_deg is not None and self._devices.arm is not None:
+            self._devices.arm.turn_filter(part.filter_deg)
