@@ -158,7 +158,7 @@ def import_pictures(
     Dataset
         Imported dataset.
     """
-    from rhizotwin import importer
+    from rhizotwin.importer import picture_import
 
     require("folder", folder, "path")
     require("output", output, "path")
@@ -166,7 +166,7 @@ def import_pictures(
     given = scene if isinstance(scene, Scene) else load_scene(scene)
     with watch(monitor, {"copy": 1.0}) as bar:
         poses = None if cameras is None else Path(cameras)
-        made = importer.import_pictures(Path(folder), given, Path(output), cameras=poses, masks=masks, no_strip=no_strip, monitor=bar)
+        made = picture_import.import_pictures(Path(folder), given, Path(output), cameras=poses, masks=masks, no_strip=no_strip, monitor=bar)
     for note in made.notes:
         log.info(note)
     return made.dataset

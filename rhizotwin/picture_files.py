@@ -1,12 +1,15 @@
-"""Search for the pictures in a folder.
+"""Search for the pictures in a folder, and reading of a picture.
 
-They are sorted by file name, which is assumed to be the order in which they were taken.
+The pictures are sorted by file name, which is assumed to be the order in which they were taken.
 """
 
 import re
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.picture_codec import Grey, decode_grey
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
@@ -46,3 +49,12 @@ def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list
                 f"{folder} contains {other.name} and {path.name}, whose names differ only in the suffix; rename or remove one of them"
             )
     return paths
+
+
+def read_picture(path: Path, scene: Scene) -> tuple[bytes, Grey]:
+    """Return the content of a picture file, and the decoded grey picture.
+
+    A UserError is raised if the picture is incomplete, or if its size is not that of the camera.
+    """
+    data = read_file(path, most_mib=MOST_PICTURE_MIB)
+    return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)

@@ -4,10 +4,13 @@ A picture is damaged if rows of its pixels differ from those in all other pictur
 """
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_codec import Grey
 
 COLUMNS = 256
@@ -31,6 +34,10 @@ In 1,600 intact pictures of the accuracy ladder and of a real rig the difference
 WHOLE = 0.95
 """Maximum fraction of damaged rows in a damaged picture. A larger fraction indicates that the illumination has changed,
 which the checks of the reconstruction detect."""
+
+Alike: TypeAlias = tuple[int, str]
+"""Ring and band of a picture. Pictures that have the same ring and band are similar, and are compared with each
+other."""
 
 
 @dataclass(frozen=True)
@@ -94,3 +101,58 @@ class Turn:
             if rows.size and (excess > MORE).mean() < WHOLE:
                 found.append(Unlike(name, int(rows[0]), int(rows[-1])))
         return found
+
+
+class Turns:
+    """Detects damage in pictures whose file format has no checksum.
+
+    Each picture is compared with the other pictures of the same ring.
+    """
+
+    def __init__(self) -> None:
+        self._turns: dict[Alike, Turn] = {}
+        self._open: dict[str, Alike] = {}  # pictures without a checksum, with their ring and band
+        self._folder = Path()
+
+    def add(self, path: Path, ring: Alike, grey: Grey, *, sealed: bool) -> None:
+        """Add a picture to the pictures of its ring.
+
+        Parameters
+        ----------
+        path : Path
+            Picture file.
+        ring : Alike
+            Ring and band of the picture.
+        grey : (H, W) uint8 or uint16 array
+            Decoded picture.
+        sealed : bool
+            Whether the file format has a checksum, so that damage would already have been detected.
+        """
+        self._folder = path.parent
+        self._turns.setdefault(ring, Turn()).add(path.name, grey)
+        if not sealed:
+            self._open[path.name] = ring
+
+    def refuse_damaged(self) -> None:
+        """Raise UserError if rows of a picture without a checksum differ from those of all other pictures."""
+        for ring in sorted(set(self._open.values())):
+            for found in self._turns[ring].unlike():
+                if found.name in self._open:
+                    raise UserError(
+                        f"{self._folder / found.name}: rows {found.first} to {found.last} differ from all other pictures, which "
+                        "indicates damage. Copy or take the picture again, or remove it; if the picture is correct, convert it to "
+                        "PNG, whose checksum replaces this test"
+                    )
+
+    def notes(self) -> list[str]:
+        """Return notes about pictures that could not be checked for damage."""
+        if not self._open:
+            return []
+        apart = sum(not self._turns[ring].enough for ring in self._open.values())
+        but = "damage of less than a fifth of a row cannot be detected"
+        if apart:
+            but += f", and {apart} of them could not be compared, because their ring has fewer than {LEAST} pictures"
+        return [
+            f"{len(self._open)} pictures have a format without a checksum (JPEG, TIFF with LZW, PackBits or no compression), so {but}. "
+            "In PNG, and in TIFF with Deflate, any damage is detected"
+        ]

@@ -55,7 +55,7 @@ def import_(
     rhizotwin import my_masks --scene my_rig.toml --cameras transforms.json --masks -o my_dataset
     rhizotwin import my_gel_pictures --scene gel_cylinder --no-strip -o my_gel_scan
     """
-    from rhizotwin.importer import import_pictures
+    from rhizotwin.importer.picture_import import import_pictures
 
     described = subject.apply_to(files.load_scene(scene))
     with progress.bar(copy=1.0) as bar:

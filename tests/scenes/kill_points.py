@@ -100,7 +100,7 @@ def import_(work: Path) -> int:
     """Import pictures: there is nothing or all of them."""
     import numpy as np
 
-    from rhizotwin.importer import import_pictures
+    from rhizotwin.importer.picture_import import import_pictures
     from rhizotwin.scenes.files import load_scene
     from rhizotwin.scenes.model import Scene
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-import rhizotwin.importer
 import rhizotwin.scenes.atomic
 import rhizotwin.scenes.dataset
 import rhizotwin.scenes.folders
 import rhizotwin.sim.simulate
 from rhizotwin import cli
+from rhizotwin.importer import picture_copy, picture_import
 from rhizotwin.recon import carved_hull, read_pictures, reconstruct, shaping
 from rhizotwin.recon.calibration import markers, poses
 from rhizotwin.recon.coverage import background, silhouettes
@@ -133,10 +133,10 @@ def test_full_disk_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Pa
 
 IMPORT_MOMENTS = [
     *writes(1, 2, 8, 21, 22),
-    Moment(rhizotwin.importer, "list_pictures"),
-    Moment(rhizotwin.importer, "decode_grey", 4),
-    Moment(rhizotwin.importer, "write_bytes", 5),
-    Moment(rhizotwin.importer, "save_dataset"),
+    Moment(picture_import, "list_pictures"),
+    Moment(picture_copy, "decode_grey", 2),
+    Moment(picture_copy, "write_bytes", 5),
+    Moment(picture_import, "save_dataset"),
     Moment(Path, "mkdir"),
     Moment(Path, "rename"),
 ]
@@ -298,7 +298,7 @@ def test_ctrl_c_pressed_twice_lets_the_tidying_finish(made: Path, rig: Path, tmp
         tidy(*arguments, **options)
 
     fault.patch.setattr(rhizotwin.scenes.folders.shutil, "rmtree", press_again)
-    fault.patch.setattr(rhizotwin.importer, "save_dataset", lambda _: signal.raise_signal(signal.SIGINT))
+    fault.patch.setattr(picture_import, "save_dataset", lambda _: signal.raise_signal(signal.SIGINT))
     command.fails("import", made / "images", "--scene", rig, "-o", tmp_path / "out", named=["interrupted"], code=130)
     assert list(tmp_path.iterdir()) == []
 

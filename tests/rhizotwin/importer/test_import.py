@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from rhizotwin.importer import import_pictures
+from rhizotwin.importer.picture_import import import_pictures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
 from rhizotwin.scenes import files, frames, plan, transfer

@@ -1,0 +1,124 @@
+"""Copies of pictures in a dataset, with checks for damage and overexposure."""
+
+from pathlib import Path
+from typing import TypeAlias
+
+from rhizotwin import raw_pictures
+from rhizotwin.importer.camera_file import pose_of
+from rhizotwin.importer.silhouettes import encode_silhouette
+from rhizotwin.nerfstudio import GivenCameras
+from rhizotwin.picture_files import read_picture
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.dataset import Frame, file_sha256
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.picture_codec import Grey, decode_grey, encode_light_png
+from rhizotwin.scenes.picture_damage import is_sealed
+from rhizotwin.unlike_rows import Turns
+
+MOST_CLIPPED = 0.05
+"""Maximum fraction of saturated pixels in a picture. A picture with more saturated pixels is reported as overexposed,
+as in `rig.scanning.preflight`."""
+
+Placed: TypeAlias = tuple[int, str, int, float | None]
+"""View, band, ring and table angle of a picture."""
+
+
+class PictureCopier:
+    """Copies pictures to a dataset and collects notes about them.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene whose camera has the size of the pictures.
+    folder : Path
+        Dataset folder.
+    raw : bool
+        Whether the pictures are raw pictures (DNG).
+    white : int or None
+        Grey value of white in silhouettes; None for photographs.
+    given : GivenCameras or None
+        Cameras from a file; None if they are estimated from the markers.
+    """
+
+    def __init__(self, scene: Scene, folder: Path, *, raw: bool, white: int | None, given: GivenCameras | None) -> None:
+        self._scene, self._folder = scene, folder
+        self._raw, self._white, self._given = raw, white, given
+        self._gains: tuple[float, float] | None = None
+        self._turns = Turns()
+        self._count = 0
+        self.clipped: dict[str, float] = {}
+        """Fraction of saturated pixels in each overexposed picture, keyed by file name."""
+
+    def copy(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
+        """Copy all pictures to the dataset, and raise UserError if a picture is damaged.
+
+        ``table`` contains the view, band, ring and table angle of each picture.
+        """
+        found = []
+        with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
+            for path, placed in zip(paths, table, strict=True):
+                found.append(self._copy_picture(path, placed))
+                step()
+        self._turns.refuse_damaged()
+        self._count = len(found)
+        return tuple(found)
+
+    def _copy_picture(self, path: Path, placed: Placed) -> Frame:
+        """Write one picture to the dataset, and check its exposure."""
+        view, band, ring, table_deg = placed
+        if self._raw:
+            light, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
+            data = encode_light_png(light)
+        else:
+            data = _data_of(path, self._scene, white=self._white)
+        name = f"images/{path.stem}{'.png' if self._raw or self._white is not None else path.suffix.lower()}"
+        write_bytes(self._folder / name, data)
+        if self._white is None:
+            grey = decode_grey(data, where=str(path))
+            self._turns.add(path, (ring, band), grey, sealed=self._raw or is_sealed(data))
+            if (share := _clipped(grey)) > MOST_CLIPPED:
+                self.clipped[name] = round(share, 4)
+        pose = None if self._given is None else pose_of(path, self._given)
+        return Frame(
+            file=name,
+            sha256=file_sha256(self._folder / name),
+            kind=self._scene.plan.rings[ring].kind,
+            band=band,
+            view=view if band else None,
+            ring=ring,
+            table_deg=table_deg,
+            cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
+        )
+
+    def notes(self) -> list[str]:
+        """Return notes about overexposed pictures and about pictures that could not be checked for damage."""
+        if not self.clipped:
+            return self._turns.notes()
+        worst = max(self.clipped, key=lambda name: self.clipped[name])
+        return [
+            *self._turns.notes(),
+            f"warning: {len(self.clipped)} of {self._count} pictures are overexposed; the worst is {worst} with "
+            f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale, where the light absorbed by roots cannot be measured. "
+            "Reduce the exposure so that the panel is at 80 % of full scale",
+        ]
+
+
+def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
+    """Return the file content to be stored for a picture.
+
+    Photographs are stored unchanged. Silhouettes are scaled to 0..255 and stored as PNG.
+    """
+    data, grey = read_picture(path, scene)
+    return data if white is None else encode_silhouette(grey, white, path)
+
+
+def _clipped(grey: Grey) -> float:
+    """Return the fraction of saturated pixels in a picture.
+
+    The bit depth of the picture may be smaller than that of the file, such as 12 bits in a 16-bit file.
+    """
+    largest = int(grey.max())
+    # full scale of 8, 10, 12, 14 and 16 bits, and of 10, 12 and 14 bits shifted to 16 bits
+    full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}
+    return float((grey == largest).mean()) if largest in full else 0.0

@@ -1,0 +1,167 @@
+"""Conversion of existing pictures to a dataset.
+
+The camera poses are read from a file, or are estimated later from the markers.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rhizotwin import raw_pictures
+from rhizotwin.importer.camera_file import read_camera_file, with_cameras
+from rhizotwin.importer.picture_copy import PictureCopier
+from rhizotwin.importer.silhouettes import white_level
+from rhizotwin.nerfstudio import GivenCameras
+from rhizotwin.picture_files import SUFFIXES, list_pictures
+from rhizotwin.scenes import plan, transfer
+from rhizotwin.scenes.dataset import Dataset, save_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.provenance import versions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """Dataset that was imported, and notes about decisions that the import has made automatically."""
+
+    dataset: Dataset
+    notes: tuple[str, ...]
+    """Sentences for the user about automatic decisions, conversions and excluded pictures."""
+
+
+def import_pictures(
+    folder: Path,
+    scene: Scene,
+    out: Path,
+    *,
+    cameras: Path | None = None,
+    masks: bool = False,
+    no_strip: bool = False,
+    monitor: Monitor | None = None,
+) -> Imported:
+    """Copy a folder of pictures to a new dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of PNG, JPG or TIFF pictures (8 or 16 bits) or raw pictures (DNG), read in the natural order of names.
+    scene : Scene
+        Scene of the rig. The picture size of its camera must match, unless ``cameras`` contains a lens.
+    out : Path
+        New or empty dataset folder, which is written atomically.
+    cameras : Path or None
+        File in nerfstudio's format transforms.json, in the canister frame, mm (see `rhizotwin.nerfstudio`). Pictures
+        without a camera are excluded and listed in a note. None: poses are estimated from the marker strip.
+    masks : bool
+        The pictures are silhouettes with white roots on black; requires ``cameras``.
+    no_strip : bool
+        The pictures show no marker strip; the cameras are estimated from the edges of the canister and from the roots
+        (telecentric camera, one ring).
+    monitor : Monitor, optional
+        Receiver of the progress.
+
+    Raises
+    ------
+    UserError
+        If a picture is unreadable, damaged or of another size, if silhouettes contain grey areas, or if cameras and
+        pictures do not correspond.
+    """
+    _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
+    scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
+    paths, raw = _pictures_in(folder, masks=masks)
+    notes: list[str] = []
+    given: GivenCameras | None = None
+    if cameras is not None:
+        scene, given = read_camera_file(scene, cameras)
+        paths = with_cameras(paths, given, cameras, notes)
+    bands = _bands_of(paths, scene)
+    angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
+    table = [(view, band, *angles[view]) for view, band in bands]
+    white = white_level(paths, scene) if masks else None
+    notes += [_curve_note(paths, scene, raw=raw)] if white is None else []
+    origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
+    with new_folder(out) as building:
+        copier = PictureCopier(scene, building, raw=raw, white=white, given=given)
+        frames = copier.copy(paths, table, monitor or Monitor())
+        origin |= {"clipped": copier.clipped, "versions": versions()}
+        dataset = save_dataset(Dataset(folder=building, scene=scene, frames=frames, masks=masks, origin=origin))
+    return Imported(dataset=replace(dataset, folder=out), notes=(*notes, *copier.notes()))
+
+
+def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
+    """Return the view number and the spectral band of each picture.
+
+    If the camera has bands, the file name ends with ``_BAND``, and the pictures of one view have the same name before
+    this suffix. Without bands, each picture is a view with the band "".
+    """
+    names = [band.name for band in scene.camera.bands]
+    if not names:
+        return [(number, "") for number in range(len(paths))]
+    found, views = [], dict[str, int]()
+    for path in paths:
+        ends = [name for name in names if path.stem.endswith(f"_{name}")]
+        if not ends:
+            example = f"{path.stem}_{names[0]}{path.suffix}"
+            raise UserError(f"{path}: the file name does not end with one of the camera's bands; rename the file, for example to {example}")
+        band = max(ends, key=len)
+        found.append((views.setdefault(path.stem.removesuffix(f"_{band}"), len(views)), band))
+    return found
+
+
+def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
+    """Raise UserError if options were given that cannot be combined."""
+    if scene.tank is not None and (cameras is not None or no_strip):
+        raise UserError(
+            f"scene {scene.name} has a tank, whose pose is estimated from the marker strip; "
+            "remove --cameras or --no-strip, or the [tank] section of the scene"
+        )
+    if masks and cameras is None:
+        raise UserError("silhouettes (--masks) show no markers from which the cameras could be estimated; give --cameras JSON")
+    if no_strip and cameras is not None:
+        raise UserError("--no-strip and --cameras cannot be used together; remove one of them")
+
+
+def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
+    """Return the paths of the pictures in a folder, and whether they are raw pictures."""
+    paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_pictures.SUFFIXES))
+    raw = [path for path in paths if raw_pictures.is_raw(path)]
+    if raw and len(raw) < len(paths):
+        other = next(path for path in paths if path not in raw)
+        raise UserError(
+            f"{folder} contains raw pictures ({raw[0].name}) and other pictures ({other.name}); use a separate folder for each type"
+        )
+    return paths, bool(raw)
+
+
+def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: list[str]) -> list[tuple[int, float | None]]:
+    """Return the ring and the table angle of each view, and add a note about their source.
+
+    They are read from the capture plan of the scene. If the plan has a different number of views than the folder, or if
+    the cameras are given, all views are in ring 0, and their angle is None.
+    """
+    if given is not None:
+        return [(0, None)] * count
+    views = plan.views(scene)
+    if len(views) == count:
+        notes.append(f"table angles were copied from the capture plan of the scene ({count} views), in the order of the file names")
+        return [(view.ring, view.table_deg) for view in views]
+    notes.append(
+        f"table angles will be estimated from the markers, because there are {count} pictures but the capture plan has {len(views)} views"
+    )
+    return [(0, None)] * count
+
+
+def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
+    """Return a note about the response curve with which the pictures are read."""
+    if raw:
+        return (
+            "raw pictures were converted: each block of pixels was averaged to one grey pixel with linear values, with "
+            "the white balance of the first picture"
+        )
+    stated = transfer.camera_curve(scene.camera)
+    words = {word.name for path in paths if (word := transfer.read_stated_curve(path)) is not None}
+    if not words:
+        return f"response curve: {stated.name}, as in the scene's camera, because the pictures do not state their response curve"
+    return f"response curve: {', '.join(sorted(words))}, as stated in the pictures"
