@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rhizotwin.catalogue import export, schema
 from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
 from rhizotwin.experiment.phantom import LEAST_MM, measure_wires
 from rhizotwin.scenes import atomic
@@ -166,7 +167,7 @@ def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str])
     """
     title = html.escape(catalogue.path.stem)
     parts = [f"<h1>{title}</h1>", f"<p>{_counts(catalogue)}</p>", "<h2>Plants</h2>", _plants(catalogue)]
-    if missed := catalogue.visits(state="missed"):
+    if missed := list_visits(catalogue, state="missed"):
         rows = [(one.plant, one.due_utc, one.note) for one in missed]
         parts += ["<h2>Missed scans</h2>", _html_table(("plant", "due (UTC)", "reason"), rows)]
     parts.append("<h2>The rig over time</h2>")

@@ -4,14 +4,13 @@ import sqlite3
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from rhizotwin.catalogue import plant_rows, schema
-from rhizotwin.catalogue.records import Mass, Plant, Scan, State, StoredResult, Tag, Visit
+from rhizotwin.catalogue.records import Mass, Plant, Scan, StoredResult, Tag
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place
 from rhizotwin.scenes.solution import Solution
@@ -287,80 +286,7 @@ class Catalogue:
         """Return the paths of the CSV tables from which the masses were read."""
         return [self.full_path(row["path"]) for row in self.rows("SELECT path FROM tables ORDER BY path")]
 
-    # visits
-
-    def plan_visits(self, visits: Sequence[tuple[str, str]]) -> None:
-        """Add planned scans, given as pairs of plant name and planned time (UTC, ISO 8601).
-
-        Scans that are already in the catalogue are not changed.
-        """
-        with self.writing():
-            for plant, due_utc in visits:
-                self.connection.execute(
-                    "INSERT INTO visits (plant, due_utc, state) SELECT id, ?, 'due' FROM plants WHERE name = ? ON CONFLICT DO NOTHING",
-                    (due_utc, plant),
-                )
-
-    def visits(self, *, plant: str | None = None, state: State | None = None) -> list[Visit]:
-        """Return the planned scans that match all given criteria.
-
-        They are sorted by planned time. Scans that are planned for the same time are sorted by the order in which they
-        were added.
-        """
-        found = self.rows(
-            "SELECT v.*, p.name, s.path FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan"
-            " WHERE (?1 IS NULL OR p.name = ?1) AND (?2 IS NULL OR v.state = ?2) ORDER BY v.due_utc, v.id",
-            (plant, state),
-        )
-        return [
-            Visit(
-                plant=row["name"],
-                due_utc=row["due_utc"],
-                state=row["state"],
-                began_utc=row["began_utc"],
-                ended_utc=row["ended_utc"],
-                scan=None if row["path"] is None else self.full_path(row["path"]),
-                note=row["note"],
-            )
-            for row in found
-        ]
-
-    def update_visit(self, visit: Visit, *, state: State, at_utc: str, scan: Path | None = None, note: str = "") -> Visit:
-        """Change the state of a planned scan.
-
-        Parameters
-        ----------
-        visit : Visit
-            Planned scan from `visits`.
-        state : State
-            New state.
-        at_utc : str
-            Time of the change, UTC (ISO 8601).
-        scan : Path or None
-            Folder of the finished dataset, which must be in the catalogue.
-        note : str
-            Reason for the change, for the user.
-
-        Returns
-        -------
-        Visit
-            Changed entry.
-
-        Raises
-        ------
-        UserError
-            If the dataset is not in the catalogue.
-        """
-        began = visit.began_utc or (at_utc if state == "scanning" else "")
-        ended = at_utc if state in ("scanned", "missed") else ""
-        with self.writing():
-            number = None if scan is None else self.scan_id(scan)
-            self.connection.execute(
-                "UPDATE visits SET state = ?, began_utc = ?, ended_utc = ?, scan = ?, note = ?"
-                " WHERE due_utc = ? AND plant = (SELECT id FROM plants WHERE name = ?)",
-                (state, began, ended, number, note, visit.due_utc, visit.plant),
-            )
-        return replace(visit, state=state, began_utc=began, ended_utc=ended, scan=scan, note=note)
+    # row numbers
 
     def scan_id(self, folder: Path) -> int:
         """Return the row number of a dataset.
@@ -374,8 +300,6 @@ class Catalogue:
         if not found:
             raise UserError(f"{folder}: the dataset is not in {self.path}; add it with `rhizotwin catalogue add`")
         return int(found[0][0])
-
-    # helpers for `catalogue.adding`
 
     def solution_id(self, solution: Solution) -> int | None:
         """Return the row number of a nutrient solution.

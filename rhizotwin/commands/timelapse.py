@@ -92,6 +92,7 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
     rhizotwin timelapse status my_experiment.toml
     """
     from rhizotwin.catalogue.store import Catalogue
+    from rhizotwin.catalogue.visits import list_visits
     from rhizotwin.timelapse.experiment import load_experiment
     from rhizotwin.timelapse.runner import outcome_of
 
@@ -100,7 +101,7 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
         print(f"{count(len(loaded.visits()), 'scan')} planned; none has been started")
         return
     with Catalogue.open(loaded.catalogue_path, read_only=True) as catalogue:
-        for visit in catalogue.visits() if every else ():
+        for visit in list_visits(catalogue) if every else ():
             print(f"{visit.due_utc}  {visit.state:<9}{visit.plant}{f': {visit.note}' if visit.note else ''}")
         _print(loaded, outcome_of(loaded, catalogue))
 

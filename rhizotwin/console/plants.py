@@ -13,6 +13,7 @@ from rhizotwin.catalogue import adding
 from rhizotwin.catalogue.identity import WrongPlantError, check_plant, identify
 from rhizotwin.catalogue.records import Plant, Visit
 from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import MarkerStrip, Scene
 from rhizotwin.scenes.picture_codec import Grey
@@ -115,7 +116,7 @@ class Plants:
         stamp = (today, *(_stamp(self.path.with_name(f"{self.path.name}{end}")) for end in ("", "-wal")))
         if stamp != self._stamp:
             with Catalogue.open(self.path, read_only=True) as catalogue:
-                self._plain = _plants(catalogue, today), _visits(catalogue.visits(), today)
+                self._plain = _plants(catalogue, today), _visits(list_visits(catalogue), today)
             self._stamp = stamp
         return self._plain
 

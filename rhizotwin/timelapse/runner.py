@@ -15,6 +15,7 @@ from rhizotwin import rigs
 from rhizotwin.catalogue import adding, identity
 from rhizotwin.catalogue.records import State, Visit
 from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.visits import list_visits, plan_visits, update_visit
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.observer import Observer
@@ -138,12 +139,12 @@ class Runner:
         with catalogue.writing():
             for member in self.experiment.plants:
                 catalogue.add_plant(self.experiment.plant(member))
-            catalogue.plan_visits(self.experiment.visits())
+            plan_visits(catalogue, self.experiment.visits())
 
     def _usual_calendar(self, catalogue: Catalogue) -> Calendar:
         if not self.experiment.is_emulated:
             return SystemCalendar()
-        times = [one for visit in catalogue.visits() for one in (visit.began_utc, visit.ended_utc) if one]
+        times = [one for visit in list_visits(catalogue) for one in (visit.began_utc, visit.ended_utc) if one]
         return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
 
     def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
@@ -208,7 +209,7 @@ class Runner:
         """
         with catalogue.writing():
             adding.add_scan(catalogue, folder)
-            done = catalogue.update_visit(visit, state="scanned", at_utc=self._now().isoformat(timespec="seconds"), scan=folder)
+            done = update_visit(catalogue, visit, state="scanned", at_utc=self._now().isoformat(timespec="seconds"), scan=folder)
         pictures = len(load_dataset(folder).frames)
         self.listener.say(f"{visit.plant}: the scan planned for {visit.due_utc} is finished, with {pictures} pictures in {folder}")
         self.listener.on_visit(done)
@@ -223,7 +224,7 @@ class Runner:
         return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
 
     def _change(self, catalogue: Catalogue, visit: Visit, *, state: State, note: str) -> Visit:
-        changed = catalogue.update_visit(visit, state=state, at_utc=self._now().isoformat(timespec="seconds"), note=note)
+        changed = update_visit(catalogue, visit, state=state, at_utc=self._now().isoformat(timespec="seconds"), note=note)
         if state == "missed":
             self.listener.say(f"{visit.plant}: the scan planned for {visit.due_utc} was missed: {note}")
         self.listener.on_visit(changed)
@@ -253,7 +254,7 @@ class Runner:
 
 def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
     """Return the current state of an experiment from its catalogue."""
-    visits = catalogue.visits()
+    visits = list_visits(catalogue)
     page = experiment.results_folder / reconstruction.GROWTH / "growth.html"
     return Outcome(
         scanned=sum(one.state == "scanned" for one in visits),
@@ -265,4 +266,4 @@ def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
 
 def _next_visit(catalogue: Catalogue) -> Visit | None:
     """Return the earliest scan that is still to be performed, or None if there is none."""
-    return next((one for one in catalogue.visits() if one.state in ("due", "scanning")), None)
+    return next((one for one in list_visits(catalogue) if one.state in ("due", "scanning")), None)

@@ -14,6 +14,7 @@ import pytest
 
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
+from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import load_dataset
@@ -213,7 +214,7 @@ def test_killed_at_random_points(make_experiment):
                         kept.setdefault(file, file.stat().st_mtime_ns)
     assert kills == KILLS
     with Catalogue.open(experiment.catalogue_path) as catalogue:
-        visits = catalogue.visits()
+        visits = list_visits(catalogue)
         assert len(visits) == 60
         assert all(one.state == "scanned" for one in visits)
         assert len({one.scan for one in visits}) == len(catalogue.scans()) == 60
