@@ -25,6 +25,7 @@ from rhizotwin.scenes import polyline, rsml, series
 from rhizotwin.scenes.files import load_profile, load_scene
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.solution import Solution
 
 Array = NDArray[np.float64]
@@ -117,8 +118,8 @@ def measure(profile: str, *, say: Say) -> Links:
 def links(scans: Path, results: Path) -> Links:
     """Link the roots of results by day, and check the links by the truth of the scans with the same names."""
     names = [f"day{day:04.1f}" for day in DAYS]
-    found = [rsml.read_rsml(results / name / "roots.rsml") for name in names]
-    true = [{root.label: root for root in rsml.read_rsml(scans / name / "truth" / "skeleton.rsml")} for name in names]
+    found = [read_rsml(results / name / "roots.rsml") for name in names]
+    true = [{root.label: root for root in read_rsml(scans / name / "truth" / "skeleton.rsml")} for name in names]
     followed = track_roots([Day(day=day, roots=roots) for day, roots in zip(DAYS, found, strict=True)])
     labels = [match_labels(roots, of) for roots, of in zip(found, true, strict=True)]
     return _check_links(followed, labels, true)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.corrections.session import Session
-from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.stored import result_files
 from rhizotwin.viewer import app
 from rhizotwin.viewer.app import Viewer, screen_of
@@ -89,7 +89,7 @@ def debris(session: Session, added: Array) -> list[int]:
 
 def _truth(result: Path) -> tuple[Root, ...]:
     """Return the true roots of a simulated scan."""
-    return rsml.read_rsml(Path(str(result_files.read_summary(result)["dataset"])) / "truth" / "skeleton.rsml")
+    return read_rsml(Path(str(result_files.read_summary(result)["dataset"])) / "truth" / "skeleton.rsml")
 
 
 def _remove_roots(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:

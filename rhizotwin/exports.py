@@ -28,6 +28,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.through_water import Pictures
 from rhizotwin.undistorted import VirtualCamera, best_distance_mm
@@ -122,7 +123,7 @@ def _mesh(result_folder: Path, output: Path) -> list[Path]:
 
 def _tubes(result_folder: Path, output: Path, colour: str) -> list[Path]:
     """Write the roots as a mesh of coloured tubes."""
-    return _write_mesh(root_mesh.tubes(rsml.read_rsml(_roots_of(result_folder)), colour=colour), output)
+    return _write_mesh(root_mesh.tubes(read_rsml(_roots_of(result_folder)), colour=colour), output)
 
 
 def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
@@ -139,7 +140,7 @@ def _rsml(result_folder: Path, output: Path) -> list[Path]:
 
     The name of the file becomes the key of the root system.
     """
-    rsml.write_rsml(output, rsml.read_rsml(_roots_of(result_folder)))
+    rsml.write_rsml(output, read_rsml(_roots_of(result_folder)))
     return [output]
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.scenes import polyline, rsml
-from rhizotwin.scenes.rsml import Root, RsmlFile
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import RsmlFile
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import Root, RsmlFile, read_file
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import RsmlFile, read_file
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
 from rhizotwin.scenes.traced_roots import close_gaps, merge_shared_stretches

@@ -12,6 +12,7 @@ from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, format_exact
 from rhizotwin.stored import result_files
 
@@ -145,7 +146,7 @@ def _track(days: Sequence[Measured]) -> TrackedPlant | None:
     for one in days:
         file = None if one.folder is None else one.folder / "roots.rsml"
         if file is not None and file.is_file():
-            roots = rsml.read_rsml(file)
+            roots = read_rsml(file)
             if len({root.plant for root in roots}) > 1:
                 roots = rsml.plant_roots(roots, one.subject.plant)
             known.append(Day(day=one.subject.day or 0.0, roots=roots))

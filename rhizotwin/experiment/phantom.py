@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.series import tube_mm3
 
 COPPER_MG_PER_MM3 = 8.96
@@ -95,7 +96,7 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
     if not file.is_file():
         raise UserError(f"{file} does not exist, because the reconstruction found no centre lines; no wire can be measured")
     lengths, volumes = dict.fromkeys(ordered, 0.0), dict.fromkeys(ordered, 0.0)
-    for root in rsml.read_rsml(file):
+    for root in read_rsml(file):
         length, volume = rsml.length_mm([root]), tube_mm3([root])
         if length <= 0.0 or volume <= 0.0:
             continue

@@ -14,10 +14,10 @@ import numpy as np
 
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result import Result, Triple, triple
-from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import load_truth
 from rhizotwin.scoring import score_traits
@@ -218,7 +218,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     except ValueError as error:
         raise UserError(f"{mesh_path}: {error}; repeat the simulation") from None
     skeleton = mesh_path.parent / "skeleton.rsml"
-    true_roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
+    true_roots = read_rsml(skeleton) if skeleton.is_file() else ()
     both = found.roots and true_roots
     return Score(
         **volume_fields(found, truth.volume_mm3),

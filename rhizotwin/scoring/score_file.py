@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon import surface_sample
 from rhizotwin.recon.hull import surface
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import Truth, load_truth
 from rhizotwin.scoring import foreign_files, surface_distance, voxelise
@@ -231,7 +231,7 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         If the file cannot be read, or the dataset has no true centre lines.
     """
     known = _Known.of(dataset)
-    roots = rsml.read_rsml(Path(file))
+    roots = read_rsml(Path(file))
     if not known.roots:
         raise UserError(f"{known.folder}: the specimen has no true centre lines with which an RSML file could be compared")
     if not roots:
@@ -297,7 +297,7 @@ class _Known:
             loaded.scene.name,
             load_truth(loaded.folder),
             result_files.read_mesh(mesh_path),
-            rsml.read_rsml(skeleton) if skeleton.is_file() else (),
+            read_rsml(skeleton) if skeleton.is_file() else (),
         )
 
     def extents_error(self, points_mm: Floats) -> tuple[float, float, float]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh
-from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
@@ -19,6 +18,7 @@ from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.stored import plain_ply, summary_checks
 
@@ -197,7 +197,7 @@ def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
 def read_roots(folder: Path) -> tuple[Root, ...]:
     """Read the roots of a result. The tuple is empty if the result is a solid without roots."""
     file = folder / "roots.rsml"
-    return rsml.read_rsml(file) if file.is_file() else ()
+    return read_rsml(file) if file.is_file() else ()
 
 
 def finest_mm(summary: Json) -> float:

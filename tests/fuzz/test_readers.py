@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from rhizotwin.building.measures import load_measures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.rig.rig_file import load_rig
-from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.picture_codec import decode_grey
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
 from tests.fuzz.mutate import mutated
@@ -33,7 +33,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "result/result.json": lambda path: load_result(path.parent),
     "result/shape.npz": lambda path: result_files.read_leaves(path.parent),
     "result/shape.ply": result_files.read_mesh,
-    "result/roots.rsml": rsml.read_rsml,
+    "result/roots.rsml": read_rsml,
     **{
         name: lambda path: decode_grey(path.read_bytes(), where=path.name)
         for name in ("eight.png", "sixteen.png", "colour.png", "picture.jpg", "deflate.tiff", "lzw.tiff", "bare.tif")

@@ -9,7 +9,8 @@ import trimesh
 
 from rhizotwin import exports, root_mesh
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root, read_rsml, write_rsml
+from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.scenes.rsml_reader import read_rsml
 
 
 def bent(order: int, diameter_mm: float, *, parent: int = -1) -> Root:

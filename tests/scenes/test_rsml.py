@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root, plant_roots, read_rsml, write_rsml
+from rhizotwin.scenes.rsml import Root, plant_roots, write_rsml
+from rhizotwin.scenes.rsml_reader import read_rsml
 
 LINE = '<geometry><polyline><point x="0" y="0" z="-1"/><point x="0" y="0" z="-2"/><point x="0" y="0" z="-4"/></polyline></geometry>'
 SAMPLES = '<sample value="0.5"/><sample value="0.4"/><sample value="0.1"/>'

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import xmlschema
 
-from rhizotwin.scenes.rsml import Root, read_rsml, write_rsml
+from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.scenes.rsml_reader import read_rsml
 
 TAP = Root(
     points_mm=np.array([[0.0, 1e-7, -1.0], [0.0, 0.0, -2.0], [1.5e-16, 123456789.25, -40.0]]),

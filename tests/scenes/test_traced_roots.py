@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes import traced_roots
-from rhizotwin.scenes.rsml import Root, length_mm, read_file
+from rhizotwin.scenes.rsml import Root, length_mm
+from rhizotwin.scenes.rsml_reader import read_file
 
 FILE = """<rsml><metadata><unit>mm</unit></metadata><scene><plant><root><geometry><polyline>
 <point x="0" y="0" z="-10"/><point x="0" y="0" z="-20"/><point x="0" y="0" z="-30"/></polyline></geometry>

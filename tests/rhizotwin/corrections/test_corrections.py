@@ -13,7 +13,7 @@ from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.roots import plants as recon_plants
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant as ScenePlant
-from rhizotwin.scenes.rsml import read_rsml
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.stored.load import load_result

@@ -21,7 +21,7 @@ from rhizotwin.report import page, rig_figure, shape_data, words
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.assessment import Assessment, Verdict
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.rsml import read_rsml
+from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
