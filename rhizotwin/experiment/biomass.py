@@ -181,7 +181,7 @@ def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool,
     error, held = np.empty(len(x)), np.empty(len(x), bool)
     for plant in np.unique(plants):  # all days of a plant are excluded together
         out = plants == plant
-        line = fit_line(x[~out], y[~out], value_sigma[~out], y_sigma[~out], slope=slope)
+        line = fit_line(x[~out], y[~out], value_sigma[~out], y_sigma[~out], groups=plants[~out], slope=slope)
         middle, spread = line.at(x[out], x_sigma=value_sigma[out], y_sigma=y_sigma[out])
         error[out] = np.expm1(middle - y[out])
         held[out] = np.abs(middle - y[out]) <= line.reach(SHARE) * spread
@@ -189,7 +189,7 @@ def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool,
         kind=kind,
         trait=trait,
         proportional=proportional,
-        line=fit_line(x, y, value_sigma, y_sigma, slope=slope),
+        line=fit_line(x, y, value_sigma, y_sigma, groups=plants, slope=slope),
         least=float(value.min()),
         most=float(value.max()),
         plants=len(np.unique(plants)),

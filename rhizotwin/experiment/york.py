@@ -6,6 +6,7 @@ equals the degrees of freedom (Paule and Mandel 1982, Journal of Research of the
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class Line:
     chi2: float
     """Weighted sum of squared residuals."""
     dof: int
-    """Degrees of freedom: number of points minus number of parameters."""
+    """Degrees of freedom: number of groups of correlated points minus number of parameters."""
 
     def at(self, x: Array, *, x_sigma: Array | float = 0.0, y_sigma: Array | float = 0.0) -> tuple[Array, Array]:
         """Return the predicted y (N,) and the standard deviation (N,) of a new measurement of y.
@@ -60,15 +61,30 @@ class Line:
         return float(student.ppf(0.5 + share / 2.0, self.dof))
 
 
-def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float | None = None, scatter: bool = True) -> Line:
+def fit_line(
+    x: Array,
+    y: Array,
+    x_sigma: Array,
+    y_sigma: Array,
+    *,
+    groups: NDArray[Any] | None = None,
+    slope: float | None = None,
+    scatter: bool = True,
+) -> Line:
     """Fit a line to points with errors in both coordinates.
+
+    The variances of the ``n`` points of a group are multiplied by ``n``, so that the group has the weight of one point,
+    as if its points were fully correlated. The uncertainty is too large if their correlation is small.
 
     Parameters
     ----------
     x, y : (N,) float64 array
         Coordinates of the points.
     x_sigma, y_sigma : (N,) float64 array
-        Standard deviations of independent errors, may be zero.
+        Standard deviations of the errors, may be zero.
+    groups : (N,) array or None
+        Group of each point, for example the plant that was measured on several days. Points of different groups are
+        independent. None: all points are independent.
     slope : float or None
         Fixed slope. None: the slope is fitted.
     scatter : bool
@@ -77,28 +93,31 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
     Raises
     ------
     ValueError
-        If there are too few points to estimate an uncertainty.
+        If there are too few groups to estimate an uncertainty.
     """
     parameters = 1 if slope is not None else 2
-    if len(x) <= parameters:
-        raise ValueError(f"{len(x)} points are too few to fit {parameters} parameters with an uncertainty")
+    _, group, sizes = np.unique(np.arange(len(x)) if groups is None else groups, return_inverse=True, return_counts=True)
+    if len(sizes) <= parameters:
+        raise ValueError(f"{len(sizes)} independent points are too few to fit {parameters} parameters with an uncertainty")
+    size, dof = sizes[group], len(sizes) - parameters
     spread = float(np.var(y)) + float(np.var(x))
     least = 1e-12 * max(spread, 1e-12)  # keeps the weights finite for points without errors and scatter
 
     def line(extra: float) -> Line:
-        return _fit_york(x, y, x_sigma**2, y_sigma**2 + extra + (least if scatter else 0.0), slope)
+        y_var = y_sigma**2 + extra + (least if scatter else 0.0)
+        return _fit_york(x, y, size * x_sigma**2, size * y_var, slope=slope, dof=dof)
 
     bare = line(0.0)
-    if not scatter or bare.chi2 <= bare.dof:
+    if not scatter or bare.chi2 <= dof:
         return bare
     most = spread
-    while line(most).chi2 > bare.dof:
+    while line(most).chi2 > dof:
         most *= 2.0
-    found = float(brentq(lambda extra: line(extra).chi2 - bare.dof, 0.0, most, xtol=1e-12 * most))
+    found = float(brentq(lambda extra: line(extra).chi2 - dof, 0.0, most, xtol=1e-12 * most))
     return replace(line(found), scatter=found**0.5)
 
 
-def _fit_york(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | None) -> Line:
+def _fit_york(x: Array, y: Array, x_var: Array, y_var: Array, *, slope: float | None, dof: int) -> Line:
     """Fit York's line to points (N,) with given variances.
 
     If a slope is given, it is not fitted and has zero variance.
@@ -120,5 +139,4 @@ def _fit_york(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | Non
     b_var = 0.0 if slope is not None else float(1.0 / np.sum(weight * (adjusted - centre) ** 2))
     a_var = float(1.0 / np.sum(weight)) + centre**2 * b_var
     covariance = ((a_var, -centre * b_var), (-centre * b_var, b_var))
-    dof = len(x) - (1 if slope is not None else 2)
     return Line(intercept=float(y_mean - b * x_mean), slope=b, covariance=covariance, scatter=0.0, chi2=chi2, dof=dof)

@@ -92,6 +92,14 @@ def test_the_density_is_found_and_unseen_plants_lie_in_their_intervals(twins: li
     assert np.log(high / low) / 2.0 == pytest.approx(1.73 * 0.03, rel=0.2)  # Student's t of 19 degrees of freedom
 
 
+def test_a_plant_that_is_weighed_on_six_days_counts_once(twins: list[Measured], tmp_path: Path) -> None:
+    once, _ = biomass.pairs(twins[::5], read_masses(weigh(tmp_path / "m.csv", twins), balance_g=1e-4))
+    one, six = (biomass.fit(found, balance_g=1e-4).tried for found in (once, 6 * once))
+    for a, b in zip(one, six, strict=True):
+        assert b.line.dof == 4 - (1 if b.proportional else 2)
+        assert b.predict(500.0, 0.03) == pytest.approx(a.predict(500.0, 0.03), rel=1e-6)
+
+
 def test_a_model_is_read_back_and_predicts(twins: list[Measured], tmp_path: Path) -> None:
     found, _ = biomass.pairs(twins, read_masses(weigh(tmp_path / "m.csv", twins), balance_g=1e-4))
     model = biomass.fit(found, balance_g=1e-4)
