@@ -4,7 +4,8 @@ The logarithm of a trait of plant i on day t follows a linear mixed model (Laird
 fixed effects are a level per day, the effect of the treatment on the level on the mean day, and its effect on the daily
 rate. The random effects are a level and a slope per plant. The plants are the statistical units, however many times
 each plant is measured. The t statistic of a difference between treatments therefore has (plants - treatments) degrees
-of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69).
+of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69), or (observations -
+fixed effects) if this is less.
 """
 
 import warnings
@@ -25,6 +26,9 @@ SURE = 0.05
 """Significance level for differences between treatments."""
 ROUNDING = 1e-12
 """Magnitude up to which a difference of logarithms, or its standard error, is regarded as zero."""
+DEPENDENT = 1e-6
+"""Minimum singular value of a design whose columns have unit length. Below it, the effects cannot be separated. It
+exceeds the rounding errors of tables, which contain seven digits."""
 LEAST_PLANTS = 2
 """Minimum number of plants per treatment for a comparison."""
 
@@ -148,16 +152,26 @@ def _plants(seen: Sequence[Observation]) -> dict[str, set[str]]:
     return {name: {one.plant for one in seen if one.treatment == name} for name in sorted({one.treatment for one in seen})}
 
 
-def too_few(seen: Sequence[Observation]) -> str:
+def reason_not_comparable(seen: Sequence[Observation]) -> str:
     """Return the reason why treatments cannot be compared.
 
     It is empty if they can be compared, or if there is only one treatment.
     """
     plants = _plants(seen)
     few = [name for name, own in plants.items() if len(own) < LEAST_PLANTS]
-    if len(plants) < 2 or not few:
-        return ""
-    return f"treatment {few[0]!r} has {len(plants[few[0]])} plant, but a comparison needs at least {LEAST_PLANTS} plants per treatment"
+    if len(plants) > 1 and few:
+        return f"treatment {few[0]!r} has {len(plants[few[0]])} plant, but a comparison needs at least {LEAST_PLANTS} plants per treatment"
+    treatments = list(plants)
+    for name in treatments[1:]:
+        if why := reason_not_estimable(*_pair(seen, treatments[0], name), whose=f"the treatments {treatments[0]!r} and {name!r}"):
+            return why
+    return ""
+
+
+def _pair(seen: Sequence[Observation], against: str, treatment: str) -> tuple[list[Observation], Array]:
+    """Return the observations (N,) of two treatments, and their covariate (N, 1), which is 1 for ``treatment``."""
+    both = [one for one in seen if one.treatment in (against, treatment)]
+    return both, np.array([[one.treatment == treatment] for one in both], np.float64)
 
 
 def differences(seen: Sequence[Observation]) -> list[Difference]:
@@ -166,21 +180,16 @@ def differences(seen: Sequence[Observation]) -> list[Difference]:
     Raises
     ------
     UserError
-        If statsmodels is not installed, or a treatment has fewer than two plants.
+        If statsmodels is not installed, or the treatments cannot be compared (`reason_not_comparable`).
     """
-    if why := too_few(seen):
+    if why := reason_not_comparable(seen):
         raise UserError(why)
-    plants = _plants(seen)
-    treatments, found = list(plants), []
-    for name in treatments[1:]:
-        both = [one for one in seen if one.treatment in (treatments[0], name)]
-        found.append(_difference(both, against=treatments[0], treatment=name, plants=len(plants[name]) + len(plants[treatments[0]])))
-    return found
+    against, *others = _plants(seen)
+    return [_difference(*_pair(seen, against, name), against=against, treatment=name) for name in others]
 
 
-def _difference(seen: Sequence[Observation], *, against: str, treatment: str, plants: int) -> Difference:
-    treated = np.array([one.treatment == treatment for one in seen], np.float64)
-    size, rate = effects(seen, treated[:, None])
+def _difference(seen: Sequence[Observation], columns: Array, *, against: str, treatment: str) -> Difference:
+    size, rate = effects(seen, columns)
     low, high = size[0].interval
     return Difference(
         treatment=treatment,
@@ -190,8 +199,29 @@ def _difference(seen: Sequence[Observation], *, against: str, treatment: str, pl
         size_p=size[0].p,
         rate_per_day=rate[0].value if rate else 0.0,
         rate_p=rate[0].p if rate else 1.0,
-        plants=plants,
+        plants=len({one.plant for one in seen}),
     )
+
+
+def reason_not_estimable(seen: Sequence[Observation], columns: Array, *, whose: str) -> str:
+    """Return the reason why the effects of covariates cannot be estimated. It is empty if they can be estimated.
+
+    Parameters
+    ----------
+    seen : sequence of Observation
+        Observations of the plants.
+    columns : (N, C) array of float
+        Covariates of each observation's plant.
+    whose : str
+        Subject of the sentence, a plural, for example "the treatments 'A' and 'B'".
+    """
+    design = _design(seen, columns)
+    length = np.linalg.norm(design, axis=0)
+    if np.linalg.matrix_rank(design / np.where(length > 0.0, length, 1.0), tol=DEPENDENT) < design.shape[1]:
+        return f"{whose} share too few days; scan all treatments on the same days"
+    if _degrees_of_freedom(seen, design, columns) < 1:
+        return f"{whose} have {len(seen)} scans, too few to estimate an uncertainty; scan more plants on each day"
+    return ""
 
 
 def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], list[Effect]]:
@@ -200,7 +230,7 @@ def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], 
     Parameters
     ----------
     seen : sequence of Observation
-        Observations of at least ``C + 2`` plants.
+        Observations whose effects can be estimated (`reason_not_estimable`).
     columns : (N, C) array of float
         Covariates of each observation's plant, for example 0 or 1 for the treatment, or a dose.
 
@@ -214,16 +244,29 @@ def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], 
     UserError
         If statsmodels is not installed.
     """
+    design = _design(seen, columns)
+    day = np.array([one.day for one in seen])
+    days = len(np.unique(day))
+    y, plants = np.log([one.value for one in seen]), [one.plant for one in seen]
+    value, error = _fit(y, design, plants, slopes=day - day.mean() if days > 2 else None)
+    count, dof = columns.shape[1], _degrees_of_freedom(seen, design, columns)
+    found = [Effect(value=float(v), error=float(e), dof=dof) for v, e in zip(value, error, strict=True)][days:]
+    return found[:count], found[count:]
+
+
+def _design(seen: Sequence[Observation], columns: Array) -> Array:
+    """Return the design (N, P): a level per day, the covariates, and on several days their effects on the rate."""
     day = np.array([one.day for one in seen])
     days = np.unique(day)
     parts = [(day[:, None] == days).astype(np.float64), columns]
     if len(days) > 1:
         parts.append(columns * (day - day.mean())[:, None])
-    y, plants = np.log([one.value for one in seen]), [one.plant for one in seen]
-    value, error = _fit(y, np.concatenate(parts, axis=1), plants, slopes=day - day.mean() if len(days) > 2 else None)
-    count, dof = columns.shape[1], len(set(plants)) - 1 - columns.shape[1]
-    found = [Effect(value=float(v), error=float(e), dof=dof) for v, e in zip(value, error, strict=True)][len(days) :]
-    return found[:count], found[count:]
+    return np.concatenate(parts, axis=1)
+
+
+def _degrees_of_freedom(seen: Sequence[Observation], design: Array, columns: Array) -> int:
+    plants = len({one.plant for one in seen})
+    return min(plants - 1 - columns.shape[1], len(design) - design.shape[1])
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:

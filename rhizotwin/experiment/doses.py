@@ -12,7 +12,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.experiment.compare import SURE, Observation, effects
+from rhizotwin.experiment.compare import DEPENDENT, SURE, Observation, effects, reason_not_estimable
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT
@@ -22,9 +22,8 @@ Array = NDArray[np.float64]
 MOST_SHARED = 0.9
 """Maximum squared correlation between the concentrations of two ions whose effects are fitted separately. It is
 equivalent to a variance inflation factor of 10 (Marquardt 1970, Technometrics 12:591)."""
-_SAME = 1e-6
-"""Relative difference up to which two concentrations are regarded as equal. It exceeds the rounding errors of tables,
-which contain seven digits."""
+_SAME = DEPENDENT
+"""Relative difference up to which two concentrations are regarded as equal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +49,7 @@ class Response:
     """p value of the slope ``rate``."""
     curvature_p: float | None
     """p value of the quadratic term of the concentration. It is None if an ion has only two concentrations, or if there
-    are too few plants."""
+    are too few plants or common days."""
     levels: int
     """Number of different concentrations of the ion."""
     plants: int
@@ -140,23 +139,19 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
     Returns
     -------
     list of Response
-        One response per group of ions. Empty if all concentrations are equal or there are too few plants.
+        One response per group of ions. Empty if there is a reason against a fit (`reason_not_fitted`).
 
     Raises
     ------
     UserError
         If statsmodels is not installed.
     """
-    known = [one for one in seen if one.plant in doses]
-    own = {one.plant: doses[one.plant] for one in known}
-    groups = group_ions(own)
-    dose = np.array([[own[one.plant].get(group[0], 0.0) for group in groups] for one in known], np.float64).reshape(len(known), len(groups))
-    plants = len(own)
-    if not groups or plants < len(groups) + 2 or not _are_independent(dose):
+    if reason_not_fitted(seen, doses):
         return []
+    known, groups, dose = _concentrations(seen, doses)
     size, rate = effects(known, dose)
     levels = [len(np.unique(np.round(column / column.max(), 6))) for column in dose.T]
-    bends = _curvatures(known, dose, plants) if min(levels) > 2 else [None] * len(groups)
+    bends = _curvatures(known, dose) if min(levels) > 2 else [None] * len(groups)
     return [
         Response(
             ion=group[0],
@@ -169,10 +164,33 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
             rate_p=rate[k].p if rate else 1.0,
             curvature_p=bends[k],
             levels=levels[k],
-            plants=plants,
+            plants=len({one.plant for one in known}),
         )
         for k, group in enumerate(groups)
     ]
+
+
+def reason_not_fitted(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]]) -> str:
+    """Return the reason why no dose response can be fitted to a trait. It is empty if it can be fitted.
+
+    The parameters are those of `fit_responses`.
+    """
+    known, groups, dose = _concentrations(seen, doses)
+    if not groups:
+        return "no two plants with a reliable value have different concentrations; scan plants of several nutrient solutions"
+    if not _are_independent(dose):
+        return "the concentrations of the ions are collinear; vary the salts independently in more plants"
+    return reason_not_estimable(known, dose, whose="plants with different concentrations")
+
+
+def _concentrations(
+    seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]]
+) -> tuple[list[Observation], list[tuple[str, ...]], Array]:
+    """Return the observations (N,) with concentrations, the groups of ions (C,), and the concentrations (N, C)."""
+    known = [one for one in seen if one.plant in doses]
+    groups = group_ions({one.plant: doses[one.plant] for one in known})
+    dose = [[doses[one.plant].get(group[0], 0.0) for group in groups] for one in known]
+    return known, groups, np.array(dose, np.float64).reshape(len(known), len(groups))
 
 
 def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
@@ -202,14 +220,14 @@ def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[s
     return np.stack([dose, np.exp(size - explained.sum(axis=0) + explained)], axis=2)
 
 
-def _curvatures(seen: Sequence[Observation], dose: Array, plants: int) -> list[float | None]:
+def _curvatures(seen: Sequence[Observation], dose: Array) -> list[float | None]:
     """Return the p value of the squared concentration of each group of ions.
 
-    The values are None if there are too few plants.
+    The values are None if they cannot be estimated.
     """
     count = dose.shape[1]
     both = np.concatenate([dose, (dose - dose.mean(axis=0)) ** 2], axis=1)
-    if plants < 2 * count + 2 or not _are_independent(both):
+    if reason_not_estimable(seen, both, whose=""):
         return [None] * count
     return [one.p for one in effects(seen, both)[0][count:]]
 

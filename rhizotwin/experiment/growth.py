@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 
-from rhizotwin.experiment.compare import Difference, Observation, Point, differences, means, relative_rates, too_few
-from rhizotwin.experiment.doses import Response, fit_responses, group_ions, read_doses
+from rhizotwin.experiment.compare import Difference, Observation, Point, differences, means, reason_not_comparable, relative_rates
+from rhizotwin.experiment.doses import Response, fit_responses, group_ions, read_doses, reason_not_fitted
 from rhizotwin.experiment.drift import Chart, chart_of, rig_numbers
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
@@ -75,12 +75,13 @@ def measure(found: Sequence[Measured]) -> Growth:
         if unassessed
         else []
     )
-    notes += [f"{trait}: the treatments were not compared, because {why}" for trait, values in seen.items() if (why := too_few(values))]
+    obstacles = {trait: reason_not_comparable(values) for trait, values in seen.items()}
+    notes += [f"{trait}: the treatments were not compared, because {why}" for trait, why in obstacles.items() if why]
     doses = read_doses(plants)
     responses = {trait: fitted for trait, values in seen.items() if (fitted := fit_responses(values, doses))}
     if group_ions(doses):
-        why = f"{len(doses)} plants are too few or their concentrations are collinear"
-        notes += [f"{trait}: the dose response could not be fitted, because {why}" for trait in seen if trait not in responses]
+        unfitted = {trait: reason_not_fitted(values, doses) for trait, values in seen.items()}
+        notes += [f"{trait}: the dose response could not be fitted, because {why}" for trait, why in unfitted.items() if why]
     if doses and len(doses) < len(plants):
         notes.append(
             f"{len(plants) - len(doses)} of {len(plants)} plants have no known nutrient solution and are excluded from the dose response"
@@ -90,7 +91,7 @@ def measure(found: Sequence[Measured]) -> Growth:
         tracked=tracked,
         seen=seen,
         curves={trait: means(values) for trait, values in seen.items()},
-        compared={trait: differences(values) for trait, values in seen.items() if not too_few(values)},
+        compared={trait: differences(values) for trait, values in seen.items() if not obstacles[trait]},
         doses=doses,
         responses=responses,
         notes=tuple(notes),

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from rhizotwin.experiment import growth
 from rhizotwin.experiment.compare import Observation
-from rhizotwin.experiment.doses import fit_responses, group_ions, partial_residuals
+from rhizotwin.experiment.doses import fit_responses, group_ions, partial_residuals, reason_not_fitted
 from rhizotwin.experiment.measured import read_all
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import Solution, headings
@@ -90,6 +90,16 @@ def test_what_cannot_be_fitted_is_not() -> None:
     assert "could not be tested" in two.sentence("volume")
 
 
+def test_concentrations_that_share_too_few_days_are_not_fitted() -> None:
+    seen, doses = experiment(5, POTASSIUM[:2])
+    assert reason_not_fitted(seen, doses) == ""
+    apart = [one for one in seen if (doses[one.plant] == doses["p0"]) == (one.day == DAYS[0])]
+    assert (
+        reason_not_fitted(apart, doses) == "plants with different concentrations share too few days; scan all treatments on the same days"
+    )
+    assert fit_responses(apart, doses) == []
+
+
 def table(folder: Path, *, change: bool = False) -> Path:
     """Write plants in four solutions as `rhizotwin traits` does; one is in another solution on its last day."""
     seen, doses = experiment(4, POTASSIUM)
@@ -127,7 +137,7 @@ def test_a_trait_without_a_response_is_said(tmp_path: Path) -> None:
     path = tmp_path / "traits.csv"
     path.write_text("plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n", encoding="utf-8")
     notes = growth.measure(read_all([path])).notes
-    why = "2 plants are too few or their concentrations are collinear"
+    why = "plants with different concentrations have 2 scans, too few to estimate an uncertainty; scan more plants on each day"
     assert f"total_length: the dose response could not be fitted, because {why}" in notes
 
 

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import ttest_ind
 
 from rhizotwin.experiment.alignment import align
-from rhizotwin.experiment.compare import Observation, differences, means, relative_rates
+from rhizotwin.experiment.compare import Observation, differences, means, reason_not_comparable, relative_rates
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.scenes import files, rsml, series
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.growth import grow
 from tests.command import Command
@@ -139,6 +140,41 @@ def test_where_all_plants_are_seen_on_all_days_the_size_is_a_t_test_of_their_mea
         mean = {name: np.mean([np.log(one.value) for one in seen if one.plant == name]) for name in {one.plant for one in seen}}
         groups = [[mean[f"{treatment}{k}"] for k in range(3)] for treatment in ("control", "treated")]
         assert differences(seen)[0].size_p == pytest.approx(ttest_ind(*groups).pvalue, rel=0.05)
+
+
+def scanned(seed: int, days: dict[str, tuple[float, ...]], *, plants: int = 4, again: bool = True) -> list[Observation]:
+    """Return equal plants that grow by 0.2 per day and vary by 8 %; without ``again``, each scan is of another plant."""
+    rng, seen = np.random.default_rng(seed), []
+    for treatment, own in days.items():
+        for k in range(plants):
+            size = float(np.exp(rng.normal(0.0, 0.08)))
+            for day in own:
+                error = float(np.exp(rng.normal(0.0, 0.03 if again else 0.08)))
+                name = f"{treatment}{k}" if again else f"{treatment}{k} of day {day:g}"
+                value = (size if again else 1.0) * error * 100.0 * float(np.exp(0.2 * day))
+                seen.append(Observation(plant=name, treatment=treatment, day=day, value=value))
+    return seen
+
+
+@pytest.mark.parametrize("days", [(2.0, 4.0, 6.0), (1.0, 4.0, 6.0)], ids=["no common day", "one common day"])
+def test_treatments_that_share_too_few_days_are_not_compared(days: tuple[float, ...]) -> None:
+    """The levels of the days contain the treatment; without a true effect, p was as small as 5e-13."""
+    seen = scanned(1, {"A": (1.0, 3.0, 5.0), "B": (1.0, 3.0, 6.0), "C": days})
+    why = "the treatments 'A' and 'C' share too few days; scan all treatments on the same days"
+    assert reason_not_comparable(seen) == why
+    with pytest.raises(UserError, match="share too few days"):
+        differences(seen)
+    assert reason_not_comparable([one for one in seen if one.treatment != "C"]) == ""
+
+
+def test_levels_of_days_use_degrees_of_freedom() -> None:
+    """Of equal treatments, one in twenty differs; with the degrees of freedom of the plants alone, 22 % of them did."""
+    pytest.importorskip("statsmodels")
+    harvests = {"A": (1.0, 2.0, 3.0), "B": (1.0, 2.0, 3.0)}
+    found = [differences(scanned(seed, harvests, plants=1, again=False))[0] for seed in range(200)]
+    assert 0.01 <= np.mean([one.is_significant for one in found]) <= 0.09
+    two = scanned(1, {"A": (1.0, 2.0), "B": (1.0, 2.0)}, plants=1, again=False)
+    assert reason_not_comparable(two).startswith("the treatments 'A' and 'B' have 4 scans, too few to estimate an uncertainty")
 
 
 def test_means_have_intervals_and_rates_are_of_logarithms() -> None:
