@@ -6,6 +6,7 @@ from pathlib import Path
 from rhizotwin.experiment import growth, growth_page, mass_curves
 from rhizotwin.experiment.measured import read_all
 from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder
 
 PAGE = "growth.html"
@@ -30,8 +31,11 @@ def write(results: Sequence[Path], output: Path, *, replace: bool = False) -> li
     """
     weighed = [path for path in results if mass_curves.is_of_masses(path)]
     others = [path for path in results if path not in weighed]
-    curves = mass_curves.measure(mass_curves.read(weighed))
+    masses, notes = mass_curves.read(weighed)
+    curves = mass_curves.measure(masses)
     measured = growth.measure(read_all(others)) if others or not weighed else None
+    if measured is None and not curves:
+        raise UserError("; ".join(notes) or "the tables contain no masses; enter the mass of at least one plant")
     picture = mass_curves.draw(curves) if curves else None
     old = contents(output) if replace and (output / PAGE).is_file() else ()
     with new_folder(output, replaces=old) as building:
@@ -46,5 +50,5 @@ def write(results: Sequence[Path], output: Path, *, replace: bool = False) -> li
         if picture is not None:
             atomic.write_bytes(building / "masses.png", picture)
             atomic.write_text(building / "masses.csv", mass_curves.to_csv(curves))
-        atomic.write_text(building / PAGE, growth_page.page(measured, picture))
-    return [] if measured is None else growth_page.sentences(measured)
+        atomic.write_text(building / PAGE, growth_page.page(measured, picture, notes))
+    return [*([] if measured is None else growth_page.sentences(measured)), *notes]

@@ -5,7 +5,7 @@ A growth curve shows the mean on each day with its 90 % interval, with one line 
 
 import base64
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import log
 
 import numpy as np
@@ -61,7 +61,7 @@ def draw_responses(growth: Growth) -> bytes:
     return png(drawn, dpi=110)
 
 
-def page(growth: Growth | None, masses: bytes | None = None) -> str:
+def page(growth: Growth | None, masses: bytes | None = None, notes: Sequence[str] = ()) -> str:
     """Return the HTML page with growth curves, comparisons, tracked roots and excluded values.
 
     Parameters
@@ -70,6 +70,8 @@ def page(growth: Growth | None, masses: bytes | None = None) -> str:
         Measured growth. None if the page only shows masses.
     masses : bytes, optional
         Figure of masses as PNG, see `mass_curves.draw`.
+    notes : sequence of str
+        Sentences about masses that are excluded or extrapolated.
     """
     parts = []
     if growth is not None:
@@ -83,14 +85,20 @@ def page(growth: Growth | None, masses: bytes | None = None) -> str:
                 "Size of each plant relative to the mean of its days against the concentration of the ion, corrected for the other ions."
             )
             parts.append("<h2>Dose response</h2>" + _figure_html("dose responses", draw_responses(growth), caption))
-        parts.append("<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth)) + "</ul>")
+        parts.append(_list_html(sentences(growth)))
     if masses is not None:
         caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
         parts.append("<h1>Masses</h1>" + _figure_html("mass curves", masses, caption))
+    if notes:
+        parts.append(_list_html(notes))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
         f"{''.join(parts)}</body></html>\n"
     )
+
+
+def _list_html(items: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{html.escape(item)}</li>" for item in items) + "</ul>"
 
 
 def _figure_html(name: str, picture: bytes, caption: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from rhizotwin.experiment import tables
 from rhizotwin.experiment.compare import Observation, Point, means
 from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, has_masses, read_masses
-from rhizotwin.scenes import subject
+from rhizotwin.scenes import assessment, subject
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.trait_table import csv_text, format_exact
@@ -64,8 +64,15 @@ def is_of_masses(path: Path) -> bool:
     return head >= _PREDICTED or has_masses(head)
 
 
-def read(paths: Sequence[Path]) -> list[Masses]:
-    """Read tables of masses, and return one entry per plant and day.
+def read(paths: Sequence[Path]) -> tuple[list[Masses], list[str]]:
+    """Read tables of masses.
+
+    Predicted masses that are not reliable are excluded.
+
+    Returns
+    -------
+    list of Masses, list of str
+        One entry per plant and day, and sentences about masses that are excluded or extrapolated.
 
     Raises
     ------
@@ -74,16 +81,17 @@ def read(paths: Sequence[Path]) -> list[Masses]:
     """
     found: dict[tuple[str, float], Masses] = {}
     predicted = [path for path in paths if _head(path) >= _PREDICTED]
-    for path in [*predicted, *(path for path in paths if path not in predicted)]:
-        for one in _read_predicted(path) if path in predicted else _read_weighed(path):
-            before = found.get((one.plant, one.day))
-            if before is not None and before.treatment != one.treatment:
-                raise UserError(
-                    f"{path}: plant {one.plant} has two treatments, {before.treatment!r} and {one.treatment!r}; correct one of them"
-                )
-            grams = one.grams if before is None else {**before.grams, **one.grams}
-            found[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams)
-    return list(found.values())
+    rows = [row for path in predicted for row in tables.read_table(path)]
+    weighed = [one for path in paths if path not in predicted for one in _read_weighed(path)]
+    for where, one in [*_read_predicted(rows), *weighed]:
+        before = found.get((one.plant, one.day))
+        if before is not None and before.treatment != one.treatment:
+            raise UserError(
+                f"{where}: plant {one.plant} has two treatments, {before.treatment!r} and {one.treatment!r}; correct one of them"
+            )
+        grams = one.grams if before is None else {**before.grams, **one.grams}
+        found[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams)
+    return list(found.values()), _notes(rows)
 
 
 def measure(masses: Sequence[Masses]) -> Curves:
@@ -142,23 +150,32 @@ def _head(path: Path) -> set[str]:
     return set(tables.read_table(path)[0].cells)
 
 
-def _read_weighed(path: Path) -> list[Masses]:
-    return [_of(one.where, one.subject, one.grams) for one in read_masses(path, balance_g=BALANCE_G) if one.grams]
+def _read_weighed(path: Path) -> list[tuple[str, Masses]]:
+    return [(one.where, _of(one.where, one.subject, one.grams)) for one in read_masses(path, balance_g=BALANCE_G) if one.grams]
 
 
-def _read_predicted(path: Path) -> list[Masses]:
+def _read_predicted(rows: Sequence[tables.Row]) -> list[tuple[str, Masses]]:
     found = []
-    for row in tables.read_table(path):
+    for row in rows:
         kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
             raise UserError(f"{row.where}: the row is not a predicted mass; specify a table written by 'rhizotwin biomass predict'")
-        found.append(_of(row.where, subject.from_cells(row.cells, row.where), {kind: grams}))
-    merged: dict[tuple[str, float], Masses] = {}
-    for one in found:
-        before = merged.get((one.plant, one.day))
-        grams_of = one.grams if before is None else {**before.grams, **one.grams}
-        merged[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams_of)
-    return list(merged.values())
+        if not _is_unreliable(row):
+            found.append((row.where, _of(row.where, subject.from_cells(row.cells, row.where), {kind: grams})))
+    return found
+
+
+def _is_unreliable(row: tables.Row) -> bool:
+    return row.cells.get("verdict") == "not reliable"
+
+
+def _notes(rows: Sequence[tables.Row]) -> list[str]:
+    """Return sentences about predicted masses that are excluded, because they are not reliable, or extrapolated."""
+    reasons = [f"the {row.cells.get('from', 'trait')} is not reliable" for row in rows if _is_unreliable(row)]
+    excluded = assessment.left_out("predicted mass", reasons, total=len(rows))
+    beyond = sum(row.cells.get("extrapolated") == "yes" and not _is_unreliable(row) for row in rows)
+    extrapolated = f"predicted mass: {beyond} of {len(rows)} values are extrapolated; weigh plants of this size for the model"
+    return [*([excluded] if excluded else []), *([extrapolated] if beyond else [])]
 
 
 def _of(where: str, whose: subject.Subject, grams: Mapping[str, float]) -> Masses:

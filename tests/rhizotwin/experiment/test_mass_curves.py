@@ -19,7 +19,7 @@ def test_the_figure_of_the_thesis(command: Command, tmp_path: Path) -> None:
     """Means by day are those of table A.1 (Kliman 2022), worked out by hand for the first harvest."""
     command.works("growth", shipped("kliman_2022_masses.csv"), "-o", tmp_path / "grown")
     assert sorted(path.name for path in (tmp_path / "grown").iterdir()) == ["growth.html", "masses.csv", "masses.png"]
-    curves = mass_curves.measure(mass_curves.read([shipped("kliman_2022_masses.csv")]))
+    curves = mass_curves.measure(mass_curves.read([shipped("kliman_2022_masses.csv")])[0])
     assert set(curves) == {(part, quantity) for part in mass_curves.PARTS for quantity in mass_curves.QUANTITIES}
     first = curves["plant", "water"][0]
     assert (first.day, first.plants) == (5.0, 3)
@@ -31,11 +31,27 @@ def test_what_was_weighed_counts_before_what_was_predicted(tmp_path: Path) -> No
     (tmp_path / "predicted.csv").write_text(PREDICTED)
     (tmp_path / "weighed.csv").write_text("plant,day,root_fresh_g\nP1,5,1.0\nP2,5,3.0\n")
     for order in (("weighed.csv", "predicted.csv"), ("predicted.csv", "weighed.csv")):
-        masses = {one.plant: one for one in mass_curves.read([tmp_path / name for name in order])}
+        masses = {one.plant: one for one in mass_curves.read([tmp_path / name for name in order])[0]}
         assert dict(masses["P1"].grams) == {"root_fresh": 1.0, "root_dry": 0.1}
         assert masses["P1"].value("root", "water") == pytest.approx(90.0)
         assert masses["P2"].value("root", "water") is None
         assert masses["P1"].value("plant", "fresh") is None  # its shoot is not known
+
+
+def test_predicted_masses_that_are_not_reliable_are_excluded(command: Command, tmp_path: Path) -> None:
+    bad, beyond = "a,P2,,,5,,,,root_fresh,90,1,99,volume,not reliable,yes\n", "a,P3,,,5,,,,root_fresh,4.0,1,9,volume,reliable,yes\n"
+    (tmp_path / "predicted.csv").write_text(PREDICTED + bad + beyond)
+    masses, notes = mass_curves.read([tmp_path / "predicted.csv"])
+    assert {one.plant for one in masses} == {"P1", "P3"}
+    assert notes == [
+        "predicted mass: 1 of 4 values are excluded, because they are not reliable: the volume is not reliable",
+        "predicted mass: 1 of 4 values are extrapolated; weigh plants of this size for the model",
+    ]
+    told = command.works("growth", tmp_path / "predicted.csv", "-o", tmp_path / "grown").out
+    page = (tmp_path / "grown" / "growth.html").read_text(encoding="utf-8")
+    assert all(note in told and note in page for note in notes)
+    (tmp_path / "predicted.csv").write_text(PREDICTED.splitlines()[0] + "\n" + bad)
+    command.fails("growth", tmp_path / "predicted.csv", "-o", tmp_path / "none", named=["1 of 1 values are excluded"])
 
 
 def test_masses_without_a_day_are_refused(command: Command, tmp_path: Path) -> None:
