@@ -22,7 +22,8 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
 
     Volume, length, tips and mean diameter have their own intervals. The intervals of specific root length and tissue
     density are derived from those of length and volume. All other traits are not assessed. They are not reliable if the
-    volume is not reliable.
+    volume is not reliable. If a length, number of tips or mean diameter of the whole scan is not reliable, that of each
+    of its plants is not reliable either.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
         Traits of the whole result, or of one of several plants.
     volume_interval_mm3 : (float, float), optional
         Interval of the plant's volume, mm3, if ``traits`` are those of one of several plants. In this case, only the
-        volume is assessed.
+        volume has an interval.
     """
     reason = str(summary["volume_verdict"]).removeprefix(NO_VOLUME)
     codes = reasons.reasons_for_volume(summary)
@@ -44,10 +45,13 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
         found["volume_mm3"] = _judge(summary["volume_trusted"], (low, high), reason, codes)
         if summary["volume_trusted"] and volume_interval_mm3 and reasons.is_wide(summary, traits.volume_mm3, volume_interval_mm3):
             found["volume_mm3"] = _judge(False, volume_interval_mm3, _PART_IS_WIDE, (reasons.WIDE,))
-    estimates = summary.get("estimates") or () if volume_interval_mm3 is None else ()
-    for one in estimates:
+    for one in summary.get("estimates") or ():
         low, high = one["interval"]
-        found[one["name"]] = _judge(one["trusted"], (low, high), one["verdict"], reasons.reasons_for_estimate(summary, one))
+        judged = _judge(one["trusted"], (low, high), one["verdict"], reasons.reasons_for_estimate(summary, one))
+        if volume_interval_mm3 is None:
+            found[one["name"]] = judged
+        elif not one["trusted"]:
+            found[one["name"]] = replace(judged, interval=None)
     found["specific_root_length_m_per_g"] = _derive(
         found["total_length_mm"], traits.total_length_mm, traits.specific_root_length_m_per_g, 1
     )

@@ -79,6 +79,25 @@ def test_missing_roots_may_all_be_of_one_plant() -> None:
     assert (small.verdict, small.codes, big.verdict) == ("not reliable", ("wide_interval",), "reliable")
 
 
+def test_an_unreliable_length_of_the_scan_is_not_reliable_for_its_plants() -> None:
+    length = {"name": "total_length_mm", "value": 60.0, "interval": [40.0, 130.0], "trusted": False, "verdict": "many roots are hidden"}
+    tips = {"name": "tips", "value": 2, "interval": [2.0, 2.0], "trusted": True, "verdict": ""}
+    summary = {
+        "volume_trusted": True,
+        "volume_verdict": "",
+        "volume_budget": [{}],
+        "volume_mm3": 60.0,
+        "volume_interval_mm3": [54.0, 66.0],
+        "estimates": [length, tips],
+    }
+    one = divided()[0]
+    found = assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)
+    for trait in ("total_length_mm", "specific_root_length_m_per_g"):
+        assert (found[trait].verdict, found[trait].reason, found[trait].interval) == ("not reliable", "many roots are hidden", None)
+        assert found[trait].codes == ("wide_interval",)
+    assert found["tips"].verdict == "not assessed"  # its interval is that of both plants
+
+
 def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
     made = scan()
     found = replace(load_result(made.result), plants=divided())
