@@ -111,7 +111,7 @@ def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
         day = float(date.fromisoformat(whose.date).toordinal()) if dated else whose.day or 0.0
         for name, value in rig_numbers(result_files.read_summary(folder)).items():
             points.setdefault(name, []).append((day, value))
-    return {name: chart_of(*zip(*sorted(own), strict=True)) for name, own in points.items()}
+    return {name: chart_of(*zip(*own, strict=True)) for name, own in points.items()}
 
 
 def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Observation]:

@@ -88,3 +88,13 @@ def test_growth_says_so_beside_a_small_effect(ball_result):
     (caution,) = [one for one in sentences(growth) if "caution" in one]
     assert "the focal length changed by 2 % during the experiment" in caution
     assert "as much as the treatments differ" in caution
+
+
+def test_scans_of_a_day_keep_their_order(ball_result):
+    """Sorted by value, the moving ranges of five scans on each of two days were too small."""
+    values = [1.0, 5.0, 2.0, 6.0, 3.0, 4.0, 1.0, 5.0, 2.0, 6.0]
+    folders = []
+    for number, value in enumerate(values):
+        subject = {"plant": f"P{number % 5}", "day": 1.0 + number // 5}
+        folders.append(ball_result(f"scan_{number}", subject=subject, rig={"table_correction_deg": value}))
+    assert measure(read_all(folders)).drift["table_steps_deg"].values == tuple(values)
