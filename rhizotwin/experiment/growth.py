@@ -208,17 +208,21 @@ def roots_csv(growth: Growth) -> str:
     """Return a CSV table of root tracks with one row per root and day.
 
     Columns are name, parent, order, day of emergence, length, elongation rate since the preceding observation,
-    diameter, and the verdict on the total length of the scan.
+    diameter, and the verdict on the total length of the scan. The day of emergence and the rates are computed from the
+    days whose total length is not marked as not reliable. They are empty if they cannot be computed.
     """
     head = ["plant", "root", "parent", "order", "emergence_day", "day", "length_mm", "elongation_mm_per_day", "diameter_mm", "verdict"]
     rows: list[Sequence[str]] = [head]
     for plant, tracked in growth.tracked.items():
         verdicts = {one.subject.day: one.assessment("total_length").verdict for one in growth.plants[plant]}
+        usable = [day.day for day in tracked.days if verdicts[day.day] != "not reliable"]
         for track in tracked.tracks:
-            rates = {end: rate for _, end, rate in track.rates_mm_per_day}
+            known = track.limit_to(usable)
+            rates = {} if known is None else {end: rate for _, end, rate in known.rates_mm_per_day}
+            emergence = "" if known is None else f"{known.emergence_day:.2f}"
             for state in track.states:
                 numbers = [format_exact(value) for value in (state.length_mm, rates.get(state.day), state.diameter_mm)]
-                whose = [plant, track.name, track.parent, str(track.order), f"{track.emergence_day:.2f}", f"{state.day:g}"]
+                whose = [plant, track.name, track.parent, str(track.order), emergence, f"{state.day:g}"]
                 rows.append([*whose, *numbers, verdicts[state.day]])
     return csv_text(rows)
 

@@ -6,7 +6,7 @@ Pairs are assigned so that the sum of scores is maximal (DynamicRoots, Symonova 
 in a similar way). Unmatched roots are new.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -74,6 +74,13 @@ class Track:
     """Observations of the root in chronological order."""
     absent_day: float = 0.0
     """Day of the last scan before the root appeared. It is zero if the root was present in the first scan."""
+
+    def limit_to(self, days: Collection[float]) -> "Track | None":
+        """Return the track as if only the scans on the given days existed. It is None if they do not show the root."""
+        states = [state for state in self.states if state.day in days]
+        if not states:
+            return None
+        return replace(self, states=states, absent_day=max((day for day in days if day < states[0].day), default=0.0))
 
     @property
     def rates_mm_per_day(self) -> list[tuple[float, float, float]]:

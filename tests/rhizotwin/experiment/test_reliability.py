@@ -1,8 +1,10 @@
 """Values that are not reliable stay out of tests and fits, and every consumer says how many and why."""
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.batches import overview
@@ -11,6 +13,7 @@ from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import exclusion_notes, read_all
 from rhizotwin.recon.results import assessments
+from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files, stored_traits
 
@@ -50,6 +53,28 @@ def test_growth_without_a_reliable_value_is_no_comparison(tmp_path: Path) -> Non
     assert not any("p =" in sentence and sentence.startswith("total_length") for sentence in growth_page.sentences(found))
     with pytest.raises(UserError, match=r"total_length: 12 of 12 .* volume: 12 of 12"):
         growth.measure(read_all([table(tmp_path, unreliable=every, trusted="no")]))
+
+
+def test_rates_and_emergence_are_computed_from_reliable_days(ball_result: Callable[..., Path]) -> None:
+    """A lateral grows by 5 mm per day from day 2 on; on day 5, when half of it is hidden, the length is not reliable."""
+    folders = []
+    for day, long_mm in ((1.0, 0.0), (3.0, 5.0), (5.0, 7.5), (7.0, 25.0)):
+        length = {"name": "total_length_mm", "value": 90.0, "interval": [60.0, 120.0], "trusted": day != 5.0, "verdict": "hidden"}
+        folder = ball_result(f"day_{day:g}", subject={"plant": "P", "day": day}, volume_budget=[TERM], estimates=[length])
+        ends = [(0.0, 0.0, 0.0), (0.0, 0.0, -40.0)], [(0.0, 0.0, -30.0), (0.0, 9.0, -35.0)], [(0.0, 0.0, -20.0), (long_mm, 0.0, -20.0)]
+        roots = [
+            rsml.Root(points_mm=np.linspace(*both, 40), diameters_mm=np.ones(40), order=order, parent=order - 1)
+            for both, order in zip(ends, (0, 1, 1), strict=True)
+        ]
+        rsml.write_rsml(folder / "roots.rsml", roots if long_mm else roots[:2])
+        folders.append(folder)
+    rows = list(csv.DictReader(growth.roots_csv(growth.measure(read_all(folders))).splitlines()))
+    found = [(row["day"], row["emergence_day"], row["elongation_mm_per_day"], row["verdict"]) for row in rows if row["root"] == "1.2"]
+    assert found == [
+        ("3", "2.00", "", "reliable"),
+        ("5", "2.00", "", "not reliable"),
+        ("7", "2.00", "5", "reliable"),
+    ]
 
 
 def test_growth_does_not_compare_a_treatment_that_lost_its_plants(tmp_path: Path) -> None:
