@@ -134,13 +134,13 @@ WITH_INTERVAL = frozenset(
 """Fields of the traits for which the method estimates 90 % intervals."""
 
 
-def column_names() -> dict[str, str]:
-    """Return a mapping from the column names in files to the display names of all traits.
+def definitions_by_column() -> dict[str, Definition]:
+    """Return the definitions of all traits, keyed by their column names in files.
 
     Names without a unit, which earlier versions wrote, are included.
     """
     every = (*DEFINITIONS, *SHOOT, *COLOUR)
-    return {d.name: d.name for d in every} | {d.column: d.name for d in every}
+    return {d.name: d for d in every} | {d.column: d for d in every}
 
 
 def to_csv(traits: Traits, assessed: Assessments) -> str:

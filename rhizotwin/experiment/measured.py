@@ -171,22 +171,26 @@ def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[st
 
 def _read_row(row: tables.Row) -> Measured:
     """Read a row of a table of traits. Column names of earlier versions, such as ``volume (mm3)``, are accepted."""
-    names = trait_table.column_names()
+    definitions = trait_table.definitions_by_column()
     numbers: dict[str, float] = {}
     for column in row.cells:
         match = _HEAD.fullmatch(column)
         stem, end = ("", "") if match is None else _split(match[1])
-        if match is None or end == "_verdict" or stem not in names:
+        if match is None or end == "_verdict" or stem not in definitions:
             continue
         value = tables.number(row, column)
         if value is None:
             continue
-        in_mm3 = 1.0
+        own, factor = definitions[stem], 1.0
         if stem == "volume":
             if match[2] not in _MM3:
                 raise UserError(f"{row.where}: the column {column} has no known unit; the unit must be (mm3), (cm3), (ml) or (l)")
-            in_mm3 = _MM3[match[2]]
-        numbers[names[stem] + end] = value * in_mm3
+            factor = _MM3[match[2]]
+        elif match[2] not in (None, own.unit):
+            raise UserError(
+                f"{row.where}: the column {column} has another unit than {own.column}; convert the values and rename the column"
+            )
+        numbers[own.name + end] = value * factor
     traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
     return Measured(
         name=row.cells.get("result") or row.where,
@@ -220,7 +224,7 @@ def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Ass
 
     In tables of earlier versions, the verdict on the volume is the column ``trusted`` (yes or no).
     """
-    columns = [f"{column}_verdict" for column, own in trait_table.column_names().items() if own == name]
+    columns = [f"{column}_verdict" for column, own in trait_table.definitions_by_column().items() if own.name == name]
     word = next((row.cells[column] for column in columns if row.cells.get(column)), "")
     if name == "volume" and not word:
         word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")

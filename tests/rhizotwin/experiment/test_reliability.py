@@ -117,6 +117,20 @@ def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
         read_all([path])
 
 
+@pytest.mark.parametrize("column", ["total_length (cm)", "total_length_low (cm)", "surface (cm2)", "solidity (%)", "volume_mm3 (ml)"])
+def test_a_column_in_another_unit_is_refused(column: str, tmp_path: Path) -> None:
+    path = tmp_path / "traits.csv"
+    path.write_text(f"plant,day,{column}\nP,1,50\n", encoding="utf-8")
+    with pytest.raises(UserError, match=r"line 2: the column .* has another unit than \w+; convert the values and rename the column"):
+        read_all([path])
+
+
+def test_units_as_in_tables_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "traits.csv"
+    path.write_text("plant,depth (mm),surface (mm2),tips,specific_root_length (m/g),volume (ml)\nP,5,6,7,8,9\n", encoding="utf-8")
+    assert read_all([path])[0].traits == {"depth": 5.0, "surface": 6.0, "tips": 7.0, "specific_root_length": 8.0, "volume": 9000.0}
+
+
 def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
     tips = {
         "name": "tips",
