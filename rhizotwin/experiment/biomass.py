@@ -7,6 +7,7 @@ the volume is a density. The model is selected by leave-one-out cross-validation
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,8 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
     Raises
     ------
     UserError
-        If two results match the same weighed plant, or masses have different units.
+        If two results match the same weighed plant, a result without a day matches masses of two days, or masses have
+        different units.
     """
     found: list[Pair] = []
     notes = []
@@ -117,11 +119,23 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
             notes.append(f"{one.where}: plant {one.subject.plant} has no result{'' if not of_plant else ' on this day'}")
         else:
             found.append(Pair(same[0], one))
+    _check_days(found)
     met = {id(pair.measured) for pair in found}
     notes += [f"{m.who}: the table contains no mass that matches this result" for m in measured if id(m) not in met]
     notes += exclusion_notes([pair.measured for pair in found], TRAITS)
     _check_units(found)
     return found, notes
+
+
+def _check_days(found: Sequence[Pair]) -> None:
+    """Raise an error if a result without a day is paired with masses of two days."""
+    known = [pair for pair in found if pair.measured.subject.day is None and pair.weighed.subject.day is not None]
+    for a, b in combinations(known, 2):
+        if a.measured is b.measured and a.weighed.subject.day != b.weighed.subject.day:
+            raise UserError(
+                f"{a.measured.who}: the result {a.measured.name} has no day, but masses of two days, {a.weighed.where} and "
+                f"{b.weighed.where}; set the day of the result, or omit one of the masses"
+            )
 
 
 def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, float]]:

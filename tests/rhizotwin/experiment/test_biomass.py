@@ -181,6 +181,17 @@ def test_results_without_trust_and_without_partner_are_told(twins: list[Measured
     assert "volume: 1 of 20 values are excluded, because they are not reliable: too few views" in notes
 
 
+def test_a_result_without_a_day_is_not_paired_with_two_weighings(tmp_path: Path) -> None:
+    plant = Measured(name="r", subject=Subject(plant="A"), traits={"volume": 500.0})
+    (tmp_path / "m.csv").write_text("plant,day,root_fresh_g\nA,5,0.05\nA,20,0.5\n", encoding="utf-8")
+    weighed = read_masses(tmp_path / "m.csv", balance_g=1e-4)
+    with pytest.raises(UserError, match=r"A: the result r has no day, but masses of two days, .*line 2 and .*line 3; set the day"):
+        biomass.pairs([plant], weighed)
+    assert len(biomass.pairs([plant], weighed[:1])[0]) == 1
+    (tmp_path / "shoots.csv").write_text("plant,day,shoot_fresh_g\nA,5,0.1\n", encoding="utf-8")
+    assert len(biomass.pairs([plant], [weighed[0], *read_masses(tmp_path / "shoots.csv", balance_g=1e-4)])[0]) == 2
+
+
 def test_the_twins_eighteen_radishes_have_the_density_of_water() -> None:
     """Volumes as the accuracy ladder measured them; the twin's are the thesis's masses at 1 g/ml. The thesis lost plants 17 and 18."""
     metrics = json.loads(BASELINE.read_text(encoding="utf-8"))["metrics"]
