@@ -55,10 +55,12 @@ class Measured:
     def log_sigma(self, trait: str) -> float:
         """Return the standard deviation of a trait's logarithm, computed from its 90 % interval.
 
-        It is zero if there is no interval.
+        If the interval begins at zero, it is computed from the upper end. It is zero if there is no interval.
         """
         low, high = self.assessment(trait).interval or (0.0, 0.0)
-        return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0
+        if not low < high:
+            return 0.0
+        return log(high / low) / (2.0 * IN_90) if low > 0.0 else log(max(high / self.traits[trait], 1.0)) / IN_90
 
     @property
     def who(self) -> str:

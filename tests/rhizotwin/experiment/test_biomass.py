@@ -192,6 +192,17 @@ def test_a_result_without_a_day_is_not_paired_with_two_weighings(tmp_path: Path)
     assert len(biomass.pairs([plant], [weighed[0], *read_masses(tmp_path / "shoots.csv", balance_g=1e-4)])[0]) == 2
 
 
+def test_an_interval_that_begins_at_zero_is_an_uncertainty() -> None:
+    plant = Measured(
+        name="r",
+        subject=Subject(plant="A"),
+        traits={"volume": 500.0, "total_length": 90.0},
+        assessed={"volume": Assessment(verdict="not reliable", interval=(0.0, 5000.0))},
+    )
+    assert plant.log_sigma("volume") == pytest.approx(np.log(10.0) / IN_90)
+    assert plant.log_sigma("total_length") == 0.0
+
+
 def test_the_twins_eighteen_radishes_have_the_density_of_water() -> None:
     """Volumes as the accuracy ladder measured them; the twin's are the thesis's masses at 1 g/ml. The thesis lost plants 17 and 18."""
     metrics = json.loads(BASELINE.read_text(encoding="utf-8"))["metrics"]
