@@ -23,7 +23,7 @@ from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.hull.surface import paint
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
-from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
+from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
@@ -105,11 +105,10 @@ def export(
         raise UserError(f"{output}: the export of cameras needs the lens, which is stored in the dataset; add --dataset DATASET")
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
-    posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
-    if undistorted:
-        return _undistorted(output, dataset, summary, monitor or Monitor())
-    camera = dataset.scene.camera.as_pinhole().focused(summary.get("rig", {}).get("focal_scale", 1.0))
-    return write_nerfstudio(output, camera, posed) if suffix == ".json" else write_colmap(output, camera, posed)
+    pictures = Pictures.of(dataset, summary)
+    if not pictures.views:
+        raise UserError(f"{output}: the result contains no calibrated picture, so there are no cameras to export; choose another result")
+    return _undistorted(output, pictures, monitor or Monitor()) if undistorted else _cameras(output, pictures)
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -194,6 +193,13 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
     return [output]
 
 
+def _cameras(output: Path, pictures: Pictures) -> list[Path]:
+    """Write the calibrated cameras in air for nerfstudio (.json) or COLMAP (folder)."""
+    posed = [(file, view.cam_from_canister) for file, view in zip(pictures.files, pictures.views, strict=True)]
+    write = write_nerfstudio if output.suffix else write_colmap
+    return write(output, pictures.views[0].camera, posed)
+
+
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
     """Write cameras to a file transforms.json in nerfstudio's format.
 
@@ -272,16 +278,14 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
     return [output / name for name in written]
 
 
-def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monitor: Monitor) -> list[Path]:
+def _undistorted(output: Path, pictures: Pictures, monitor: Monitor) -> list[Path]:
     """Write pictures with refraction removed, and their pinhole cameras for nerfstudio and COLMAP."""
-    scene, pictures = dataset.scene, Pictures.of(dataset, summary)
+    dataset, scene = pictures.dataset, pictures.dataset.scene
     if scene.tank is not None:
         raise UserError(
             f"{output}: pictures of a canister in a tank cannot be undistorted, because a pinhole camera cannot approximate "
             "the refraction at a flat wall"
         )
-    if not pictures.views:
-        raise UserError(f"{output}: the result contains no calibrated picture, so there is nothing to undistort")
     heights_mm = scene.canister.floor_z_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm)
     known = {frame.file: frame for frame in dataset.frames}
     places: dict[tuple[int, int], tuple[float, float]] = {}

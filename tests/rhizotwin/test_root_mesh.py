@@ -1,5 +1,6 @@
 """Roots as coloured tubes, and the exports of a result that need no reconstruction."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,9 +9,12 @@ import pytest
 import trimesh
 
 from rhizotwin import exports, root_mesh
+from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.rsml_reader import read_rsml
+from rhizotwin.stored import result_files
+from tests.rhizotwin import plant as plants
 
 
 def bent(order: int, diameter_mm: float, *, parent: int = -1) -> Root:
@@ -70,3 +74,17 @@ def test_what_cannot_be_exported_is_said(result: Path, tmp_path: Path) -> None:
     for name, roots in (("a.rsml", None), ("a.glb", "order")):
         with pytest.raises(UserError, match="no centre lines"):
             exports.export(result, tmp_path / name, roots=roots)
+
+
+def test_cameras_of_excluded_pictures_are_not_exported(tmp_path: Path) -> None:
+    made = plants.make(tmp_path)
+    summary = result_files.read_summary(made.result)
+    summary["views"][3] |= {"used": False, "reason": "the strip or the camera moved"}
+    atomic.write_json(made.result / "result.json", summary)
+    exports.export(made.result, tmp_path / "cameras.json", dataset_folder=made.dataset)
+    left = [frame["file_path"] for frame in json.loads((tmp_path / "cameras.json").read_text())["frames"]]
+    assert left == [view["file"] for view in summary["views"] if view["used"]]
+    atomic.write_json(made.result / "result.json", summary | {"views": [view | {"used": False} for view in summary["views"]]})
+    for name in ("none.json", "none"):
+        with pytest.raises(UserError, match="no calibrated picture"):
+            exports.export(made.result, tmp_path / name, dataset_folder=made.dataset)
