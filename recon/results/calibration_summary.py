@@ -19,11 +19,14 @@ root tips of a grown plant."""
 def summarize_cameras(cameras: Cameras) -> Json:
     """Return the calibration from all views as JSON values, for the key ``rig`` of a result.
 
-    The dictionary is empty if the cameras were specified in the dataset and not calibrated.
+    The dictionary is empty if the cameras were specified in the dataset and not calibrated. ``mm_per_px`` is the scale
+    of pictures without markers.
     """
     found = {} if cameras.markers is None else _summarize_markers(cameras.markers)
     if found or cameras.roots is not None:
         found |= _summarize_roots(cameras, found.get("focal_scale", 1.0))
+    if cameras.bare is not None:
+        found |= {"mm_per_px": cameras.bare.mm_per_px}
     sways = np.array([view.sway[:2] for view in cameras.views])
     return found | {"sway_mm": SWAY_AT_MM * float(np.sqrt(np.square(sways).sum(axis=1).mean()))} if sways.any() else found
 

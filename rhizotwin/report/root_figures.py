@@ -17,6 +17,7 @@ from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
+from rhizotwin.through_water import Pictures
 
 Floats = NDArray[np.float64]
 
@@ -120,29 +121,26 @@ def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Jso
     """
     axes.set_xticks([])
     axes.set_yticks([])
-    used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None]
-    toward = side.axes[2]
-    frontal = [frames.invert(np.array(view["cam_from_canister"], np.float64))[:3, 3] for view in used]
-    if not used:
+    pictures, toward = Pictures.of(dataset, summary), side.axes[2]
+    if not pictures.views:
         axes.set_title("no picture", fontsize=9)
         return
-    near = int(np.argmax([centre @ toward / np.linalg.norm(centre) for centre in frontal]))
-    view = used[near]
-    picture = figures.for_screen(dataset, view["file"])
+    near = int(np.argmax([view.centre_mm @ toward / np.linalg.norm(view.centre_mm) for view in pictures.views]))
+    file, view = pictures.files[near], pictures.views[near]
+    picture = figures.for_screen(dataset, file)
     if picture is None:
-        axes.set_title(f"{view['file']} could not be read", fontsize=9)
+        axes.set_title(f"{file} could not be read", fontsize=9)
         return
     corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
-    seen = frames.apply(np.array(view["cam_from_canister"], np.float64), corners)
-    camera = dataset.scene.camera.as_pinhole()
-    pixels = seen[:, :2] / seen[:, 2:] * np.array(camera.focal_px) + np.array(camera.principal_px)
+    seen = frames.apply(view.cam_from_canister, corners)
+    pixels = seen[:, :2] / seen[:, 2:] * view.camera.focal_px + view.camera.principal_px
     middle = pixels.mean(axis=0)
     # refraction widens the roots by a factor of about n and does not change their height
     low, high = (middle + (corner - middle) * [dataset.scene.water.n_water, 1.1] for corner in (pixels.min(axis=0), pixels.max(axis=0)))
-    width, height = camera.image_wh
+    width, height = view.camera.image_wh
     left, right = np.clip([low[0], high[0]], -0.5, width - 0.5)
     top, bottom = np.clip([low[1], high[1]], -0.5, height - 0.5)
     axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
-    axes.set_title(f"{view['file']}, through the water", fontsize=9)
+    axes.set_title(f"{file}, through the water", fontsize=9)

@@ -184,7 +184,7 @@ def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) 
     text = _METHOD.format(
         made="Simulated images" if simulated else "Images",
         pictures=used,
-        by=" in one fit to all images" if summary.get("rig") else ", or given",
+        by=" in one fit to all images" if (summary.get("rig") or {}).get("rings") else ", or given",
         shape=tubes if roots else "the hull was trimmed to what the silhouettes require",
     )
     named = ", ".join(f"{name} {versions[name]}" for name in versions if name in ("rhizotwin", "python", "numpy", "mitsuba", "drjit"))

@@ -51,7 +51,7 @@ def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[Rig
         if true is not None:
             found.append(RigError(quantity=row.quantity, found=row.found, true=true, sigma=row.sigma, unit=row.unit))
     angles = _table_angles(cameras, truth)
-    return (*found, *([] if angles is None or not rig else [angles]))
+    return (*found, *([] if angles is None or "table_correction_deg" not in rig else [angles]))
 
 
 def _true_value(row: Row, truth: Truth) -> float | None:

@@ -75,7 +75,8 @@ _TERM = _with({"why": _text, "less_mm3": _number, "more_mm3": _number})
 _VIEW = _with(
     {"file": _text, "used": _truth},
     {
-        "cam_from_canister": _or_none(_POSE),
+        **dict.fromkeys(("cam_from_canister", "cam_from_tank"), _or_none(_POSE)),
+        "sway": _numbers(3),
         **dict.fromkeys(
             ("table_deg", "reprojection_px", "markers", "fill", "position_sigma_mm", "rotation_sigma_deg", "ring"), _or_none(_number)
         ),
@@ -100,7 +101,7 @@ _ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
 _RIG = _with(
     {},
     {
-        "focal_scale": _positive,
+        **dict.fromkeys(("focal_scale", "mm_per_px"), _positive),
         "rings": _or_none(_list(_RING)),
         "canister_edges": _or_none(_EDGES),
         "roots": _or_none(_ROOTS),

@@ -10,10 +10,12 @@ import trimesh
 
 from rhizotwin import shading
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.report import result_pictures
+from rhizotwin.report import result_pictures, root_figures
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.stored import result_files
+from tests.rhizotwin import plant as plants
 
 
 def ball(radius_mm: float, at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
@@ -48,6 +50,18 @@ def test_all_pictures_of_a_result_with_roots(scan):
         assert picture is not None
         assert min(picture.shape[:2]) > 300
         assert picture.std() > 5.0
+
+
+def test_a_picture_is_cropped_by_the_calibrated_lens(tmp_path):
+    """At twice the focal length, the crop around the same roots is twice as wide."""
+    made = plants.make(tmp_path)
+    summary, dataset = result_files.read_summary(made.result), load_dataset(made.dataset)
+    wide = []
+    for scale in (0.5, 1.0):
+        drawn = root_figures.roots_and_inputs(made.roots, summary | {"rig": {"focal_scale": scale}}, dataset)
+        left, right = drawn.axes[0].get_xlim()
+        wide.append(right - left)
+    assert wide[1] == pytest.approx(2.0 * wide[0])
 
 
 def test_without_silhouettes_and_truth_there_are_still_pictures_and_they_repeat_exactly(scan):

@@ -49,5 +49,6 @@ def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
     assert errors["focal length relative to the given value"].true == 1.0
     assert errors["table angles (rms)"].found == pytest.approx(0.01)
     assert "canister relative to the turntable: tilt x" not in errors
+    assert compare_rig({"mm_per_px": 0.1}, views, truth()) == (), "angles without markers are the commanded ones"
     unknown = "focal length relative to the given value"
     assert unknown not in {error.quantity for error in compare_rig(RIG, [], truth())}, "the truth does not know it"

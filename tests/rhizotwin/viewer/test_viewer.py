@@ -13,8 +13,11 @@ from websockets.http11 import Request
 
 from rhizotwin import root_colours
 from rhizotwin.corrections import log
+from rhizotwin.recon.calibration.cameras import BareUncertainty, Camera, Cameras
 from rhizotwin.recon.optics import cameras
-from rhizotwin.scenes import formatting
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.calibration_summary import summarize_cameras
+from rhizotwin.scenes import formatting, frames
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored.result_files import read_summary
@@ -105,6 +108,25 @@ def test_pixels_are_those_of_the_reference(plant: plants.Plant):
         reference, count = cameras.project(found.views[place], found.optics, points)
         assert (count == 1).all()
         assert px == pytest.approx(reference[:, 0], abs=1e-6)
+
+
+def test_stored_cameras_project_points_like_the_calibrated_cameras(plant: plants.Plant):
+    """The scale of the scene is 0.22 mm per pixel, that of the pictures 0.11; the roots sway by 0.3 mm at their tips."""
+    dataset = load_dataset(plant.dataset)
+    given = replace(dataset.scene.camera, kind="telecentric", mm_per_px=0.22)
+    scene = replace(dataset.scene, camera=given)
+    lens = replace(given, mm_per_px=0.11)
+    pose = lens.pinhole_pose(frames.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0))
+    one = Camera(file=dataset.frames[0].file, ring=0, used=True, cam_from_canister=pose, sway=(0.0, 0.003, 0.0))
+    bare = BareUncertainty(scale=1e-3, azimuth_rad=1e-3, lift_mm=0.1, mm_per_px=0.11)
+    made = Cameras(lens=lens.as_pinhole(), optics=Optics.from_scene(scene), all=(one,), order=(0,), bare=bare)
+    rig = summarize_cameras(made)
+    stored = {"file": one.file, "used": True, "cam_from_canister": pose.tolist(), "sway": list(one.sway)}
+    found = Pictures.of(replace(dataset, scene=scene), {"views": [stored], "rig": rig})
+    points = np.array([[0.0, 2.0, -80.0], [3.0, -4.0, -120.0]])
+    assert found.pixels(0, points) == pytest.approx(cameras.project_inner(made.views[0], made.optics, points), abs=1e-9)
+    del rig["mm_per_px"], stored["sway"]  # as in results of earlier versions
+    assert Pictures.of(replace(dataset, scene=scene), {"views": [stored], "rig": rig}).views[0].camera == given.as_pinhole()
 
 
 def test_roots_drawn_over_pictures_lie_on_the_roots(viewer: Viewer):
