@@ -5,6 +5,8 @@ The reconstruction of the shoot is independent of that of the roots. Only the ma
 
 from __future__ import annotations
 
+import numpy as np
+
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
@@ -112,6 +114,7 @@ def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
 
 
 def _mm2_per_px(view: View) -> float:
-    """Return the area of a pixel at the canister's axis, perpendicular to the line of sight, mm2."""
+    """Return the area of a pixel at the canister's axis, perpendicular to the optical axis, mm2."""
     fx, fy = view.camera.focal_px
-    return view.rho_mm**2 / (fx * fy)
+    level = float(np.hypot(*view.cam_from_canister[2, :2]))  # cosine of the tilt
+    return (view.rho_mm / level) ** 2 / (fx * fy)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix
 from rhizotwin.recon.shoots import blades, find_shoot, shoot_hull, shoot_silhouettes
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Scene
@@ -53,6 +53,17 @@ def found(points_mm: np.ndarray) -> tuple[float, np.ndarray, float, float]:
     hull, mesh = shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
     enclosed = shoot_hull.enclosed_share(hull, blades.find_blades(mesh))
     return hull.leaves.volume_mm3(), np.asarray(mesh.bounds), 0.5 * float(mesh.area), enclosed
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 30.0, 45.0])
+def test_the_area_of_a_pixel_is_that_of_a_square_across_the_optical_axis(tilt_deg: float) -> None:
+    pose = frames.level_camera(distance_mm=420.0, height_mm=120.0, tilt_deg=tilt_deg)
+    view = View(camera=SCENE.camera, cam_from_canister=pose)
+    middle = np.array([0.0, 0.0, 120.0 - 420.0 * np.tan(np.deg2rad(tilt_deg))])  # where the optical axis meets that of the canister
+    right, down = pose[0, :3], pose[1, :3]
+    square = middle + np.array([a * right + b * down for a, b in ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))])
+    px = cam_pixels(view.camera, frames.apply(pose, square))
+    assert find_shoot._mm2_per_px(view) == pytest.approx(100.0 / cv2.contourArea(px.astype(np.float32)), rel=1e-5)
 
 
 def test_a_ball_in_the_air_has_its_size_and_place() -> None:
