@@ -83,7 +83,7 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
         hidden_share=hidden,
         enclosed_share=enclosed,
         colour=colour.values,
-        warnings=(*pictures.warnings, *said, *colour.warnings),
+        warnings=(*pictures.warnings, *cameras.warnings, *said, *colour.warnings),
     )
 
 

@@ -1,16 +1,22 @@
 """Shoots from pictures that a pinhole draws: a ball and a flat disc above the pot, whose sizes are known."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix
+from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, find_shoot, shoot_hull, shoot_silhouettes
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
+from tests.recon.hull.exact_pictures import rows
 
 SCENE = replace(Scene(), camera=Camera().resized((400, 300)))
 VIEWS = 16
@@ -92,3 +98,17 @@ def test_what_stands_before_the_pot_does_not_carve() -> None:
     assert covered.sum() > 300
     assert found.usable[covered].mean() < 0.7
     assert not found.usable[250, 200]
+
+
+def test_warnings_about_the_cameras_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = [view.cam_from_canister for view in views()[::4]]
+    for k, view in enumerate(views()[::4]):
+        write_image(tmp_path / f"{k}.png", np.round(65535.0 * drawn(view, ball(15.0, (0.0, 0.0, 75.0)))).astype(np.uint16))
+    listed = tuple(Frame(file=f"{k}.png", sha256="", kind="shoot", cam_from_canister=rows(pose)) for k, pose in enumerate(poses))
+    excluded = "3.png is excluded: the strip or the camera moved"
+    monkeypatch.setattr(find_shoot, "find_cameras", lambda *given, **more: replace(find_cameras(*given, **more), warnings=(excluded,)))
+    monkeypatch.setattr(find_shoot, "FINEST_MM", 2.0)
+    dataset = Dataset(folder=tmp_path, scene=SCENE, frames=listed)
+    shoot, warnings = find_shoot.find_shoot(dataset, settings=Settings(), monitor=Monitor())
+    assert shoot is not None
+    assert excluded in warnings
