@@ -96,16 +96,16 @@ def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], mis
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
     """Find the bases of the plants in a tree.
 
-    Return the root index and the point index of each base, keyed by the index of the plant.
+    Return the root index and the point index of each base, keyed by the index of the plant. It is the point nearest to
+    the plant's position, of those at most `crown.HIDDEN_MM` below the grid and horizontally within `crown.reach_mm`.
     """
     reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}
     for plant, place in enumerate(at_mm):
-        away = [
-            np.where(root.points_mm[:, 2] > place[2] - crown.HIDDEN_MM, np.linalg.norm(root.points_mm - place, axis=1), np.inf)
-            for root in tree.roots
-        ]
+        shift = [root.points_mm - place for root in tree.roots]
+        allowed = [(one[:, 2] > -crown.HIDDEN_MM) & (np.linalg.norm(one[:, :2], axis=1) < reach_mm) for one in shift]
+        away = [np.where(may, np.linalg.norm(one, axis=1), np.inf) for may, one in zip(allowed, shift, strict=True)]
         number = int(np.argmin([one.min() for one in away]))
-        if away[number].min() < reach_mm:
+        if allowed[number].any():
             found[plant] = (number, int(np.argmin(away[number])))
     return found
 

@@ -1,6 +1,9 @@
 """Roots of two plants in one canister are given to the plant at whose base they hang."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from rhizotwin.recon.roots import plants
 from rhizotwin.scenes.plants import Plant
@@ -46,3 +49,15 @@ def test_a_torn_piece_goes_to_the_nearest_plant_and_is_open_between_two():
 def test_one_named_plant_has_all_and_a_plant_without_a_base_is_missing():
     assert {one.plant for one in plants.assign([tap(A), tap(B)], (A,), grid_z_mm=GRID_MM).roots} == {"A"}
     assert plants.assign([tap(A)], (A, B), grid_z_mm=GRID_MM).missing == ("B",)
+
+
+@pytest.mark.parametrize("hidden_mm", [2.4, 3.2, 7.0])
+def test_plants_that_are_close_together_have_bases_below_what_the_pot_hides(hidden_mm: float):
+    close = [replace(A, at_mm=(-3.0, 0.0)), replace(B, at_mm=(3.0, 0.0))]
+    first_mm = GRID_MM - hidden_mm
+    roots = [root([x, y, first_mm], [x, y, -50], diameters=(1.2, 0.4)) for x, y in (one.at_mm for one in close)]
+    given = plants.assign(roots, close, grid_z_mm=GRID_MM)
+    assert (given.missing, given.open) == ((), (False, False))
+    assert [one.plant for one in given.roots] == ["A", "B"]
+    beside = root([0.0, 3.1, first_mm], [0.0, 3.1, -50])
+    assert plants.assign([beside], close, grid_z_mm=GRID_MM).missing == ("A", "B"), "farther from both than half their distance"
