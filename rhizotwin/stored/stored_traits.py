@@ -95,4 +95,4 @@ def of_shoot(summary: Json) -> Json | None:
 
     Return None if there is no shoot, or if the result contains several plants, whose shoots are not separated.
     """
-    return None if summary.get("plants") else summary.get("shoot")
+    return None if len(summary.get("plants") or ()) > 1 else summary.get("shoot")

@@ -153,6 +153,7 @@ _REQUIRED: dict[str, Fits] = {
 """Validators for the values of the required keys."""
 _OPTIONAL: dict[str, Fits] = {
     "rig": _or_none(_RIG),
+    "plants": _or_none(_list(_with({}))),
     "settings": _with({}, {"finest_mm": _positive}),
     "versions": _with({}),
     "bands": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),

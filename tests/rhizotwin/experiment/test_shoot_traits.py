@@ -10,6 +10,7 @@ import pytest
 from rhizotwin.experiment import biomass
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import read_all
+from rhizotwin.stored import stored_traits
 from tests.command import Command
 
 GRAMS_PER_CM2 = 0.045
@@ -54,6 +55,12 @@ def test_tables_have_columns_of_shoots_and_what_is_not_known_is_empty(
     assert "shoot_volume" not in again["P7"]
     command.works("traits", ball_result("alone"), "-o", tmp_path / "without.csv")
     assert "leaf_area" not in (tmp_path / "without.csv").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("names", "known"), [((), True), (("A",), True), (("A", "B"), False)])
+def test_a_shoot_is_that_of_the_only_plant(names: tuple[str, ...], known: bool) -> None:
+    summary = {"plants": [{"plant": name} for name in names], "shoot": shoot(200.0, 1.0)}
+    assert stored_traits.of_shoot(summary) == (summary["shoot"] if known else None)
 
 
 def test_a_shoots_mass_is_told_by_its_leaf_area(results: Path, tmp_path: Path) -> None:

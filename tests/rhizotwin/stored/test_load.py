@@ -34,6 +34,7 @@ def test_a_value_of_another_kind_is_named(scan) -> None:
     good = load_result(made.result).summary()
     for key, value in (
         ("rig", {"focal_scale": None}),
+        ("plants", 2),
         ("settings", {"finest_mm": "fine"}),
         ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
         ("volume_interval_mm3", [1.0]),
