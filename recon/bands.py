@@ -91,13 +91,13 @@ def _rows(scene: Scene, frame: Frame) -> slice:
 
     The rows are predicted from the camera's nominal position according to the capture plan.
     """
-    ring, pot = scene.plan.rings[frame.ring], scene.net_pot
+    ring, pot, lens = scene.plan.rings[frame.ring], scene.net_pot, scene.camera.as_pinhole()
     z_mm = pot.skirt_bottom_mm if frame.kind == "root" else pot.top_mm
     rim = np.array([[pot.outer_radius_mm, 0.0, z_mm], [-pot.outer_radius_mm, 0.0, z_mm]])
     level = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
-    points: NDArray[np.float64] = frames.apply(level, rim)
-    rows = scene.camera.focal_px[1] * points[:, 1] / points[:, 2] + scene.camera.principal_px[1]
-    height = scene.camera.image_wh[1]
+    points: NDArray[np.float64] = frames.apply(scene.camera.pinhole_pose(level), rim)
+    rows = lens.focal_px[1] * points[:, 1] / points[:, 2] + lens.principal_px[1]
+    height = lens.image_wh[1]
     edge = int(np.clip(rows.max() if frame.kind == "root" else rows.min(), 0, height))
     found = slice(edge, height) if frame.kind == "root" else slice(0, edge)
     return found if found.stop - found.start >= height // 8 else slice(0, height)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rhizotwin.recon import bands
 from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes.atomic import write_image
@@ -53,3 +54,12 @@ def test_a_band_that_lacks_a_view_is_not_chosen(tmp_path: Path) -> None:
     assert list(read_pictures(fewer, monitor=Monitor()).bands) == ["faint"]
     with pytest.raises(UserError, match="no band in which the panel and the front light are on has a picture of every root view"):
         read_pictures(replace(dataset, frames=(dataset.frames[0], dataset.frames[3])), monitor=Monitor())
+
+
+@pytest.mark.parametrize("mm_per_px", [0.1, 0.3])
+def test_the_rows_of_a_telecentric_camera_begin_below_the_net_pot(mm_per_px: float) -> None:
+    camera = Camera(kind="telecentric", mm_per_px=mm_per_px, image_wh=(1600, 1200), principal_px=(799.5, 599.5))
+    scene = Scene(camera=camera)
+    below_px = (scene.plan.rings[0].height_mm - scene.net_pot.skirt_bottom_mm) / mm_per_px
+    rows = bands._rows(scene, Frame(file="", sha256=""))
+    assert (rows.start, rows.stop) == (pytest.approx(599.5 + below_px, abs=1.0), 1200)
