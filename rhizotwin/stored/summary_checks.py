@@ -101,7 +101,7 @@ _ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
 _RIG = _with(
     {},
     {
-        **dict.fromkeys(("focal_scale", "mm_per_px"), _positive),
+        **dict.fromkeys(("focal_scale", "focal_scale_markers", "mm_per_px"), _positive),
         "rings": _or_none(_list(_RING)),
         "canister_edges": _or_none(_EDGES),
         "roots": _or_none(_ROOTS),

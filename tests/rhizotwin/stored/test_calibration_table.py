@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.calibration.cameras import Camera
+from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, RootCalibration
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.calibration_summary import summarize_cameras
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.truth import TrueView, Truth
 from rhizotwin.scoring.score_rig import compare_rig
 from rhizotwin.stored import calibration_table
@@ -37,6 +40,21 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
     assert "focal length relative to the given value: given 1, found 1.0002 +- 0.0001 (too uncertain, the given value was used)" in text
     assert "roots, perpendicular to their axes: residual 0.090 px before, 0.050 px after" in text
     assert calibration_table.table({}) == [], "cameras that were given leave none"
+
+
+@pytest.mark.parametrize(("markers", "found", "taken"), [(1.0, 1.002, False), (1.002, 1.00205, True)])
+def test_a_focal_length_that_the_roots_corrected_was_not_taken_from_the_markers(markers: float, found: float, taken: bool) -> None:
+    by_markers = MarkerCalibration(
+        focal_scale=markers, focal_found=1.002, focal_sigma=0.001, table_sigma=None, table_correction_deg=None, canister=None
+    )
+    index = {"n_water": 1.334, "n_water_sigma": 1e-4, "n_water_given": 1.333}
+    by_roots = RootCalibration(**index, focal_scale=1.00205 / 1.002, believed=True, nodes=700, before_px=0.09, after_px=0.05)
+    scene = Scene()
+    rig = summarize_cameras(
+        Cameras(lens=scene.camera, optics=Optics.from_scene(scene), all=(), order=(), markers=by_markers, roots=by_roots)
+    )
+    row = next(row for row in calibration_table.rows(rig) if row.quantity == "focal length relative to the given value")
+    assert (row.found, row.taken) == (pytest.approx(found, abs=1e-9), taken)
 
 
 def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
