@@ -1,7 +1,8 @@
 """Exposure of each picture, measured on the part of the backlight panel that is visible beside the canister.
 
 Lines of sight beside the canister show the panel directly. A static camera shows the same part of the panel in every
-view. The exposure of a picture is the ratio of these pixels to the same pixels in all pictures of the station.
+view. The exposure of a picture is the ratio of these pixels to the same pixels in all pictures of the station, times
+the brightness of the station relative to its ring.
 
 Lamps at mains frequency under a rolling shutter, panels that fade on one side, and passing people change the brightness
 of only parts of a picture. The ratio is therefore measured row by row, left and right of the canister.
@@ -57,7 +58,7 @@ class Exposures:
     """Exposures of the pictures of a scan."""
 
     gain: Array
-    """(V,) exposure of each picture relative to the station's median picture; 1 if unknown."""
+    """(V,) exposure of each picture relative to the median picture of its ring; 1 if unknown."""
     measured: bool
     """Whether the exposures of all pictures could be measured on the panel beside the canister."""
     clipped: Array
@@ -170,7 +171,21 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
             sides[k], uneven[k] = _measure_unevenness(one / gain[k], row, column, images[k].shape[1])
+    _relate_placements(gain, level, stations)
     return Exposures(gain=gain, measured=measured, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
+
+
+def _relate_placements(gain: Array, level: Array, stations: Sequence[tuple[int, int]]) -> None:
+    """Multiply the gains (V,) of each placement of the camera by its brightness relative to the whole ring, in place.
+
+    The placements of a ring have a common empty backlight (`coverage.measure`), but each gain was measured relative to
+    its own placement.
+    """
+    for ring, placement in set(stations):
+        whole = np.array([one[0] == ring for one in stations])
+        own = whole & np.array([one[1] == placement for one in stations])
+        if np.isfinite(level[whole]).all():
+            gain[own] *= np.median(level[own]) / np.median(level[whole])
 
 
 def _measure_unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:

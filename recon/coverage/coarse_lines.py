@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -43,9 +44,8 @@ class CoarseLines:
         beyond : bool
             Whether to add one row and one column beyond the lower and right border, to avoid extrapolation there.
         """
-        width, height = view.camera.image_wh
-        more, first = step if beyond else 0, 0.5 * step - 0.5
-        u, v = np.meshgrid(np.arange(first, width + more, step), np.arange(first, height + more, step))
+        columns, rows = (math.ceil(size / step) + beyond for size in view.camera.image_wh)
+        u, v = np.meshgrid(step * (np.arange(columns) + 0.5) - 0.5, step * (np.arange(rows) + 0.5) - 0.5)
         directions = cameras.camera_directions(view.camera, np.stack([u.ravel(), v.ravel()], axis=1))
         return CoarseLines(*cameras.approach(view, optics, directions), (u.shape[0], u.shape[1]), step, view.camera.image_wh)
 

@@ -16,9 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.coverage.translucency import CLEARLY
+from rhizotwin.recon.coverage.translucency import CLEARLY, FAINTEST_LEARNED
 from rhizotwin.recon.tubes import root_light, translucent_tube, tube_fit, tube_profiles
-from rhizotwin.recon.tubes.root_light import BENDING, BLUR, DARKEST, HAIRS, HAIRY, INDEX, LEARNED_SIGMA, LEAST_LONE, MU, ROUNDING, Prior
+from rhizotwin.recon.tubes.root_light import (
+    BENDING,
+    BLUR,
+    DARKEST,
+    FAINTEST,
+    HAIRS,
+    HAIRY,
+    INDEX,
+    LEARNED_SIGMA,
+    LEAST_LONE,
+    MU,
+    ROUNDING,
+    Prior,
+)
 from rhizotwin.recon.tubes.tube_fit import Fit
 from rhizotwin.recon.tubes.tube_profiles import OUTLIER
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -45,6 +58,9 @@ views.
 Above the first threshold, the difference between two models, or between the attenuation and its upper bound, is
 significant. Above the second, hairs half as strong as those of radish are excluded. Opaque plants of the twin have
 differences of 0.2 to 1.7, and thin translucent plants of 2.8 to 12."""
+_BOUND_SIGMA = float(np.log(FAINTEST_LEARNED / FAINTEST)) / 3.0**0.5
+"""Standard deviation of log mu about its upper bound, if only the bound is known. It is that of a uniform distribution
+between the smallest attenuation and the bound, about its upper end."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +181,8 @@ def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuatio
         return attenuation
     covariance = system.covariance(light, prior)
     if fit.few and fit.evidence.mu_per_mm is not None:
-        covariance[MU, MU], covariance[INDEX, INDEX] = LEARNED_SIGMA**2, BENDING[1] ** 2
+        sigma = LEARNED_SIGMA if fit.evidence.mu_per_mm > FAINTEST_LEARNED else _BOUND_SIGMA
+        covariance[MU, MU], covariance[INDEX, INDEX] = sigma**2, BENDING[1] ** 2
     hairs: Literal["none", "maybe", "there"] = "none"
     if fit.evidence.has_opacity and not fit.few:
         change, sigma = system.estimate_without_prior(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)

@@ -47,6 +47,15 @@ def test_each_picture_s_exposure_is_found() -> None:
     assert all(np.ndim(found.light(k, (400, 300))) == 0 for k in range(len(GAINS)))
 
 
+def test_placements_of_a_ring_have_their_exposures_in_common() -> None:
+    images = pictures()
+    dimmer = [np.rint(0.9 * image).astype(np.uint16) for image in images]
+    placements = [(0, 0)] * len(images) + [(0, 1)] * len(images)
+    found = exposure.measure([*images, *dimmer], views(2 * len(images)), placements, Optics.from_scene(SCENE), SCENE)
+    np.testing.assert_allclose(found.gain[len(images) :] / found.gain[: len(images)], 0.9, rtol=0.003)
+    assert found.wander > measured(images).wander
+
+
 def test_a_clipped_panel_is_told_and_one_no_wider_than_the_canister_tells_nothing() -> None:
     assert measured(pictures(level=1.0)).clipped.max() > 0.1
     narrow = measured(pictures(width=0.6))

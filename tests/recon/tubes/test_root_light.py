@@ -1,13 +1,17 @@
 """Attenuation, blur and hairs, fitted together with the tubes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.translucency import FAINTEST_LEARNED
 from rhizotwin.recon.tubes import root_light, tube_attenuation, tube_fit, tube_profiles
 from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.tube_picture import Rendering
+from rhizotwin.recon.tubes.tubes import Tubes
 from tests.recon.strings import drawn
 from tests.recon.tubes.test_translucent_tubes import ORGAN, SLANTED, STAR, dark, pictured, straight
 
@@ -102,3 +106,20 @@ def test_an_error_of_the_model_does_not_average_out() -> None:
     free = np.flatnonzero(BALD)
     per_profile = system.reduced[np.ix_(free, free)] / system.lone
     np.testing.assert_allclose(worst, np.sqrt(root_light.LEAST_VARIANCE * np.diag(np.linalg.inv(per_profile))), rtol=0.1)
+
+
+@pytest.mark.parametrize(("learned", "least"), [(2.0, 0.1), (FAINTEST_LEARNED, 0.8)])
+def test_an_upper_bound_of_the_attenuation_is_no_measurement(learned: float, least: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With few profiles, the attenuation is that of wide roots, whose lowest value is a bound."""
+
+    system = SimpleNamespace(covariance=lambda *_: np.zeros((4, 4)))
+
+    def fit(seen: Evidence, tubes: Tubes, *_: object, light: Prior, **_others: object) -> tube_fit.Fit:
+        return tube_fit.Fit(seen, tubes, None, system, light, few=True)
+
+    monkeypatch.setattr(tube_fit, "fit", fit)
+    monkeypatch.setattr(tube_attenuation, "_losses", lambda *_: (np.ones((2, 1, 3)), np.ones((1, 3), bool)))
+    seen = drawn(STAR, dark(), opacity=True).with_opacity()
+    found, _ = tube_attenuation.find(seen, STAR, ORGAN, learned)
+    assert found.mu_per_mm == learned
+    assert least < found.sigma < 2.0 * least + 0.1
