@@ -111,7 +111,6 @@ def test_an_error_of_the_model_does_not_average_out() -> None:
 @pytest.mark.parametrize(("learned", "least"), [(2.0, 0.1), (FAINTEST_LEARNED, 0.8)])
 def test_an_upper_bound_of_the_attenuation_is_no_measurement(learned: float, least: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """With few profiles, the attenuation is that of wide roots, whose lowest value is a bound."""
-
     system = SimpleNamespace(covariance=lambda *_: np.zeros((4, 4)))
 
     def fit(seen: Evidence, tubes: Tubes, *_: object, light: Prior, **_others: object) -> tube_fit.Fit:
