@@ -117,7 +117,8 @@ class Renderer:
         self.lamps = lights.Lamps(scene, world)
         dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
         self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]
-        self.backlit = Backlit(dark_scene, self.lamps, media=media, room=room, roots=optics.SPECIMEN)
+        parallel = scene.camera.kind == "telecentric"
+        self.backlit = Backlit(dark_scene, self.lamps, media=media, room=room, roots=optics.SPECIMEN, parallel=parallel)
         self.targets = [optics.SHOOT if ring.kind == "shoot" else optics.SPECIMEN for ring in scene.plan.rings]
         self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
         self.blur_px = _blur_px(scene)
@@ -125,7 +126,7 @@ class Renderer:
         if wrong.dust_specks or wrong.scratches:  # smaller than pixels
             reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(scene.camera.focal_px)
             empty = optics.build(scene, world, None, lamps=False, dirt_reach_mm=reach_mm)
-            self.near_dirt = Backlit(empty, self.lamps, media=False)
+            self.near_dirt = Backlit(empty, self.lamps, media=False, parallel=parallel)
             self.near_dirt.aim(optics.OUTER_DIRT)
         self.sensors = [
             mi.load_dict(

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.sim import solids
 from rhizotwin.sim.dirt import Bubble, Fibre, Patch
 from rhizotwin.sim.render import Image, Renderer
 from rhizotwin.sim.specimen import SpecimenSolid
@@ -63,3 +65,16 @@ def test_a_bubble_lets_through_what_fresnel_says_and_a_fibre_shades_but_neither_
     behind, coverage = centre_light(Disturbances(), fibres=(fibre,))
     assert behind < 0.9 * clear
     assert not coverage.any()
+
+
+def test_parallel_rays_along_an_axis_miss_no_surface() -> None:
+    """A hairy vertical root looks the same at every height."""
+    scene = scene_with(Disturbances(root_hair_mm=0.5, root_hair_mu_per_mm=0.2, root_mu_per_mm=0.5))
+    camera = Camera(kind="telecentric", mm_per_px=0.05, image_wh=(80, 160), principal_px=(39.5, 79.5))
+    z = np.linspace(-40.0, -80.0, 41)
+    root = Root(points_mm=np.stack([0.0 * z, 0.0 * z, z], axis=1), diameters_mm=np.full(41, 2.0), order=0, parent=-1)
+    vertices, faces = solids.to_surface(solids.unite_roots([root]))
+    solid = SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=40.0 * np.pi, roots=(root,))
+    scene = replace(scene, camera=camera)
+    image, _ = Renderer(scene, draw_world(scene, seed=0), solid).view(0)
+    assert np.abs(image / np.median(image, axis=0) - 1.0).max() < 0.02
