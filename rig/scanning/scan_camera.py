@@ -22,21 +22,22 @@ class ScanCamera:
         self._clock = clock
         self._scene = scene
         self._note = note
-        self._angles_deg: dict[bytes, float] = {}
-        """Table angles, deg, at which the pictures were taken. The keys are hashes of the pictures."""
+        self._subjects: dict[bytes, tuple[float, str]] = {}
+        """Table angles, deg, and bands in which the pictures were taken. The keys are hashes of the pictures."""
 
-    def picture(self, *, table_deg: float | None = None) -> Shot:
+    def picture(self, *, table_deg: float | None = None, band: str = "") -> Shot:
         """Take a picture. If the camera fails, it is reopened and the picture repeated, with increasing pauses.
 
-        With ``table_deg``, the present table angle, a picture that is identical to a picture at a different angle also
-        counts as a failure. Because of noise, no two pictures are identical unless the camera hangs.
+        With ``table_deg``, the present table angle, a picture that is identical to a picture at a different angle or in
+        a different band also counts as a failure. Because of noise, no two pictures are identical unless the camera
+        hangs.
 
         Raises
         ------
         RigError
             If the camera fails repeatedly, or the size of its pictures differs from that of the scene's camera.
         """
-        shot = self._take_picture(table_deg)
+        shot = self._take_picture(None if table_deg is None else (table_deg, band))
         check_size(shot.image, self._scene.camera)
         return shot
 
@@ -45,7 +46,7 @@ class ScanCamera:
         shot = self.picture()
         return shot, read_strip(shot.image, self._scene)
 
-    def _take_picture(self, table_deg: float | None) -> Shot:
+    def _take_picture(self, subject: tuple[float, str] | None) -> Shot:
         broken = False
         for attempt in range(TRIES):
             try:
@@ -53,13 +54,13 @@ class ScanCamera:
                     self._camera.close()
                     self._camera.prepare()
                 shot = self._camera.capture()
-                if table_deg is not None:
+                if subject is not None:
                     digest = hashlib.sha256(shot.image.tobytes()).digest()
-                    before_deg = self._angles_deg.setdefault(digest, table_deg)
-                    if before_deg != table_deg:
+                    before = self._subjects.setdefault(digest, subject)
+                    if before != subject:
                         raise RigError(
-                            f"camera: the pictures at {table_deg:g} deg and {before_deg:g} deg are identical, because the camera hangs "
-                            "or shows nothing that rotates; check the picture, and reconnect the camera"
+                            f"camera: the pictures at {_subject_text(*subject)} and {_subject_text(*before)} are identical, because the "
+                            "camera hangs or shows nothing that changes; check the picture, and reconnect the camera"
                         )
                 return shot
             except RigError as error:
@@ -69,3 +70,7 @@ class ScanCamera:
                 broken = True
                 self._clock.sleep(FIRST_PAUSE_S * 2**attempt)
         raise AssertionError("unreachable")
+
+
+def _subject_text(table_deg: float, band: str) -> str:
+    return f"{table_deg:g} deg in {band}" if band else f"{table_deg:g} deg"

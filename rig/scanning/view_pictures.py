@@ -104,7 +104,7 @@ class ViewPictures:
             gain=shot.gain,
             time_s=round(self._now_s(), 6),
         )
-        again = self._camera.picture().image if self._observer.watches_motion else None
+        again = self._camera.picture(table_deg=view.table_deg, band=main).image if self._observer.watches_motion else None
         return (frame, shot.image), self._other_bands(view, frame), again
 
     def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
@@ -114,7 +114,7 @@ class ViewPictures:
             if band == frame.band:
                 continue
             self._select(band)
-            shot = self._camera.picture()
+            shot = self._camera.picture(table_deg=view.table_deg, band=band)
             self._turntable.verify(view.table_deg)
             now_s = round(self._now_s(), 6)
             own = replace(frame, file=picture_file(view, band), band=band, exposure_s=shot.exposure_s, gain=shot.gain, time_s=now_s)
@@ -137,7 +137,7 @@ class ViewPictures:
                     "switched on again",
                 )
                 self._turntable.light()
-            shot = self._camera.picture(table_deg=angle_deg)
+            shot = self._camera.picture(table_deg=angle_deg, band=self._main)
             self._turntable.verify(angle_deg)
             bright = measure_exposure(shot.image).bright
             if DIMMER * self.bright <= bright <= BRIGHTER * self.bright:

@@ -22,6 +22,9 @@ INK = 0.05
 """Reflectance of the black cells of a marker, relative to that of the paper."""
 MM_PER_TEXEL = 0.125
 ROOT = 0.02
+BAND = 0.01
+"""Difference in the reflectance of ink and the transmittance of roots between successive bands. Pictures in two bands
+thus always differ, as those of a real camera do because of noise."""
 ROOTS = 5
 ROOT_DEPTH_MM = 90.0
 _SHIFT = 4  # fractional bits in OpenCV's drawing functions
@@ -63,11 +66,12 @@ class Sketch:
         """Return the picture (H, W) in linear light, where 1 is full scale."""
         width, height = self._scene.camera.image_wh
         lights = self._scene.lights_in(sight.band)
-        panel = np.float32(sight.panel * lights.backlight_level)
+        panel, front = np.float32(sight.panel * lights.backlight_level), np.float32(sight.front * lights.front_level)
         light = np.full((height, width), panel, np.float32)
         cam_from_canister = sight.cam_from_rig @ sight.rig_from_canister
-        self._draw_roots(light, cam_from_canister, panel, sight.twist_deg)
-        self._draw_strip(light, cam_from_canister @ self._canister_from_strip, np.float32(sight.front * lights.front_level))
+        added = BAND * next((i for i, band in enumerate(self._scene.camera.bands) if band.name == sight.band), 0)
+        self._draw_roots(light, cam_from_canister, float(panel) * (ROOT + added), sight.twist_deg)
+        self._draw_strip(light, cam_from_canister @ self._canister_from_strip, front, np.float32(added))
         return light * np.float32(sight.exposure)
 
     def _pixel_rays(self) -> Light:
@@ -82,8 +86,11 @@ class Sketch:
         flat = cv2.undistortPoints(pixels, self._matrix, self._distortion, criteria=many).reshape(height, width, 2)
         return np.concatenate([flat, np.ones((height, width, 1))], axis=2).astype(np.float32)
 
-    def _draw_strip(self, light: Light, cam_from_strip: frames.Array, front: np.float32) -> None:
-        """Draw the printed strip into the pixels whose rays intersect the net pot's skirt."""
+    def _draw_strip(self, light: Light, cam_from_strip: frames.Array, front: np.float32, added: np.float32) -> None:
+        """Draw the printed strip into the pixels whose rays intersect the net pot's skirt.
+
+        The reflectance of the ink is increased by ``added``.
+        """
         pot = self._scene.net_pot
         rows, columns = self._bounds(cam_from_strip)
         rays = self._rays[rows, columns] @ cam_from_strip[:3, :3].astype(np.float32)  # rays in the strip's frame
@@ -99,18 +106,19 @@ class Sketch:
         across = np.float32(self._paper.shape[1] - 2) * (turn % 1.0) + np.float32(0.5)
         down = np.float32(1.0 / MM_PER_TEXEL) * (np.float32(pot.top_mm) - at_z) - np.float32(0.5)
         seen = cv2.remap(self._paper, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen += added * (np.float32(1.0) - seen)
         facing = np.sqrt(np.maximum(inside, 0.0) / (a * np.float32(pot.outer_radius_mm**2)))
         hit = (inside > 0.0) & (along > 0.0) & (at_z <= pot.top_mm) & (at_z >= pot.skirt_bottom_mm)
         light[rows, columns] = np.where(hit, seen * front * np.minimum(facing * np.float32(1.2), 1.0), light[rows, columns])
 
-    def _draw_roots(self, light: Light, cam_from_canister: frames.Array, panel: np.float32, twist_deg: float) -> None:
+    def _draw_roots(self, light: Light, cam_from_canister: frames.Array, level: float, twist_deg: float) -> None:
         top_mm = self._scene.net_pot.grid_z_mm
         hanging = [frames.twist(line, (top_mm - line[:, 2]) / ROOT_DEPTH_MM, twist_deg) for line in self._roots_mm]
         lines = [self._project(cam_from_canister, line) for line in hanging]
         for i, line in enumerate(lines):
             if line is not None:
                 points = np.rint(line * 2**_SHIFT).astype(np.int32)
-                cv2.polylines(light, [points], False, float(panel) * ROOT, thickness=6 if i == 0 else 2, shift=_SHIFT)
+                cv2.polylines(light, [points], False, level, thickness=6 if i == 0 else 2, shift=_SHIFT)
 
     def _project(self, cam_from_b: frames.Array, points_b: frames.Array) -> frames.Array | None:
         """Project points (N, 3) to pixels (N, 2).

@@ -1,11 +1,14 @@
 """Bands on the emulated rig: lamps, outputs and filter of each, a scan in all of them, and what is taken again."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.rig import bands
+from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
 from rhizotwin.rig.scanning.observers import Observers
@@ -17,7 +20,7 @@ from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.schema import Place
-from tests.rig.fake_devices import LENS, STRIP, World, run
+from tests.rig.fake_devices import LENS, STRIP, World, devices, run
 
 BANDS = (Band(name="red", wavelength_nm=670.0, panel_level=0.0), Band(name="white"), Band(name="nir", wavelength_nm=850.0))
 SCENE = Scene(
@@ -73,6 +76,13 @@ def test_a_scan_takes_every_view_in_all_bands_of_its_ring_and_takes_missing_ones
 
 
 @pytest.mark.slow
+def test_a_twin_without_noise_is_scanned_in_all_bands(tmp_path: Path) -> None:
+    made = scanned(Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG), tmp_path / "d")
+    assert made.origin["complete"]
+    assert not any(event["event"] == "camera" for event in made.origin["log"])
+
+
+@pytest.mark.slow
 def test_a_reset_in_another_band_is_recovered_in_the_band_that_shows_the_markers(tmp_path: Path) -> None:
     whole = scanned(Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG), tmp_path / "whole")
     times = {frame.file: frame.time_s for frame in whole.frames}
@@ -83,6 +93,29 @@ def test_a_reset_in_another_band_is_recovered_in_the_band_that_shows_the_markers
     assert [frame.file for frame in made.frames] == [frame.file for frame in whole.frames]
     assert made.frames[4].placement == 1, "the angle was found anew before the view was taken again"
     assert set(bands_shown(twin, made)) == {(name, name) for name in ("red", "white", "nir")}
+
+
+@pytest.mark.parametrize("change", range(1, 6))
+def test_an_old_picture_is_not_stored_as_that_of_another_band(change: int, tmp_path: Path) -> None:
+    """After one of the changes of band in two views, the camera delivers the picture before the change once more."""
+    names = ("white", "red", "nir")
+    scene = replace(SCENE, camera=replace(LENS, bands=tuple(Band(name=name) for name in names)), plan=CapturePlan(rings=(Ring(views=2),)))
+    world, rng, taken = World(scene=scene), np.random.default_rng(5), list[tuple[str, np.ndarray]]()
+    opened = replace(devices(world), rig=RigFile(arm=None, camera=replace(RIG.camera, bands=tuple(BandPart(name=name) for name in names))))
+    capture = opened.camera.capture
+
+    def capture_late() -> Shot:
+        shot = capture()
+        taken.append((world.band, np.clip(shot.image + rng.normal(0.0, 500.0, shot.image.shape), 0.0, 65535.0).astype(np.uint16)))
+        changed = [before != after for (before, _), (after, _) in pairwise(taken)]
+        return replace(shot, image=taken[-2 if changed[-1:] == [True] and sum(changed) == change else -1][1])
+
+    opened.camera.capture = capture_late
+    made = scan(opened, scene, tmp_path / "d", observers=Observers(say=lambda _: None))
+    assert made.origin["complete"]
+    for frame in made.frames:
+        assert any(band == frame.band and np.array_equal(image, read_image(made, frame)) for band, image in taken), frame.file
+    assert any("identical" in event["text"] for event in made.origin["log"])
 
 
 def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
