@@ -254,7 +254,7 @@ class _Scan:
             self._identify(shot.image)
             before = self._session.frames_of(index)
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
-            self._turntable.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
+            seen = self._turntable.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
             self._homed = True
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turntable.angle_deg)
         self._turntable.add_sighting(seen)

@@ -10,7 +10,17 @@ from pathlib import Path
 from rhizotwin.rig import bands
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.open import Devices
-from rhizotwin.rig.scanning.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrap_angle
+from rhizotwin.rig.scanning.homing import (
+    DISAGREE_DEG,
+    Angle,
+    Ask,
+    Reference,
+    angle_against,
+    facing_angle,
+    find_angle,
+    nearest_turn,
+    wrap_angle,
+)
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.rig.scanning.session import Session
@@ -123,8 +133,10 @@ class ScanTurntable:
         """Store a picture of the scan from the camera's present position."""
         self.pictures.append((table_deg, path))
 
-    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], near_deg: float) -> None:
-        """Determine the table angle before the first picture of a run.
+    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], near_deg: float) -> Sighting | None:
+        """Determine the table angle before the first picture of a run, and rotate the table to the first target angle.
+
+        If the strip cannot be read, the table is not rotated.
 
         Parameters
         ----------
@@ -135,25 +147,23 @@ class ScanTurntable:
             still knows it.
         near_deg : float
             Next target angle, deg.
+
+        Returns
+        -------
+        Sighting or None
+            Measurement of the strip at the target angle; None if the strip cannot be read.
         """
         references = self._read(earlier)
-        kept_deg = self._kept_deg()
-        if kept_deg is not None and (seen is not None or self._given_deg is None):
-            shown_deg, most_deg = kept_deg, DISAGREE_DEG
-            if seen is not None and references:
-                shown_deg = angle_against(seen.cam_from_canister, references, self._scene)
-            elif seen is not None:
-                shown_deg, most_deg = facing_angle(seen, self._scene), BESIDE_DEG
-            if abs(wrap_angle(shown_deg - kept_deg)) <= most_deg:
-                checked = "not verified with markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
-                self._note("angle", f"turntable: the angle is still known, {kept_deg:.2f} deg ({checked})")
-                return
-            self._note(
-                "angle",
-                f"turntable: the board reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg, because the table "
-                "was turned by hand or slipped",
-            )
-        self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
+        if self._is_kept(seen, references):
+            references = []  # the camera may have moved since
+        else:
+            self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
+        if seen is None:
+            return None
+        if references:
+            return self._refine(references, near_deg)
+        here = Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister)
+        return self._refine([here], near_deg, most_deg=DISAGREE_DEG)  # which includes any backlash
 
     def angle_deg(self) -> float:
         """Return the measured table angle, deg."""
@@ -241,7 +251,7 @@ class ScanTurntable:
                 self.lost = False
                 return False
         self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
-        if seen is not None and references:
+        if seen is not None:
             self._refine(references, near_deg)
         self.lost = False
         return True
@@ -264,19 +274,42 @@ class ScanTurntable:
             found.append(path)
         return found[::-1]
 
-    def _refine(self, references: list[Reference], angle_deg: float) -> None:
-        """Approach the table angle from the usual side, and measure it again.
+    def _is_kept(self, seen: Sighting | None, references: list[Reference]) -> bool:
+        """Return whether the board still knows the table angle, and the markers do not contradict it."""
+        kept_deg = self._kept_deg()
+        if kept_deg is None or (seen is None and self._given_deg is not None):
+            return False
+        shown_deg, most_deg = kept_deg, DISAGREE_DEG
+        if seen is not None and references:
+            shown_deg = angle_against(seen.cam_from_canister, references, self._scene)
+        elif seen is not None:
+            shown_deg, most_deg = facing_angle(seen, self._scene), BESIDE_DEG
+        if abs(wrap_angle(shown_deg - kept_deg)) <= most_deg:
+            checked = "not verified with markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
+            self._note("angle", f"turntable: the angle is still known, {kept_deg:.2f} deg ({checked})")
+            return True
+        self._note(
+            "angle",
+            f"turntable: the board reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg, because the table "
+            "was turned by hand or slipped",
+        )
+        return False
 
-        After the connection to the board was lost, it is unknown on which side of the backlash the table is.
+    def _refine(self, references: list[Reference], angle_deg: float, *, most_deg: float = FINE_DEG) -> Sighting | None:
+        """Approach a table angle from the usual side, measure the strip again, and return the measurement.
+
+        At the start, and after the connection to the board was lost, it is unknown on which side of the backlash the
+        table is. If the measured angle differs from that of the board by more than ``most_deg``, it is declared.
         """
         read_deg = self.turn(angle_deg)
         self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
         _, seen = self._camera.look()
-        if seen is None:
-            return
-        off_deg = wrap_angle(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
-        if abs(off_deg) > FINE_DEG:
-            self._declare(Angle(table_deg=read_deg + off_deg, source=f"{seen.markers} markers, without backlash"))
+        if seen is not None and references:
+            off_deg = wrap_angle(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
+            if abs(off_deg) > most_deg:
+                shown_deg = nearest_turn(read_deg + off_deg, angle_deg)
+                self._declare(Angle(table_deg=shown_deg, source=f"{seen.markers} markers, without backlash"))
+        return seen
 
     def _kept_deg(self) -> float | None:
         """Return the table angle that the board reports, deg, or None if the board has lost it."""

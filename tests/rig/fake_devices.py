@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rhizotwin.rig.arm import kinematics
-from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.devices import LEAST_DEG, Shot
 from rhizotwin.rig.errors import LostError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, RigFile
@@ -122,6 +122,7 @@ class _FakeBoard:
 
     def declare(self, angle_deg: float) -> None:
         self.world.call("table.declare")
+        assert angle_deg >= LEAST_DEG
         self.world.counter_deg = angle_deg
 
     def knows_zero(self) -> bool:

@@ -45,7 +45,7 @@ def test_angle_zero_is_the_seam_toward_the_camera_whatever_a_person_says(tmp_pat
 
 
 def test_angle_that_the_table_kept_is_used_again(tmp_path: Path) -> None:
-    world, said = World(on_call=stop_at(16)), []
+    world, said = World(on_call=stop_at(20)), []
     with pytest.raises(KeyboardInterrupt):
         run(world, tmp_path / "d")
     world.on_call = lambda _: None
@@ -132,7 +132,7 @@ def test_arm_goes_to_the_rings_and_is_corrected_by_the_markers(tmp_path: Path) -
     made = run(world, tmp_path / "d")
     assert angles(made) == [view.table_deg for view in plan.views(RINGS)]
     assert world.rested_s >= ArmPart().settle_s
-    for place, view in zip(places, plan.views(RINGS), strict=True):
+    for place, view in zip(places[1:], plan.views(RINGS), strict=True):  # the table is first approached
         off_mm, off_deg = frames.pose_error(place @ frames.rotation_z(azimuth_rad(place)), view.cam_from_rig)
         assert off_mm < 4.0
         assert off_deg < 1.0

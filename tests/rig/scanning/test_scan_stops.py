@@ -17,11 +17,11 @@ from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Ring, Scene
 from tests.rig import fake_devices
-from tests.rig.fake_devices import BLIND, SCENE, Trouble, World, angles, devices, run, stop_at
+from tests.rig.fake_devices import BLIND, SCENE, Trouble, World, angles, devices, run, stop_at, with_rings
 
-CALLS = 25
+CALLS = 29
 """Calls of devices in a scan of `SCENE` without trouble."""
 
 
@@ -70,14 +70,14 @@ def fails(error: Exception) -> Callable[[World], None]:
 
 
 CURED = [
-    Trouble("reset before a move", "table.move", 2, World.reset_board),
-    Trouble("reset while the picture is taken", "camera.capture", 3, World.reset_board),
+    Trouble("reset before a move", "table.move", 3, World.reset_board),
+    Trouble("reset while the picture is taken", "camera.capture", 4, World.reset_board),
     Trouble("reset while the place is looked at", "camera.capture", 1, World.reset_board),
-    Trouble("reset while the picture is taken, unnoticed", "camera.capture", 3, World.reset_unnoticed),
-    Trouble("no answer to a move", "table.move", 3, fails(NoAnswerError("turntable: does not answer"))),
-    Trouble("unplugged", "table.move", 3, fails(LostError("turntable: unplugged"))),
-    Trouble("camera stops once", "camera.capture", 3, fails(RigError("camera: no picture"))),
-    Trouble("lamps go out", "camera.capture", 3, World.lamps_out),
+    Trouble("reset while the picture is taken, unnoticed", "camera.capture", 4, World.reset_unnoticed),
+    Trouble("no answer to a move", "table.move", 4, fails(NoAnswerError("turntable: does not answer"))),
+    Trouble("unplugged", "table.move", 4, fails(LostError("turntable: unplugged"))),
+    Trouble("camera stops once", "camera.capture", 4, fails(RigError("camera: no picture"))),
+    Trouble("lamps go out", "camera.capture", 4, World.lamps_out),
 ]
 
 
@@ -131,11 +131,11 @@ def keep_dark(world: World) -> None:
 
 
 STOPS = {
-    "camera: no picture": Trouble("", "camera.capture", 3, keep_failing("camera", RigError("camera: no picture"))),
+    "camera: no picture": Trouble("", "camera.capture", 4, keep_failing("camera", RigError("camera: no picture"))),
     "turntable: unplugged.*reconnecting the board failed": Trouble(
-        "", "table.move", 3, keep_failing("table", LostError("turntable: unplugged"))
+        "", "table.move", 4, keep_failing("table", LostError("turntable: unplugged"))
     ),
-    "lights: the panel is": Trouble("", "camera.capture", 3, keep_dark),
+    "lights: the panel is": Trouble("", "camera.capture", 4, keep_dark),
 }
 """Faults that stay, by what is said of them."""
 
@@ -155,9 +155,9 @@ def test_fault_that_stays_stops_the_scan_with_its_cause(named: str, trouble: Tro
     assert taken_up(world, tmp_path / "d").frames[: len(kept.frames)] == kept.frames
 
 
-def slip(deg: float) -> Trouble:
-    """Let the table slip before its third move."""
-    return Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + deg))
+def slip(deg: float, *, move: int = 4) -> Trouble:
+    """Let the table slip before a move: the third for a picture, after that at the start."""
+    return Trouble("", "table.move", move, lambda world: setattr(world, "table_true_deg", world.table_true_deg + deg))
 
 
 def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
@@ -176,9 +176,9 @@ def test_table_that_slipped_before_the_scan_was_stopped(killed: bool, tmp_path: 
 
     def slip_and_stop(name: str) -> None:
         moves[0] += name == "table.move"
-        if name == "table.move" and moves[0] == 3:
-            world.table_true_deg += 7.2
         if name == "table.move" and moves[0] == 4:
+            world.table_true_deg += 7.2
+        if name == "table.move" and moves[0] == 5:
             raise KeyboardInterrupt
 
     world.on_call = slip_and_stop
@@ -250,7 +250,7 @@ def test_table_that_only_says_that_it_turns_is_noticed_at_the_second_picture(
     named = "does not differ from the previous picture" if scene is BLIND else r"view_00[01]\.png deviate by [+-]\d+\.\d\d deg from"
     with pytest.raises(RigError, match=named):
         run(world, tmp_path / "d", table_angle_deg=given_deg)
-    assert sum(name == "camera.capture" for name in world.calls) <= 4
+    assert sum(name == "camera.capture" for name in world.calls) <= 5
     if scene is BLIND:
         assert [path.name for path in (tmp_path / "d" / "images").iterdir()] == ["view_000.png"]
 
@@ -277,3 +277,32 @@ def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
         scanned(0.18)
     assert len(load_dataset(tmp_path / "0.18").frames) == 2
     assert scanned(1.8).origin["complete"]
+
+
+@pytest.mark.parametrize("number", [7, 22], ids=["before the first picture", "among the pictures"])
+def test_a_table_that_rests_anywhere_in_its_play_is_approached_first(number: int, tmp_path: Path) -> None:
+    """The play of 0.5 degrees, which the next move takes up, is more than half of the four steps that a geared motor can lose."""
+
+    def scanned(world: World, **options: Any) -> Dataset:
+        geared = replace(devices(world), rig=RigFile(arm=None, turntable=TurntablePart(full_step_deg=0.18)))
+        return scan_module.scan(geared, SCENE, tmp_path / "d", **options)
+
+    world = World(on_call=stop_at(number))
+    with pytest.raises(KeyboardInterrupt):
+        scanned(world)
+    world.table_true_deg -= 0.5
+    slip(0.5, move=1).arm(world)
+    made = scanned(world, resume=True)
+    assert made.origin["complete"]
+    assert not any(event["event"] == "slipped" for event in made.origin["log"])
+
+
+def test_angle_that_is_measured_beside_the_least_is_a_turn_more(tmp_path: Path) -> None:
+    world, said = World(scene=with_rings(Ring(views=4, first_deg=-90.0)), on_call=stop_at(22)), list[str]()
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    (tmp_path / "d" / "images" / "view_000.png").unlink()
+    world.reset_board()
+    slip(-0.5, move=1).arm(world)
+    assert run(world, tmp_path / "d", resume=True, said=said).origin["complete"]
+    assert any("at 269." in line for line in said), said
