@@ -4,14 +4,17 @@ All methods raise a `rig.errors.RigError` if the device fails after its retries.
 it, even after an error.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
+from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import BandPart
 from rhizotwin.scenes.picture_codec import Grey
 
-LEAST_DEG, MOST_DEG = -90.0, 720.0
-"""Minimum and maximum table angle, deg. Rotations beyond these angles would twist the cables too far."""
+LEAST_DEG = -90.0
+"""Minimum table angle, deg. Far smaller angles show that a board was reset, even after the overshoot of an approach.
+There is no maximum, because no cable turns with the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +92,18 @@ class Lights(Protocol):
 
     def off(self) -> None:
         """Switch all lamps off."""
+
+
+def check_angle(angle_deg: float) -> None:
+    """Raise an error if a table angle is below the minimum.
+
+    Raises
+    ------
+    UnsafeError
+        If the angle is below -90 deg, or not finite.
+    """
+    if not LEAST_DEG <= angle_deg < math.inf:
+        raise UnsafeError(f"turntable: the angle is {angle_deg:g} deg but must be finite and at least {LEAST_DEG:g} deg; add full turns")
 
 
 def check_levels(*, panel: float, front: float) -> None:

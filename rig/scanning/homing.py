@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.devices import LEAST_DEG
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.scenes import frames
@@ -96,8 +96,8 @@ def find_angle(
     scene : Scene
         Scene with the table's direction of rotation.
     near_deg : float
-        Expected angle. Full turns are added to the result to bring it nearest to this angle within the turntable's
-        range.
+        Expected angle. Full turns are added to the result to bring it nearest to this angle, but not below the minimum
+        angle of the turntable.
     given_deg : float or None
         Angle given by the user, which is used if the strip cannot be read.
     ask : Ask or None
@@ -136,10 +136,10 @@ def find_angle(
 def nearest_turn(angle_deg: float, near_deg: float) -> float:
     """Return an angle that differs by full turns from the given angle, and is nearest to a reference angle.
 
-    It is within the range of the turntable. Angles are in degrees.
+    It is at least the minimum angle of the turntable. Angles are in degrees.
     """
-    turns = [angle_deg % 360.0 + 360.0 * k for k in range(-1, 3)]
-    return min((turn for turn in turns if LEAST_DEG <= turn <= MOST_DEG), key=lambda turn: abs(turn - near_deg))
+    nearest = near_deg + wrap_angle(angle_deg - near_deg)
+    return nearest if nearest >= LEAST_DEG else nearest + 360.0
 
 
 def wrap_angle(angle_deg: float) -> float:

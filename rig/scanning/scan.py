@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rhizotwin.rig import bands
-from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.devices import LEAST_DEG
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
@@ -337,9 +337,8 @@ def _check_plan(scene: Scene, planned: list[View]) -> None:
         if ring.jitter_mm or ring.jitter_deg:
             raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan, because the camera is static")
     for view in planned:
-        if not LEAST_DEG <= view.table_deg <= MOST_DEG:
+        if view.table_deg < LEAST_DEG:
             raise UserError(
                 f"plan.rings {view.ring + 1}: first_deg requires a table angle of {view.table_deg:g} deg, but the table angles of a scan "
-                "must "
-                f"be between {LEAST_DEG:g} and {MOST_DEG:g} deg; add or subtract 360"
+                f"must be at least {LEAST_DEG:g} deg; add 360"
             )

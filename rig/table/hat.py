@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, check_levels
-from rhizotwin.rig.errors import LostError, RigError, UnsafeError
+from rhizotwin.rig.devices import LEAST_DEG, check_angle, check_levels
+from rhizotwin.rig.errors import LostError, RigError
 from rhizotwin.rig.rig_file import BandPart, HatPart, LightsPart, TurntablePart
 from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
@@ -79,9 +79,9 @@ class HatTurntable:
         Raises
         ------
         UnsafeError
-            If the angle is outside -90 to 720 deg.
+            If the angle is below -90 deg.
         """
-        _check_angle(angle_deg)
+        check_angle(angle_deg)
         if not self._on:
             raise LostError("turntable: the motor is off, so that the angle would be lost; switch it on first")
         self._steps, self._seated = round(angle_deg / self._step_deg), False
@@ -104,9 +104,9 @@ class HatTurntable:
         LostError
             If the angle is unknown, or the DRV8825 reports a fault during the move.
         UnsafeError
-            If the angle is outside -90 to 720 deg.
+            If the angle is below -90 deg.
         """
-        _check_angle(angle_deg)
+        check_angle(angle_deg)
         if self._steps is None or not self._on:
             raise LostError("turntable: the table's angle is unknown; determine it from the markers, or declare it")
         goal, room = round(angle_deg / self._step_deg), round(self._part.approach_deg / self._step_deg)
@@ -207,8 +207,3 @@ class HatLights:
                 self._pixels.fill(strip, (red, green, blue))
             except OSError as error:
                 raise RigError(f"lights: the NeoPixels cannot be set ({error}); check their pins and supply") from None
-
-
-def _check_angle(angle_deg: float) -> None:
-    if not LEAST_DEG <= angle_deg <= MOST_DEG:
-        raise UnsafeError(f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; add or subtract full turns")

@@ -3,8 +3,8 @@
 import math
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
-from rhizotwin.rig.errors import LostError, NoAnswerError, UnsafeError
+from rhizotwin.rig.devices import check_angle
+from rhizotwin.rig.errors import LostError, NoAnswerError
 from rhizotwin.rig.rig_file import TurntablePart
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_lines import POSITION
@@ -72,9 +72,9 @@ class MarlinTurntable:
         Raises
         ------
         UnsafeError
-            If the angle is outside -90 to 720 deg.
+            If the angle is below -90 deg.
         """
-        _check_angle(angle_deg)
+        check_angle(angle_deg)
         self._verified, self._seated = None, False
         self._link.command("M400")
         self._link.command(f"G92 X{_plain(angle_deg + ZERO_X_DEG)}")
@@ -107,9 +107,9 @@ class MarlinTurntable:
         LostError
             If the board was reset, or reports an angle after the move that differs from the commanded angle.
         UnsafeError
-            If the angle is outside -90 to 720 deg.
+            If the angle is below -90 deg.
         """
-        _check_angle(angle_deg)
+        check_angle(angle_deg)
         here = _table_deg(self._known_x_deg())
         room_deg = self._part.approach_deg
         way = [angle_deg]
@@ -194,11 +194,6 @@ class MarlinTurntable:
 
     def _look(self, *, expect_s: float = 0.0) -> float:
         return float(self._link.ask("M114", POSITION, expect_s=expect_s)[1])
-
-
-def _check_angle(angle_deg: float) -> None:
-    if not LEAST_DEG <= angle_deg <= MOST_DEG:
-        raise UnsafeError(f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; add or subtract full turns")
 
 
 def _table_deg(x_deg: float) -> float:

@@ -134,8 +134,8 @@ def test_the_motor_stands_where_the_table_says_and_every_move_arrives_from_below
         assert (driver.motor - start) * 0.18 / 32 == pytest.approx(table.position_deg())
         assert last[-1] == 1
     assert table.knows_zero()
-    with pytest.raises(UnsafeError, match="outside -90 to 720"):
-        table.move_to(721.0)
+    with pytest.raises(UnsafeError, match="at least -90 deg"):
+        table.move_to(-91.0)
 
 
 def test_a_fault_loses_the_angle(bench: Any) -> None:
