@@ -92,8 +92,9 @@ class FileScore:
     extents_error: tuple[float, float, float] | None = None
     """Relative errors of the bounding box along x, y and z. They are None for centre lines and for tables of traits."""
     iou: float | None = None
-    """Intersection over union of the volumes. It is exact for a mesh that bounds a solid. For other closed meshes and
-    for voxel arrays it is computed from voxels. Otherwise it is None."""
+    """Intersection over union of the volumes. It is exact for a mesh whose shells do not intersect themselves;
+    overlapping shells are united. For other closed meshes and for voxel arrays it is computed from voxels. Otherwise it
+    is None."""
     surface: SurfaceScore | None = None
     """Distances between the surface of the output and the true surface. It is None if the output has no surface."""
     roots: RootScore | None = None
@@ -316,16 +317,18 @@ class _Known:
 
 
 def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
-    import manifold3d
+    from rhizotwin.scoring.foreign_solids import to_solid
 
-    from rhizotwin.sim.solids import to_manifold
-
-    solid, true = (to_manifold(one.vertices_mm, one.faces.astype(np.int32)) for one in (mesh, known.solid))
+    found, true = (to_solid(one) for one in (mesh, known.solid))
+    volume_mm3: float | None
+    iou: float | None
     notes: tuple[str, ...] = ()
-    volume_mm3: float | None = None
-    if solid.status() == manifold3d.Error.NoError and solid.volume() > 0.0 and true.status() == manifold3d.Error.NoError:
-        volume_mm3, both = float(solid.volume()), float((solid ^ true).volume())
-        iou: float | None = both / (volume_mm3 + float(true.volume()) - both)
+    if found is not None and true is not None:
+        if found.was_united:
+            notes = ("shells of the mesh overlap and were united",)
+        both = (found.solid ^ true.solid).volume()
+        volume_mm3 = found.solid.volume()
+        iou = min(1.0, both / (volume_mm3 + true.solid.volume() - both))
     else:
         volume_mm3, iou, notes = _compare_with_voxels(mesh, known)
     return FileScore(

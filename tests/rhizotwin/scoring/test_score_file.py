@@ -17,6 +17,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import score_file, score_topology
 from rhizotwin.scoring.foreign_files import Stated, read_voxels
+from rhizotwin.sim import solids
 from tests.command import Command
 
 RADIUS_MM, CENTRE_MM = 8.0, np.array([18.0, 0.0, -60.0])
@@ -74,6 +75,45 @@ def test_a_mesh_elsewhere_is_laid_onto_the_truth_where_that_is_asked(made: Path,
     assert laid.volume_error == pytest.approx(there.volume_error)
     assert there.iou == 0.0
     assert laid.iou == pytest.approx(1.05**-3, abs=1e-3)  # the smaller ball lies in the larger one
+
+
+def ball(radius_mm: float, *, shift_mm: float = 0.0) -> trimesh.Trimesh:
+    made = trimesh.creation.icosphere(subdivisions=3, radius=radius_mm)
+    made.apply_translation(CENTRE_MM + np.array([shift_mm, 0.0, 0.0]))
+    return made
+
+
+def inverted(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+
+
+@pytest.mark.parametrize(
+    ("shells", "volume", "iou"),
+    [
+        ([ball(8.0)] * 2, 1.0, 1.0),
+        ([ball(8.0), ball(4.0)], 1.0, 1.0),
+        ([ball(8.0), ball(8.0, shift_mm=8.0)], 27.0 / 16.0, 16.0 / 27.0),  # less the lens that both balls contain
+        ([ball(8.0), ball(8.0, shift_mm=12.0), inverted(ball(3.0))], 953.0 / 512.0, 485.0 / 980.0),
+        ([ball(8.0), ball(8.0), inverted(ball(4.0)), inverted(ball(4.0))], 7.0 / 8.0, 7.0 / 8.0),  # by voxels
+    ],
+    ids=["twice", "one_in_the_other", "overlapping", "with_a_cavity", "two_cavities"],
+)
+def test_overlapping_shells_count_once(made: Path, tmp_path: Path, shells: list[trimesh.Trimesh], volume: float, iou: float) -> None:
+    trimesh.util.concatenate(shells).export(tmp_path / "shells.ply")
+    found = score_file.score_mesh(tmp_path / "shells.ply", made)
+    assert (found.volume_error + 1.0, found.iou) == (pytest.approx(volume, abs=0.01), pytest.approx(iou, abs=0.01))
+    assert found.iou <= 1.0
+    assert found.notes
+
+
+def test_a_shell_that_intersects_itself_counts_once(made: Path, tmp_path: Path) -> None:
+    turn_rad = np.linspace(0.0, 2.25 * np.pi, 91)  # the last eighth of a turn lies in the first
+    ring = 10.0 * np.stack([np.cos(turn_rad), np.sin(turn_rad), np.zeros(91)], axis=1)
+    tube = trimesh.Trimesh(*solids.tube(ring + CENTRE_MM, np.full(91, 3.0), sides=32), process=False)
+    tube.export(tmp_path / "tube.ply")
+    found = score_file.score_mesh(tmp_path / "tube.ply", made)
+    assert found.volume_mm3 == pytest.approx(2.0 * np.pi**2 * 10.0 * 3.0**2, rel=0.02)
+    assert "intersects itself" in found.notes[0]
 
 
 def test_an_open_mesh_has_distances_and_no_volume(made: Path, tmp_path: Path) -> None:
