@@ -12,7 +12,9 @@ from benchmarks.cases import Case
 from benchmarks.metric import Direction, Metric
 from benchmarks.run import Run, Say
 from rhizotwin import sources
+from rhizotwin.recon.uncertainty import calibration
 from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.provenance import versions
 
 _SOURCES = {
@@ -76,7 +78,7 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
 
 
 def load_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
-    """Return the record of a case from an earlier run with the same sources, settings and versions.
+    """Return the record of a case from an earlier run with the same sources, settings, calibration and versions.
 
     Return None if there is none.
 
@@ -113,6 +115,7 @@ def _kept_path(case: Case, *, device: str, change: str) -> Path:
         "device": device,
         "change": change,
         "versions": versions(_VERSIONED),
+        "calibration": file_sha256(calibration.TABLE) if case.method == "coverage" else None,
     }
     return (
         cache.folder()

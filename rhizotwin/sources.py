@@ -60,7 +60,8 @@ def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str
 def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> str:
     """Return a SHA-256 of the code of all modules in a closure, and of the data files in their packages.
 
-    Comments and docstrings are ignored. The parameters are those of `closure`.
+    Comments and docstrings are ignored. JSON files are ignored too: the calibration of the intervals is measured with
+    this code, and is a part of the keys of results. The parameters are those of `closure`.
     """
     total = hashlib.sha256()
     modules = closure(entries, root=root, without=without)

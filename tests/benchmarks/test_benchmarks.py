@@ -66,7 +66,7 @@ def test_a_crashed_case_is_recorded_and_the_rest_go_on():
     json.dumps(run.details)
 
 
-def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypatch):
+def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypatch, tmp_path):
     first = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
     assert [job[0] for job in fake_worker] == ["projection", "dataset", "score", "dataset", "score"]
     fake_worker.clear()
@@ -77,7 +77,10 @@ def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypa
     accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None, afresh=True)
     monkeypatch.setattr(accuracy.sources, "digest", lambda *_names, **_given: "changed")
     accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
-    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"] * 2
+    (tmp_path / "calibration.json").write_text("{}", encoding="utf-8")
+    monkeypatch.setattr(accuracy.calibration, "TABLE", tmp_path / "calibration.json")
+    accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
+    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"] * 3
 
 
 def test_a_stage_that_gave_nothing_is_not_a_number_and_fails(record_of, tmp_path):

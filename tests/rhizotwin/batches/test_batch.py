@@ -17,6 +17,7 @@ import pytest
 from rhizotwin.batches import collect, jobs, local, overview, places, series, work
 from rhizotwin.batches.jobs import Job, Outcome
 from rhizotwin.batches.run import LOCK, run
+from rhizotwin.recon.uncertainty import calibration
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -61,7 +62,7 @@ def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, mo
     assert "the Dask scheduler could not be reached" in command(*words).err
 
 
-def test_what_is_finished_is_known_by_dataset_settings_and_code(
+def test_what_is_finished_is_known_by_dataset_settings_code_and_calibration(
     tmp_path: Path, ball_result: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def listed(voxel_mm: float | None = None, settings: Path | None = None) -> Job:
@@ -83,6 +84,10 @@ def test_what_is_finished_is_known_by_dataset_settings_and_code(
     assert not jobs.is_done(listed(voxel_mm=0.5))
     with monkeypatch.context() as patch:
         patch.setattr(collect.sources, "digest", lambda _: "other")
+        assert not jobs.is_done(listed())
+    (tmp_path / "calibration.json").write_text("{}", encoding="utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr(calibration, "TABLE", tmp_path / "calibration.json")
         assert not jobs.is_done(listed())
     dataset(tmp_path / "scans" / "ball", name="another")
     assert not jobs.is_done(listed())
