@@ -16,14 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks import cache
+from benchmarks import cache, datasets
 from benchmarks.run import Say
+from rhizotwin import sources
 from rhizotwin.experiment.compare import Observation, differences
 from rhizotwin.experiment.doses import fit_responses
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.scenes import polyline, rsml, series
-from rhizotwin.scenes.files import load_profile, load_scene
+from rhizotwin.scenes.files import load_profile, load_scene, scene_to_dict
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.solution import Solution
@@ -98,13 +100,20 @@ def scene_on_day(day: float, profile: str) -> Scene:
     return replace(series.at_day(scene, day, grow=grow, like=series.require_grown(scene)), name=f"day{day:04.1f}")
 
 
+def place(profile: str) -> Path:
+    """Return the folder of the plant's pictures and results in the cache, another one for other scenes or sources."""
+    scenes = [scene_to_dict(scene_on_day(day, profile)) for day in DAYS]
+    settings = {"scenes": scenes, "profile": profile, "mitsuba": versions(("mitsuba",))["mitsuba"]}
+    return cache.folder() / "growth" / cache.key(settings, sources=sources.digest(datasets.PICTURES))
+
+
 def measure(profile: str, *, say: Say) -> Links:
     """Render and reconstruct the plant on its days (reusing finished ones), and check the links between its roots."""
     from rhizotwin.batches import collect
     from rhizotwin.batches.run import run
     from rhizotwin.sim.simulate import simulate
 
-    folder = cache.folder() / "growth" / f"{SCENE}-{profile}-{IMAGE_WH[0]}x{IMAGE_WH[1]}"
+    folder = place(profile)
     for seed, day in enumerate(DAYS):  # each day has its own seed, as a rig never repeats exactly
         scan = folder / "scans" / f"day{day:04.1f}"
         if not (scan / "dataset.json").is_file():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import cache, datasets
+from benchmarks import cache, datasets, growth
 from rhizotwin import sources
 
 SETTINGS = {"scene": {"name": "ball", "views": 4}, "seed": 0}
@@ -61,3 +61,11 @@ def test_the_key_depends_on_settings_and_sources_only():
     assert key == cache.key(dict(reversed(SETTINGS.items())), sources="s")
     assert key != cache.key(SETTINGS | {"seed": 1}, sources="s")
     assert key != cache.key(SETTINGS, sources="t")
+
+
+def test_pictures_of_a_growing_plant_are_kept_until_something_changes(monkeypatch):
+    kept = growth.place("bench")
+    assert growth.place("bench") == kept
+    assert growth.place("clean") != kept
+    monkeypatch.setattr(growth.sources, "digest", lambda *_: "changed")
+    assert growth.place("bench") != kept
