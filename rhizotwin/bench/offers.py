@@ -49,7 +49,8 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
     goal : path
         New folder.
     cameras : {"estimated", "true"}
-        Cameras to write: estimated from the markers, or true. The masks are always based on the estimated cameras.
+        Cameras to write: estimated from the markers, or true (poses and focal length). The masks are always based on
+        the estimated cameras.
 
     Raises
     ------
@@ -71,8 +72,9 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
     used = sorted(found.order)
     masks: dict[str, Picture] = {files[k]: np.where(coverage.silhouettes[k].coverage >= _HALF, 255, 0).astype(np.uint8) for k in used}
     if cameras == "true":
-        posed: Posed = [(view.file, np.asarray(view.cam_from_canister)) for view in load_truth(dataset_folder).views]
-        lens = dataset.scene.camera.as_pinhole()
+        truth = load_truth(dataset_folder)
+        posed: Posed = [(view.file, np.asarray(view.cam_from_canister)) for view in truth.views]
+        lens = dataset.scene.camera.focused(1.0 + float(truth.drawn.get("focal_error", 0.0))).as_pinhole()
     else:
         posed = [(files[k], np.asarray(found.all[k].cam_from_canister)) for k in used]
         lens = found.lens.as_pinhole()

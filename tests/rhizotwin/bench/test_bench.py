@@ -14,7 +14,9 @@ import pytest
 from rhizotwin.bench import benchmarks, fingerprints, offers, results, run_method
 from rhizotwin.bench.benchmarks import Benchmark, Case
 from rhizotwin.bench.results_page import page
+from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.truth import load_truth, save_truth
 from tests.command import Command
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -100,6 +102,16 @@ def test_what_is_offered_holds_no_truth(offered: Path) -> None:
     cameras = json.loads((offered / "undistorted" / "transforms.json").read_text())
     assert len(cameras["frames"]) == len(list((offered / "undistorted" / "masks").iterdir())) == 10
     assert not any("truth" in path.name for path in offered.rglob("*"))
+
+
+def test_true_cameras_have_the_focal_length_of_the_pictures(made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made, tmp_path / "made")
+    truth = load_truth(made)
+    save_truth(tmp_path / "made", replace(truth, drawn={**truth.drawn, "focal_error": 0.003}))
+    offers.offer(tmp_path / "made", tmp_path / "offered", cameras="true")
+    focal_px = load_dataset(made).scene.camera.focal_px[0]
+    for cameras in ("transforms.json", "undistorted/transforms.json"):
+        assert json.loads((tmp_path / "offered" / cameras).read_text())["fl_x"] == pytest.approx(1.003 * focal_px)
 
 
 def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) -> None:
