@@ -222,7 +222,7 @@ def _damages(given: argparse.Namespace) -> int:
 def _compare(given: argparse.Namespace) -> int:
     from benchmarks import run_comparison
 
-    say(run_comparison.compare(run_comparison.read_records(given.before), run_comparison.read_records(given.after), method=given.method))
+    say(run_comparison.compare(run_comparison.read_cases(given.before), run_comparison.read_cases(given.after), method=given.method))
     return 0
 
 

@@ -13,6 +13,8 @@ from scipy import stats
 from rhizotwin.scenes.errors import UserError
 
 Record = Mapping[str, Any]
+Key = tuple[Any, ...]
+"""Description of a case, without its name."""
 
 CONFIDENCE = 0.95
 SHOWN = 12
@@ -62,8 +64,9 @@ class Difference:
     name: str
     unit: str
     pairs: int
+    """Number of cases with the number in both runs."""
     before: float
-    """Mean of A."""
+    """Mean of A over the pairs; NaN without pairs, as the following numbers."""
     after: float
     mean: float
     low: float
@@ -71,14 +74,18 @@ class Difference:
     """
     high: float
     better: int
+    """Number of cases that improved, including those with the number in B only."""
     worse: int
+    """Number of cases that deteriorated, including those with the number in A only."""
     p_sign: float
-    """Two-sided exact sign test over the pairs that differ: the probability of a split at least this uneven without an
+    """Two-sided exact sign test over the cases that differ: the probability of a split at least this uneven without an
     effect."""
 
 
-def difference(before: Sequence[float], after: Sequence[float], *, name: str, unit: str, smaller_is_better: bool) -> Difference:
-    """Compare two equally long, non-empty series of paired numbers.
+def difference(
+    before: Sequence[float], after: Sequence[float], *, name: str, unit: str, smaller_is_better: bool, gained: int = 0, lost: int = 0
+) -> Difference:
+    """Compare two equally long series of paired numbers.
 
     Parameters
     ----------
@@ -88,6 +95,8 @@ def difference(before: Sequence[float], after: Sequence[float], *, name: str, un
         Name and unit of the number.
     smaller_is_better : bool
         Whether a decrease is an improvement.
+    gained, lost : int
+        Number of cases with the number in B only, and in A only.
 
     Returns
     -------
@@ -101,15 +110,15 @@ def difference(before: Sequence[float], after: Sequence[float], *, name: str, un
         reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, len(change) - 1)) * float(change.std(ddof=1)) / math.sqrt(len(change))
         low, high = float(change.mean()) - reach, float(change.mean()) + reach
     gain = -change if smaller_is_better else change
-    better, worse = int((gain > NO_CHANGE).sum()), int((gain < -NO_CHANGE).sum())
+    better, worse = gained + int((gain > NO_CHANGE).sum()), lost + int((gain < -NO_CHANGE).sum())
     p = float(stats.binomtest(better, better + worse).pvalue) if better + worse else 1.0
     return Difference(
         name=name,
         unit=unit,
         pairs=len(change),
-        before=float(a.mean()),
-        after=float(b.mean()),
-        mean=float(change.mean()),
+        before=float(a.mean()) if len(a) else math.nan,
+        after=float(b.mean()) if len(b) else math.nan,
+        mean=float(change.mean()) if len(change) else math.nan,
         low=low,
         high=high,
         better=better,
@@ -118,8 +127,18 @@ def difference(before: Sequence[float], after: Sequence[float], *, name: str, un
     )
 
 
-def read_records(path: Path) -> dict[tuple[Any, ...], Record]:
-    """Read the scored cases of a run's JSON, by their descriptions.
+@dataclass(frozen=True)
+class Cases:
+    """Cases of a run."""
+
+    scored: Mapping[Key, Record]
+    """Scored cases by their descriptions."""
+    failed: frozenset[str] = frozenset()
+    """Names of the failed cases."""
+
+
+def read_cases(path: Path) -> Cases:
+    """Read the cases of a run's JSON.
 
     Raises
     ------
@@ -127,15 +146,15 @@ def read_records(path: Path) -> dict[tuple[Any, ...], Record]:
         If the file is not a run of the ladder.
     """
     try:
-        details = json.loads(path.read_text(encoding="utf-8"))["details"]
-        records = [record for record in details.values() if "case" in record]
-        found = {_what(record): record for record in records}
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        records = [record for record in stored["details"].values() if "case" in record]
+        found = Cases({_what(record): record for record in records}, frozenset(stored.get("crashed", ())))
     except OSError as error:
         raise UserError(f"{path} cannot be read ({error.strerror}); use the JSON written by `python -m benchmarks accuracy -o`") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise UserError(f"{path} is not the JSON of a run of `python -m benchmarks accuracy`") from None
-    if not found:
-        raise UserError(f"{path} contains no scored case")
+    if not found.scored and not found.failed:
+        raise UserError(f"{path} contains no case")
     return found
 
 
@@ -144,13 +163,13 @@ def _what(record: Record) -> tuple[Any, ...]:
     return case["scene"], case["profile"], case["seed"], case["rings"], case["views"], *case["image_wh"], case["voxel_mm"], case["method"]
 
 
-def compare(a: Mapping[tuple[Any, ...], Record], b: Mapping[tuple[Any, ...], Record], *, method: str) -> str:
+def compare(a: Cases, b: Cases, *, method: str) -> str:
     """Return the changes from run A to run B, for the common cases of one method, as text.
 
     Parameters
     ----------
-    a, b : mapping of tuple to dict
-        Records of both runs by their descriptions.
+    a, b : Cases
+        Cases of both runs. A case that failed in one of them counts as worse there in all numbers.
     method : str
         Method whose cases are compared.
 
@@ -164,34 +183,54 @@ def compare(a: Mapping[tuple[Any, ...], Record], b: Mapping[tuple[Any, ...], Rec
     UserError
         If they have no case in common.
     """
-    shared = [what for what in a if what in b and what[-1] == method]
-    if not shared:
+    lost, gained = _scored_once(a, b, method), _scored_once(b, a, method)
+    pairs = {what: (record, b.scored[what]) for what, record in a.scored.items() if what in b.scored and what[-1] == method}
+    both = len(pairs)
+    pairs |= {what: (a.scored[what], {}) for what in lost} | {what: ({}, b.scored[what]) for what in gained}
+    if not pairs:
         raise UserError(f"the runs have no case of the method {method} in common")
-    pairs = [(a[what], b[what]) for what in shared]
-    only = [sum(what[-1] == method and what not in other for what in run) for run, other in ((a, b), (b, a))]
-    lines = [f"{len(shared)} cases in both, {only[0]} only in A, {only[1]} only in B (ignored)", ""]
-    lines.append(f"{'':<22}{'A':>9}{'B':>9}{'B - A':>9}  {'95 % interval':<20}{'better':>7}{'worse':>7}  sign test")
-    lines += [_row(found) for compared in COMPARED if (found := _over_pairs(compared, pairs)) is not None]
-    profiles = list(dict.fromkeys(what[1] for what in shared))
+    only = [sum(what[-1] == method and what not in pairs for what in run.scored) for run in (a, b)]
+    lines = [f"{both} cases in both, {only[0]} only in A, {only[1]} only in B (ignored)"]
+    for name, failed in (("B", [a.scored[what] for what in lost]), ("A", [b.scored[what] for what in gained])):
+        lines += [f"failed in {name}: {', '.join(record['case']['name'] for record in failed)}"] if failed else []
+    lines += ["", f"{'':<22}{'A':>9}{'B':>9}{'B - A':>9}  {'95 % interval':<20}{'pairs':>7}{'better':>7}{'worse':>7}  sign test"]
+    lines += _rows(COMPARED, list(pairs.values()))
+    profiles = list(dict.fromkeys(what[1] for what in pairs))
     for profile in profiles if len(profiles) > 1 else []:
-        inside = [pair for pair, what in zip(pairs, shared, strict=True) if what[1] == profile]
-        lines += ["", f"{profile} only:"]
-        lines += [_row(found) for compared in COMPARED[:2] if (found := _over_pairs(compared, inside)) is not None]
-    return "\n".join([*lines, *_largest_changes(pairs)])
+        lines += ["", f"{profile} only:", *_rows(COMPARED[:2], [pair for what, pair in pairs.items() if what[1] == profile])]
+    return "\n".join([*lines, *_largest_changes(list(pairs.values()))])
+
+
+def _scored_once(run: Cases, other: Cases, method: str) -> list[Key]:
+    """Return the cases of a method that are scored in one run, and failed in the other."""
+    return [what for what, record in run.scored.items() if what[-1] == method and record["case"]["name"] in other.failed]
+
+
+def _rows(several: Sequence[_Compared], pairs: Sequence[tuple[Record, Record]]) -> list[str]:
+    return [_row(found) for compared in several if (found := _over_pairs(compared, pairs)) is not None]
 
 
 def _over_pairs(compared: _Compared, pairs: Sequence[tuple[Record, Record]]) -> Difference | None:
-    both = [(x, y) for first, second in pairs if (x := compared.of(first)) is not None and (y := compared.of(second)) is not None]
-    if not both:
+    values = [(compared.of(first), compared.of(second)) for first, second in pairs]
+    both = [(compared.scale * x, compared.scale * y) for x, y in values if x is not None and y is not None]
+    lost, gained = (sum(pair[k] is not None and pair[1 - k] is None for pair in values) for k in (0, 1))
+    if not both and not lost and not gained:
         return None
-    before, after = ([compared.scale * pair[k] for pair in both] for k in (0, 1))
-    return difference(before, after, name=compared.name, unit=compared.unit, smaller_is_better=compared.smaller_is_better)
+    return difference(
+        [x for x, _ in both],
+        [y for _, y in both],
+        name=compared.name,
+        unit=compared.unit,
+        smaller_is_better=compared.smaller_is_better,
+        gained=gained,
+        lost=lost,
+    )
 
 
 def _row(found: Difference) -> str:
     interval = "-" if math.isnan(found.low) else f"{found.low:+.2f} to {found.high:+.2f} {found.unit}"
     numbers = f"{found.before:>9.2f}{found.after:>9.2f}{found.mean:>+9.2f}"
-    return f"{found.name:<22}{numbers}  {interval:<20}{found.better:>7}{found.worse:>7}  p = {found.p_sign:.3f}"
+    return f"{found.name:<22}{numbers}  {interval:<20}{found.pairs:>7}{found.better:>7}{found.worse:>7}  p = {found.p_sign:.3f}"
 
 
 def _largest_changes(pairs: Sequence[tuple[Record, Record]]) -> list[str]:
