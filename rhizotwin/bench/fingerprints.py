@@ -38,11 +38,10 @@ class Comparison:
 
     case: str
     largest: float
-    """Largest difference of a sampled pixel, relative to full scale. It is infinite if there is no comparable
-    reference."""
+    """Largest difference of a sampled pixel, relative to full scale. It is infinite if there is no reference, and NaN
+    if the reference has another number of pictures."""
     volume: float
-    """Relative difference between the true volume and its reference. It is infinite if there is no comparable
-    reference."""
+    """Relative difference between the true volume and its reference. It is infinite if there is no reference."""
 
     @property
     def same(self) -> bool:
@@ -62,10 +61,12 @@ def take(folder: Path) -> dict[str, Any]:
 def compare(folder: Path, case: str, reference: dict[str, Any]) -> Comparison:
     """Compare a rendered case with its reference fingerprint."""
     known, found = reference.get(case), take(folder)
-    if known is None or len(known["pixels"]) != len(found["pixels"]):
+    if known is None:
         return Comparison(case=case, largest=float("inf"), volume=float("inf"))
-    away = np.abs(np.asarray(known["pixels"], np.float64) - np.asarray(found["pixels"], np.float64)).max()
-    return Comparison(case=case, largest=float(away) / 65535.0, volume=abs(found["volume_mm3"] / known["volume_mm3"] - 1.0))
+    largest = float("nan")
+    if len(known["pixels"]) == len(found["pixels"]):
+        largest = float(np.abs(np.asarray(known["pixels"], np.float64) - np.asarray(found["pixels"], np.float64)).max()) / 65535.0
+    return Comparison(case=case, largest=largest, volume=abs(found["volume_mm3"] / known["volume_mm3"] - 1.0))
 
 
 def write(benchmark: Benchmark, folder: Path, goal: Path) -> None:

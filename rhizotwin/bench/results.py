@@ -203,13 +203,20 @@ def compare(found: Results, baseline: Results) -> list[Finding]:
     Raises
     ------
     UserError
-        If results and baseline are from different benchmarks.
+        If results and baseline are from different benchmarks or different cameras, or no case is done in the baseline.
     """
     if found.benchmark != baseline.benchmark:
         raise UserError(
             f"the results are from the benchmark {found.benchmark}, but the baseline is from {baseline.benchmark}; "
             "give two files of the same benchmark"
         )
+    if found.cameras and baseline.cameras and found.cameras != baseline.cameras:
+        raise UserError(
+            f"the results are from {found.cameras} cameras, but the baseline is from {baseline.cameras} cameras; "
+            f"run the benchmark with --cameras {baseline.cameras}"
+        )
+    if not any(before["state"] == "done" for before in baseline.rows.values()):
+        raise UserError("no case in the baseline was completed, so there is nothing to compare; give another baseline")
     findings = []
     for case, before in baseline.rows.items():
         row = found.rows.get(case)

@@ -17,6 +17,7 @@ from rhizotwin.bench.results_page import page
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import load_truth, save_truth
+from rhizotwin.sim import simulate as simulation
 from tests.command import Command
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -88,6 +89,17 @@ def test_pictures_equal_up_to_rounding_are_the_same_data(made: Path) -> None:
         other = {**known, "pixels": [[value + step for value in view] for view in known["pixels"]]}
         assert fingerprints.compare(made, "ball", {"ball": other}).same is same
     assert not fingerprints.compare(made, "ball", {}).same
+
+
+def test_another_number_of_pictures_is_other_data(command: Command, made: Path, tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = fingerprints.take(made)
+    fewer = {"ball": {**known, "pixels": known["pixels"][1:]}}
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: None)
+    monkeypatch.setattr(fingerprints, "reference", lambda _: fewer)
+    said = command.fails("bench", "make", "tiny-1", "-o", tiny, "--device", "cpu", named=["the pictures of ball", "differ"])
+    assert "number of pictures is DIFFERENT" in said.out
+    monkeypatch.setattr(fingerprints, "reference", lambda _: {})
+    assert "no reference" in command.works("bench", "make", "tiny-1", "-o", tiny, "--device", "cpu").out
 
 
 def test_what_is_offered_holds_no_truth(offered: Path) -> None:
@@ -234,6 +246,16 @@ def test_the_gate_sees_what_gets_worse(command: Command, tmp_path: Path) -> None
     assert done.code == 1
     assert "ball, iou: 0.5" in done.out
     assert ET.parse(tmp_path / "gate.xml").getroot()[0].get("failures") == "1"
+
+
+def test_the_gate_refuses_to_compare_nothing() -> None:
+    done = of_rows(row(mesh={"iou": 0.9}))
+    for empty in (of_rows(), of_rows({**row(), "state": "failed"})):
+        with pytest.raises(UserError, match="no case in the baseline was completed"):
+            results.compare(done, empty)
+    with pytest.raises(UserError, match="--cameras estimated"):
+        results.compare(done, replace(done, cameras="estimated"))
+    assert results.compare(done, replace(done, cameras=None))  # output from another computer
 
 
 def test_a_click_sorts_the_page(browser: Any, tmp_path: Path) -> None:
