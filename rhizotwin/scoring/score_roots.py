@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
 from rhizotwin.scenes import rsml
@@ -43,9 +45,9 @@ class RootScore:
     tips_true: int
     """Number of true tips."""
     tip_recall: float
-    """Fraction of the true tips within `TIP_MM` of a found tip."""
+    """Fraction of the true tips that match a found tip within `TIP_MM`. Each tip matches at most one other."""
     tip_precision: float
-    """Fraction of the found tips within `TIP_MM` of a true tip."""
+    """Fraction of the found tips that match a true tip within `TIP_MM`. Each tip matches at most one other."""
 
 
 def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
@@ -56,6 +58,7 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
     near = away < NEAR_MM
     ratio = on_found.radius_mm[near] / np.maximum(on_true.radius_mm[nearest[near]], 1e-9)
     tips, true_tips = (np.array([root.points_mm[-1] for root in roots if root.tip_seen]).reshape(-1, 3) for roots in (found, true))
+    matched = _count_matches(tips, true_tips)
     length, true_length = rsml.length_mm(found), rsml.length_mm(true)
     return RootScore(
         length_mm=length,
@@ -67,14 +70,17 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
         radius_error_median=float(np.median(ratio)) - 1.0 if near.any() else float("nan"),
         tips=len(tips),
         tips_true=len(true_tips),
-        tip_recall=_near_fraction(true_tips, tips),
-        tip_precision=_near_fraction(tips, true_tips),
+        tip_recall=matched / len(true_tips) if len(true_tips) else 0.0,
+        tip_precision=matched / len(tips) if len(tips) else 0.0,
     )
 
 
-def _near_fraction(these: Array, others: Array) -> float:
-    """Return the fraction of tips (A, 3) that lie within `TIP_MM` of a tip in a second set (B, 3).
-
-    It is zero if either set is empty.
-    """
-    return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0
+def _count_matches(these: Array, others: Array) -> int:
+    """Count the pairs of tips (A, 3) and (B, 3) within `TIP_MM`, each tip in at most one pair."""
+    if not len(these) or not len(others):
+        return 0
+    near = cKDTree(others).query_ball_point(these, TIP_MM)
+    row = np.repeat(np.arange(len(these)), [len(one) for one in near])
+    column = np.concatenate([np.asarray(one, np.int64) for one in near])
+    graph = csr_array((np.ones(len(row), np.int8), (row, column)), shape=(len(these), len(others)))
+    return int((maximum_bipartite_matching(graph, perm_type="column") >= 0).sum())

@@ -26,3 +26,18 @@ def test_score_of_equal_and_of_shifted_roots():
     assert unseen.length_error == pytest.approx(0.5, abs=0.01)
     none = score_roots.compare_roots([replace(root, tip_seen=False)], [root])
     assert (none.tips, none.tip_precision, none.tip_recall) == (0, 0.0, 0.0)
+
+
+def with_tip(x_mm: float) -> Root:
+    return Root(points_mm=np.linspace((x_mm, 0.0, 0.0), (x_mm, 0.0, -10.0), 21), diameters_mm=np.full(21, 0.4), order=0, parent=-1)
+
+
+def test_a_tip_matches_one_tip_only():
+    true = [with_tip(5.0 * k) for k in range(4)]
+    tenfold = score_roots.compare_roots([with_tip(5.0 * k + 0.01 * copy) for k in range(4) for copy in range(10)], true)
+    assert (tenfold.tips, tenfold.tip_recall, tenfold.tip_precision) == (40, 1.0, 0.1)
+    # the first found tip reaches both true tips, the second one only the first true tip
+    beside = score_roots.compare_roots([with_tip(0.4), with_tip(-0.8)], [with_tip(0.0), with_tip(0.9)])
+    assert (beside.tip_recall, beside.tip_precision) == (1.0, 1.0)
+    apart = score_roots.compare_roots([with_tip(50.0)], true)
+    assert (apart.tip_recall, apart.tip_precision) == (0.0, 0.0)
