@@ -9,6 +9,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,22 @@ Record = dict[str, Any]
 
 def clean_scan(scene: str) -> Path:
     """Return the folder of a clean scan of the quick ladder, rendered if it is not in the cache."""
-    return datasets.make(next(case.pictures for case in cases.quick(scenes=(scene,), profiles=("clean",), methods=("coverage",))))
+    return datasets.make(_clean_pictures(scene)[0])
 
 
-def catalogue(scan: Scan, other: Scan) -> tuple[Damage, ...]:
-    """Return all damages."""
-    return (*LIGHT, *PLACE, exchange_picture(scan, other))
+def other_pictures(scene: str) -> cases.Pictures:
+    """Return pictures of another scene that have the size of a scene's clean scan."""
+    image_wh = _clean_pictures(scene)[0].image_wh
+    return replace(next(other for other in _clean_pictures("*") if other.scene != scene), image_wh=image_wh)
+
+
+def _clean_pictures(scenes: str) -> list[cases.Pictures]:
+    return [case.pictures for case in cases.quick(scenes=(scenes,), profiles=("clean",), methods=("coverage",))]
+
+
+def catalogue(other: Scan) -> tuple[Damage, ...]:
+    """Return all damages; one of them takes a picture of another scan."""
+    return (*LIGHT, *PLACE, exchange_picture(other))
 
 
 def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], None]) -> list[Record]:
@@ -58,8 +69,8 @@ def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], Non
     UserError
         For an unknown name.
     """
-    scan, other = Scan.read(clean_scan(scene)), Scan.read(clean_scan("sphere_20mm"))
-    every = {damage.name: damage for damage in catalogue(scan, other)}
+    scan, other = Scan.read(clean_scan(scene)), Scan.read(datasets.make(other_pictures(scene)))
+    every = {damage.name: damage for damage in catalogue(other)}
     unknown = [name for name in names or () if name not in every]
     if unknown:
         raise UserError(f"{unknown[0]!r} is not one of the damages: {', '.join(every)}")

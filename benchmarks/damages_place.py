@@ -246,11 +246,10 @@ PLACE = (
 )
 
 
-def exchange_picture(scan: Scan, other: Scan) -> Damage:
-    """Return a scan with one picture of another scan."""
-    size = scan.light[0].shape
+def exchange_picture(other: Scan) -> Damage:
+    """Return a scan with one picture of another scan, whose pictures have the same size."""
     return Damage(
         name="one-of-another-scan",
         why="one picture of another plant",
-        light=lambda _, k: other.light[5] if k == 5 and other.light[5].shape == size else scan.light[k],
+        light=lambda scan, k: other.light[5] if k == 5 else scan.light[k],
     )
