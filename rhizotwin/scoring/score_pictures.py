@@ -59,7 +59,7 @@ class PictureScore:
     (recall)."""
     seen: float
     """Fraction of the centre-line length of the projected result that lies within `NEAR_PX` of a root in the pictures
-    (precision)."""
+    (precision). It is 0 if the projected result is empty, but the pictures show roots."""
     per_view: dict[str, float]
     """Intersection over union of the covered areas in each picture, keyed by file name."""
 
@@ -233,9 +233,9 @@ def gather(scene: str, files: Sequence[str], found: Sequence[Compared], *, known
         Score of all pictures together, with the agreement of each picture.
     """
 
-    def share(parts: Sequence[tuple[float, float]]) -> float:
+    def share(parts: Sequence[tuple[float, float]], *, of_nothing: float = 1.0) -> float:
         near, whole = np.sum(parts, axis=0)
-        return float(near / whole) if whole > 0.0 else 1.0
+        return float(near / whole) if whole > 0.0 else of_nothing
 
     edges, lines = (np.concatenate([getattr(one, name) for one in found]) for name in ("edges_px", "lines_px"))
     edge, line = (np.quantile(values, [0.5, 0.95]) if len(values) else np.full(2, np.inf) for values in (edges, lines))
@@ -249,6 +249,6 @@ def gather(scene: str, files: Sequence[str], found: Sequence[Compared], *, known
         line_median_px=float(line[0]),
         line_p95_px=float(line[1]),
         explained=share([one.explained for one in found]),
-        seen=share([one.seen for one in found]),
+        seen=share([one.seen for one in found], of_nothing=0.0 if any(one.explained[1] for one in found) else 1.0),
         per_view={file: share([(one.both_px2, one.either_px2)]) for file, one in zip(files, found, strict=True)},
     )

@@ -87,7 +87,7 @@ def test_lines_are_as_far_apart_as_they_are_and_what_is_missed_is_told_from_what
     shares = [(one.explained[0] / one.explained[1], one.seen[0] / one.seen[1]) for one in (missed, too_much)]
     assert shares == [(pytest.approx(0.52, abs=0.04), 1.0), (1.0, pytest.approx(0.52, abs=0.04))]
     none = gather("nothing", ["one"], [compare(np.zeros((100, 120), np.float32), disc(60.0))], known=0)
-    assert (none.iou, none.explained) == (0.0, 0.0)
+    assert (none.iou, none.explained, none.seen) == (0.0, 0.0, 0.0)
     assert none.edge_median_px > 10.0
 
 
