@@ -382,7 +382,7 @@ class Disturbances:
     algae_patches: int = bounded(0, 0, 1000)
     """Number of algae films on the inside of the wall. They rotate with the canister."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Fraction of light that an algae film absorbs in its middle."""
+    """Maximum fraction of light that an algae film absorbs in its middle. Films absorb 50 to 100 % of it."""
     turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
     """Extinction coefficient of the water."""
     felt_fibres: int = bounded(0, 0, 10000)

@@ -54,8 +54,8 @@ class Truth:
     """Volume, one-sided leaf area, number of leaves, height and widths of the shoot. For a camera with bands, its
     reflectances and vegetation indices are included. It is empty if there is no shoot."""
     drawn: dict[str, Any] = field(default_factory=dict)
-    """All other random values that were drawn for the pictures, and the description of the specimen with
-    notes."""
+    """Other random values that were drawn for the pictures, the error of the focal length, and the description of the
+    specimen with notes. Dust, scratches, the highlight and the factors of the exposure are not included."""
 
 
 def load_truth(folder: Path | str) -> Truth:
