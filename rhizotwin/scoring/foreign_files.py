@@ -74,8 +74,8 @@ def read_voxels(path: Path) -> Leaves:
 
     In an NRRD file, ``space directions`` is a multiple of the unit matrix, and ``space origin`` is the centre of the
     first voxel, mm. An NPZ file contains the arrays ``occupancy`` (X, Y, Z), ``origin_mm`` (3,), which is the lowest
-    corner of the first voxel, and ``voxel_mm``. Booleans and floats are fractions. Integers are divided by the maximum
-    of their type.
+    corner of the first voxel, and ``voxel_mm``. Booleans and floats are fractions, and so are integers that are all 0
+    or 1. Other integers are divided by the maximum of their type.
 
     Raises
     ------
@@ -215,6 +215,7 @@ def _read_npz(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
 
 
 def _to_fractions(block: NDArray[np.generic]) -> NDArray[np.float32]:
-    if block.dtype.kind in "ui":
-        return np.asarray(block, np.float32) / np.float32(np.iinfo(block.dtype.name).max)
-    return np.asarray(block, np.float32)
+    share = np.asarray(block, np.float32)
+    if block.dtype.kind in "ui" and block.max() > 1:
+        return share / np.float32(np.iinfo(block.dtype.name).max)
+    return share

@@ -132,6 +132,9 @@ def test_voxels_of_a_ball(made: Path, tmp_path: Path) -> None:
     np.savez(tmp_path / "voxels.npz", occupancy=inside, origin_mm=low, voxel_mm=voxel_mm)
     header = {"space dimension": 3, "space directions": voxel_mm * np.eye(3), "space origin": low + 0.5 * voxel_mm}
     nrrd.write(str(tmp_path / "voxels.nrrd"), 255 * inside.astype(np.uint8), header, index_order="F")
+    for kind in (bool, np.uint8, np.int64, np.float32):
+        np.savez(tmp_path / "kind.npz", occupancy=inside.astype(kind), origin_mm=low, voxel_mm=voxel_mm)
+        assert (read_voxels(tmp_path / "kind.npz").occupancy == 1.0).all(), kind
     of_npz, of_nrrd = (score_file.score_voxels(tmp_path / f"voxels.{suffix}", made) for suffix in ("npz", "nrrd"))
     assert of_npz.volume_error == pytest.approx(inside.sum() * voxel_mm**3 / (4.0 / 3.0 * np.pi * RADIUS_MM**3) - 1.0, abs=0.01)
     assert of_npz.iou > 0.95
