@@ -18,9 +18,11 @@ import numpy as np
 
 from rhizotwin import plan_report, sources
 from rhizotwin.plans import Row, Variant
+from rhizotwin.recon.uncertainty import calibration
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
@@ -89,6 +91,7 @@ def run_plans(
         "profile": profile_name,
         "versions": versions(_VERSIONED),
         "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),
+        "calibration": file_sha256(calibration.TABLE),
     }
     with lock_folder(folder):
         return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, monitor or Monitor())
