@@ -37,6 +37,7 @@ from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, error_sentence, is_expected
 from rhizotwin.scenes.lock import lock_file
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.runner import Runner
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ class Console:
         Parameters
         ----------
         subject : SubjectOptions
-            Plant in the canister.
+            Plant in the canister. If it has a name, the plant in the scene file is ignored.
         name : str
             Name of the new scan; if empty, plant and date.
         reconstruct : bool
@@ -207,9 +208,9 @@ class Console:
         UserError
             If the name already exists, the plant is invalid, or the rig is busy.
         """
-        scene = subject.apply_to(self.bench.scene)
-        dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
-        scene = self.plants.scene_of(replace(scene, subject=dated))
+        known = Subject() if subject.plant else replace(self.bench.scene.subject, day=None)  # the scene may describe another plant
+        dated = replace(known, date=datetime.now().astimezone().date().isoformat())
+        scene = self.plants.scene_of(subject.apply_to(replace(self.bench.scene, subject=dated)))
         name = name or self.folders.new_name(scene.subject)
         self._start(self.folders.new_scan(name), scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
         return name

@@ -3,15 +3,22 @@
 import json
 import threading
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rhizotwin.arguments import SubjectOptions
+from rhizotwin.catalogue.records import Plant
+from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.console.client import Console
 from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.subject import Subject
 from tests.rhizotwin.console.conftest import LONG_S, VIEWS, Lab, until
 
 
@@ -118,6 +125,22 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     assert len(cells) % 3 == 1
     with pytest.raises(UserError, match="no scan is running"):
         console.pause_scan()
+
+
+def test_the_plant_of_the_scene_file_is_not_recorded_for_another_plant(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    console, scenes = lab.console, list[Scene]()
+    monkeypatch.setattr(console, "_start", lambda _, scene, **__: scenes.append(scene))
+    written = Subject(plant="P1", species="Zea mays", treatment="low N", day=15.0, date="2022-10-06", replicate=1)
+    console.bench = replace(console.bench, scene=replace(console.bench.scene, subject=written))
+    today = datetime.now().astimezone().date()
+    with Catalogue.open(console.plants.path) as catalogue:
+        for name in ("P1", "P7"):
+            catalogue.add_plant(Plant(name=name, sown=(today - timedelta(days=10)).isoformat(), replicate=int(name[1:])))
+    for options in (SubjectOptions(plant="P7"), SubjectOptions()):
+        console.start_scan(options)
+    other, same = (scene.subject for scene in scenes)
+    assert other == Subject(plant="P7", day=10.0, date=today.isoformat(), replicate=7)
+    assert same == replace(written, day=10.0, date=today.isoformat())
 
 
 def test_a_console_that_is_started_again_finishes_the_scan(lab: Lab) -> None:
