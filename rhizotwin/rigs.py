@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
+PLANT_FIELDS = ("species", "treatment", "replicate")
+"""Fields of a scan's subject that the catalogue also contains."""
 SHOTS_FILE = "truth/shots.jsonl"
 """File with the true state of the emulated rig at the time of each picture. The ground truth of a scan is computed from
 it."""
@@ -164,11 +166,24 @@ def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
 def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
     """Return a copy of the scene for a plant in the catalogue.
 
-    The copy has the marker strip, nutrient solution and age of the plant. If the scene specifies an age, it is not
-    changed. Otherwise the age is the number of days from sowing to the date of the scan, or None if the date precedes
-    sowing.
+    The copy has the marker strip, nutrient solution and age of the plant, and the species, treatment and replicate that
+    the scene does not specify. If the scene specifies an age, it is not changed. Otherwise the age is the number of
+    days from sowing to the date of the scan, or None if the date precedes sowing.
+
+    Raises
+    ------
+    UserError
+        If a value in the scene differs from the catalogue.
     """
     strip, subject = scene.strip, scene.subject
+    for name in PLANT_FIELDS:
+        given, known = getattr(subject, name), getattr(plant, name)
+        if given in ("", None):
+            subject = replace(subject, **{name: known})
+        elif known not in ("", None) and given != known:
+            raise UserError(
+                f"the {name} of plant {plant.name} is {known!r} in the catalogue, not {given!r}; correct the {name} or the plant's name"
+            )
     if plant.tag is not None:
         strip = replace(strip, dictionary=plant.tag.dictionary, first_id=plant.tag.first_id)
     if subject.day is None and plant.sown:

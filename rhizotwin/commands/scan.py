@@ -13,6 +13,7 @@ from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, Subjec
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.subject import Subject
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -177,8 +178,8 @@ def _identified(
         plant = known.plant(subject.plant)
     if plant.tag is None:
         raise UserError(f"{known.path}: the plant {plant.name} has no marker strip; add its canister with `rhizotwin catalogue plant`")
-    when = subject.date or datetime.now().astimezone().date().isoformat()
-    whose = replace(bench.scene.subject, plant=plant.name, species=plant.species, treatment=plant.treatment, replicate=plant.replicate)
-    scene = rigs.scene_of_plant(replace(bench.scene, subject=replace(whose, day=subject.day, date=when)), plant)
+    when = datetime.now().astimezone().date().isoformat()
+    named = Subject(plant=plant.name, date=when, notes=bench.scene.subject.notes)
+    scene = rigs.scene_of_plant(subject.apply_to(replace(bench.scene, subject=named)), plant)
     print(f"plant: {scene.subject}")
-    return subject.apply_to(scene), identity.check_plant(plant, plants, strip)
+    return replace(scene, solution=subject.solution or scene.solution), identity.check_plant(plant, plants, strip)

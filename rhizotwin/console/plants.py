@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import date, datetime
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,10 @@ from rhizotwin.catalogue.identity import WrongPlantError, check_plant, identify
 from rhizotwin.catalogue.records import Plant, Visit
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.visits import list_visits
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import MarkerStrip, Scene
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.subject import Subject
 
-KEPT = ("species", "treatment", "replicate")
-"""Fields of a scan's subject that the catalogue also contains."""
 MOST_SHOWN = 6
 """Maximum number of future scans in the list, and of missed scans. Scans planned for today are always listed."""
 
@@ -54,17 +50,8 @@ class Plants:
         UserError
             If a value in the scene differs from the catalogue.
         """
-        subject, plant = scene.subject, self._plant(scene.subject.plant)
-        if plant is None:
-            return scene
-        for name in KEPT:
-            given, known = getattr(subject, name), getattr(plant, name)
-            if given not in ("", None) and known not in ("", None) and given != known:
-                raise UserError(
-                    f"the {name} of plant {plant.name} is {known!r} in the catalogue, not {given!r}; correct the {name} or the plant's name"
-                )
-        known_fields = {name: getattr(plant, name) for name in KEPT if getattr(subject, name) in ("", None)}
-        return rigs.scene_of_plant(replace(scene, subject=replace(subject, **known_fields)), plant)
+        plant = self._plant(scene.subject.plant)
+        return scene if plant is None else rigs.scene_of_plant(scene, plant)
 
     def identity(self, subject: Subject, strip: MarkerStrip) -> Callable[[Grey], object]:
         """Return a function that checks the identity of the plant in the first picture of a scan.

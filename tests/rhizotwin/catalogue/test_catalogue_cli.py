@@ -116,6 +116,9 @@ def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
         assert [(one.plants, one.day) for one in opened.scans()] == [(("P2",), 11.0)]
     command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is P2 instead of P1; put P1 on the turntable"])
     assert not list(tmp_path.glob("e/images/*"))
+    words = ("--plant", "P2", "--treatment", "control")
+    command.fails(*scan, tmp_path / "f", *words, named=["the treatment of plant P2 is 'low N' in the catalogue, not 'control'"])
+    assert not list(tmp_path.glob("f/images/*"))
     command.fails(*scan, tmp_path / "f", "--plant", "P7", named=["no plant is named 'P7'"])
 
 
