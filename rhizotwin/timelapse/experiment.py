@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass, field, replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +22,8 @@ Changing = Literal["person", "carousel"]
 EVERY_H = (0.25, 10000.0)
 """Minimum and maximum interval between two scans of a plant, in hours. The names of datasets contain the day with two
 decimals. Below 0.24 h, two scans could have the same name."""
+MOST_DELAY = timedelta(hours=12)
+"""Delay of a scan from which its age is no longer that at the planned time."""
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -160,6 +162,12 @@ class Experiment:
         return datetime.fromisoformat(self.schedule.start).astimezone(UTC)
 
     @property
+    def zone(self) -> tzinfo | None:
+        """Offset from UTC at the first round of scans, in which all dates of the experiment are given."""
+        start = datetime.fromisoformat(self.schedule.start)
+        return start.tzinfo or start.astimezone().tzinfo
+
+    @property
     def is_emulated(self) -> bool:
         """Whether the emulated rig is used."""
         return self.rig == "twin"
@@ -212,35 +220,54 @@ class Experiment:
             found += [(self.start_utc + timedelta(hours=every_h * k), number, one.name) for k in range(count)]
         return [(name, due.isoformat(timespec="seconds")) for due, _, name in sorted(found)]
 
-    def day(self, member: Member, due_utc: str) -> float:
-        """Return the age of a plant at a planned scan, in days since sowing.
+    def day(self, member: Member, when: datetime) -> float:
+        """Return the age of a plant at a given time, in days since sowing.
 
-        The age is a whole number of days if the scan is planned for the same time of day as the first round.
+        The age is a whole number of days at the time of day of the first round.
         """
         first = datetime.fromisoformat(self.schedule.start).date()
-        days = (datetime.fromisoformat(due_utc) - self.start_utc) / timedelta(days=1)
-        return round((first - self.sown(member)).days + days, 4)
+        return round((first - self.sown(member)).days + (when - self.start_utc) / timedelta(days=1), 4)
 
     def scan_folder(self, member: Member, due_utc: str) -> Path:
         """Return the folder for the dataset of a planned scan.
 
         Its name depends only on the plant and the planned time.
         """
-        return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{self.day(member, due_utc):06.2f}"
+        day = self.day(member, datetime.fromisoformat(due_utc))
+        return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{day:06.2f}"
 
-    def known_scene(self, member: Member, due_utc: str) -> Scene:
+    def known_scene(self, member: Member, due_utc: str, begin: datetime | None = None) -> Scene:
         """Return the scene of a planned scan with nominal values.
+
+        The age is that at the planned time, which is common to all plants of a round, unless the scan begins half an
+        interval or `MOST_DELAY` later.
+
+        Parameters
+        ----------
+        member : Member
+            Plant to be scanned.
+        due_utc : str
+            Planned time of the scan, UTC (ISO 8601).
+        begin : datetime or None
+            Time at which the scan begins; None: at the planned time.
+        """
+        due = datetime.fromisoformat(due_utc)
+        begin = begin or due
+        is_late = begin - due >= min(timedelta(hours=member.every_h or self.schedule.every_h) / 2, MOST_DELAY)
+        return self.scene_at(member, day=self.day(member, begin if is_late else due), date=begin.astimezone(self.zone).date().isoformat())
+
+    def scene_at(self, member: Member, *, day: float | None, date: str) -> Scene:
+        """Return the nominal scene of a plant at a given age and date.
 
         It contains the marker strip, the subject and the nutrient solution of the plant.
         """
         base = self.base_scene()
-        when = datetime.fromisoformat(due_utc).astimezone(datetime.fromisoformat(self.schedule.start).tzinfo)
         whose = Subject(
             plant=member.name,
             species=member.species,
             treatment=member.treatment,
-            day=self.day(member, due_utc),
-            date=when.date().isoformat(),
+            day=day,
+            date=date,
             replicate=member.replicate,
             notes=member.notes,
         )
@@ -273,7 +300,7 @@ def _check(experiment: Experiment, place: Place) -> None:
             raise place.at(name).error("must be one line of printable characters", ascii(getattr(experiment, name)))
     start = place.at("schedule", "start")
     try:
-        end_utc = (experiment.start_utc + timedelta(hours=experiment.schedule.every_h * experiment.schedule.rounds)).isoformat()
+        end_utc = experiment.start_utc + timedelta(hours=experiment.schedule.every_h * experiment.schedule.rounds)
     except ValueError:
         raise start.error("must be a date and time such as 2026-12-01T09:00", experiment.schedule.start) from None
     except OverflowError:
@@ -304,7 +331,7 @@ def _check(experiment: Experiment, place: Place) -> None:
             check_scene(replace(scene, strip=strip_for_canister(scene.strip, one.canister)), where=str(here.where))
         except UserError as error:
             raise here.at("canister").error(str(error), one.canister) from None
-        if experiment.day(one, experiment.start_utc.isoformat()) < 0.0:
+        if experiment.day(one, experiment.start_utc) < 0.0:
             raise here.at("sown").error("must not be later than the first scan", one.sown)
         if experiment.day(one, end_utc) > (most := _limits("day")[1]):
             raise here.at("sown").error(f"must not be more than {most:g} days before the last scan", one.sown)

@@ -154,18 +154,16 @@ class Runner:
         if self._is_complete(folder, member):
             self._finish(catalogue, visit, folder)
             return
-        late = timedelta(hours=self.experiment.schedule.late_h)
-        if self._now() > datetime.fromisoformat(visit.due_utc) + late:
-            note = visit.note or (
-                "the scan was interrupted and not continued in time" if visit.state == "scanning" else "the scan was not started in time"
-            )
-            self._change(catalogue, visit, state="missed", note=note)
-            return
         reason = ""
         for attempt in range(1, self.experiment.schedule.tries + 1):
+            if self._miss_if_late(catalogue, visit, folder, reason=reason):
+                return
             visit = self._change(catalogue, visit, state="scanning", note=reason)
             try:
-                self._scan(catalogue, visit, member, folder, reason=reason)
+                self._place(member, reason=reason)
+                if self._miss_if_late(catalogue, visit, folder, reason=reason):
+                    return
+                self._scan(catalogue, visit, member, folder)
             except (RigError, identity.WrongPlantError) as error:
                 reason = str(error)
                 self.listener.say(f"{member.name}: attempt {attempt} of {self.experiment.schedule.tries} failed: {reason}")
@@ -178,14 +176,38 @@ class Runner:
                 return
         self._change(catalogue, visit, state="missed", note=reason)
 
-    def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path, *, reason: str) -> None:
-        """Place the canister on the turntable, check the identity of the plant in the first picture, and scan it."""
-        if self.table is None or self._changer is None or self._calendar is None:
+    def _miss_if_late(self, catalogue: Catalogue, visit: Visit, folder: Path, *, reason: str) -> bool:
+        """Record a scan as missed if its time is over, and return whether it is.
+
+        Time passes while a person places the canister, and between two attempts.
+        """
+        if self._now() <= datetime.fromisoformat(visit.due_utc) + timedelta(hours=self.experiment.schedule.late_h):
+            return False
+        begun = (folder / "dataset.json").is_file()
+        note = reason or visit.note or f"the scan was {'interrupted and not continued' if begun else 'not started'} in time"
+        self._change(catalogue, visit, state="missed", note=note)
+        return True
+
+    def _place(self, member: Member, *, reason: str) -> None:
+        """Place the canister on the turntable."""
+        if self._changer is None:
             raise RuntimeError("the run has not started")
         self._changer.change(member, reason=reason)
-        scene = self.experiment.known_scene(member, visit.due_utc)
+
+    def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
+        """Check the identity of the plant in the first picture, and scan it.
+
+        The dataset contains the date and age at the start of the scan, also if the scan is continued later.
+        """
+        if self.table is None or self._calendar is None:
+            raise RuntimeError("the run has not started")
+        if (folder / "dataset.json").is_file():
+            begun = load_dataset(folder).scene.subject
+            scene = self.experiment.scene_at(member, day=begun.day, date=begun.date)
+        else:
+            scene = self.experiment.known_scene(member, visit.due_utc, self._now())
         number = self._numbers.get((visit.plant, visit.due_utc), 0)
-        bench, twin = self.table.bench(scene, visit.due_utc, number)
+        bench, twin = self.table.bench(scene, number)
         plants = catalogue.plants()
         observers = Observers(
             ask=self.listener.ask,

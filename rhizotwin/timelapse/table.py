@@ -11,6 +11,7 @@ from rhizotwin.scenes import files, series
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.specimens import GrownSpecimen
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.changers import CarouselChanger, Changer, EmulatedHand, PersonChanger
 from rhizotwin.timelapse.experiment import Experiment, Member
 
@@ -26,7 +27,7 @@ class RealTable:
         path = experiment.folder / experiment.rig
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
-    def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
+    def bench(self, scene: Scene, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
         """Return the rig with the scene of a scan.
 
         The second value is None, because options for simulated pictures do not apply to a real rig.
@@ -35,8 +36,8 @@ class RealTable:
         ----------
         scene : Scene
             Nominal scene of the scan.
-        due_utc, number : str, int
-            Planned time and number of the scan, which a real rig ignores.
+        number : int
+            Number of the scan, which a real rig ignores.
         """
         return replace(self._bench, scene=scene), None
 
@@ -58,15 +59,13 @@ class EmulatedTable:
         """Place a canister on the turntable."""
         self.canister = canister
 
-    def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, rigs.TwinPictures]:
+    def bench(self, scene: Scene, number: int) -> tuple[rigs.Bench, rigs.TwinPictures]:
         """Return the emulated rig for a scan, with its calibrated lens, and the options for its pictures.
 
         Parameters
         ----------
         scene : Scene
             Nominal scene of the scan.
-        due_utc : str
-            Planned time of the scan, UTC (ISO 8601).
         number : int
             Number of the scan in the experiment.
         """
@@ -74,7 +73,7 @@ class EmulatedTable:
         pictures = rigs.TwinPictures(profile=part.profile, seed=SEEDS_APART * part.seed + number, fidelity=part.fidelity)
         there = next((one for one in self._experiment.plants if one.canister == self.canister), None)
         if there is not None:
-            true = true_scene(self._experiment, there, due_utc)
+            true = true_scene(self._experiment, there, scene.subject)
         else:  # no canister, or a canister without a plant of the experiment
             base = self._experiment.base_scene()
             strip = strip_for_canister(base.strip, self.canister) if self.canister else replace(base.strip, rows=0)
@@ -83,13 +82,15 @@ class EmulatedTable:
         return replace(bench, scene=replace(scene, camera=bench.scene.camera)), pictures
 
 
-def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
+def true_scene(experiment: Experiment, member: Member, expected: Subject) -> Scene:
     """Return the true scene of a canister on the emulated rig.
 
-    The plant has grown to its age at the planned time. Simulated plants of the experiment are grown from different
+    The plant has grown to its age at the scan of the expected plant. Simulated plants of the experiment are grown from different
     seeds. Growth is not simulated for sketches, because they show no roots.
     """
-    known = experiment.known_scene(member, due_utc)
+    older = (experiment.sown(experiment.member(expected.plant)) - experiment.sown(member)).days
+    day = max(0.0, (expected.day or 0.0) + older)
+    known = experiment.scene_at(member, day=day, date=expected.date)
     own = experiment.base_scene() if not member.scene else files.load_scene(member.scene)
     if own.plants:  # for example the wires of a phantom, which is one member of the experiment
         return replace(known, specimen=None, plants=own.plants, subject=replace(known.subject, plant=""))
@@ -101,7 +102,7 @@ def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
     if not member.scene:
         own = series.replicate(own, experiment.plants.index(member))
     own = series.apply_treatment(own, member.treatment, member.growth)
-    grown = series.at_day(own, experiment.day(member, due_utc), grow=grow, like=like)
+    grown = series.at_day(own, day, grow=grow, like=like)
     return replace(known, specimen=grown.specimen)
 
 

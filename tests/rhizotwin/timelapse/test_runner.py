@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,14 +17,15 @@ from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring
 from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
 from rhizotwin.timelapse.clocks import VirtualCalendar
-from rhizotwin.timelapse.experiment import load_experiment
-from rhizotwin.timelapse.runner import Listener, Runner
+from rhizotwin.timelapse.experiment import Experiment, Member, load_experiment
+from rhizotwin.timelapse.runner import Listener, Outcome, Runner
 from rhizotwin.timelapse.table import EmulatedTable
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -108,6 +110,63 @@ def test_late_scans_are_missed(make_experiment):
         ("2026-12-01", "the scan was not started in time"),
         ("2026-12-02", "the scan was not started in time"),
     ]
+
+
+class SlowHand:
+    """A person who takes hours to put the canister on the emulated table."""
+
+    def __init__(self, calendar: VirtualCalendar, hours: float) -> None:
+        self._calendar, self._hours = calendar, hours
+        self.runner: Runner | None = None
+
+    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
+        """Put the canister on the table after some hours."""
+        self._calendar.advance(3600.0 * self._hours)
+        assert self.runner is not None
+        assert isinstance(self.runner.table, EmulatedTable)
+        self.runner.table.put(member.canister)
+
+
+def run_slowly(experiment: Experiment, hours: float, **callbacks: Any) -> Outcome:
+    calendar = VirtualCalendar(experiment.start_utc)
+    hand = SlowHand(calendar, hours)
+    hand.runner = Runner(experiment, listener=Listener(**callbacks), changer=hand, calendar=calendar)
+    return hand.runner.run()
+
+
+def test_canister_that_comes_too_late_is_not_scanned(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    (missed,) = run_slowly(experiment, 71.0).missed
+    assert missed.note == "the scan was not started in time"
+    assert not experiment.scans_folder.exists()
+
+
+def test_attempt_that_comes_too_late_is_not_made(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1, schedule="pause_min = 800"))
+    carousel = Blocked()
+    carousel.runner = Runner(experiment, changer=CarouselChanger(carousel))
+    (missed,) = carousel.runner.run().missed
+    assert carousel.loads == 1
+    assert "the carousel does not rotate" in missed.note
+
+
+@pytest.mark.parametrize(("hours", "day", "date"), [(10.0, 0.0, "2026-12-01"), (36.0, 1.5, "2026-12-02")])
+def test_late_scan_has_the_date_and_age_at_its_start(make_experiment, hours: float, day: float, date: str):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1, schedule="late_h = 100"))
+    with pytest.raises(KeyboardInterrupt):
+        run_slowly(experiment, hours, observer=Interruption())
+    assert run_slowly(experiment, 70.0).scanned == 1  # continued on another day
+    dataset = load_dataset(experiment.scans_folder / "P1_day_000.00")
+    assert dataset.origin["complete"]
+    assert (dataset.scene.subject.day, dataset.scene.subject.date) == (day, date)
+
+
+class Interruption(Observer):
+    """Ctrl-C after the first picture."""
+
+    def on_look(self, look: Look) -> None:  # noqa: ARG002 - any picture
+        """Interrupt the scan."""
+        raise KeyboardInterrupt
 
 
 def test_carousel(make_experiment):
