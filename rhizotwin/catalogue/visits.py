@@ -6,19 +6,50 @@ from pathlib import Path
 
 from rhizotwin.catalogue.records import State, Visit
 from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.scenes.errors import UserError
 
 
-def plan_visits(catalogue: Catalogue, planned: Sequence[tuple[str, str]]) -> None:
-    """Add planned scans, given as pairs of plant name and planned time (UTC, ISO 8601).
+def plan_visits(catalogue: Catalogue, planned: Sequence[tuple[str, str]]) -> list[Visit]:
+    """Replace the planned scans that are still due.
 
-    Scans that are already in the catalogue are not changed.
+    Scans of plants without a planned scan are not changed.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Open catalogue.
+    planned : sequence of (str, str)
+        Name of the plant and planned time (UTC, ISO 8601) of each scan.
+
+    Returns
+    -------
+    list of Visit
+        Scans that are no longer planned, and were removed.
+
+    Raises
+    ------
+    UserError
+        If a scan that has begun or was missed is no longer planned.
     """
+    plants, wanted = {plant for plant, _ in planned}, set(planned)
     with catalogue.writing():
+        dropped = [one for one in list_visits(catalogue) if one.plant in plants and (one.plant, one.due_utc) not in wanted]
+        for one in dropped:
+            if one.state != "due":
+                raise UserError(
+                    f"{catalogue.path}: the scan of plant {one.plant} planned for {one.due_utc} is {one.state}, but not in the schedule; "
+                    "restore start, every_h and rounds in [schedule] (if the time zone of the computer has changed, append the "
+                    "previous offset to start, such as +01:00), or use a new catalogue and new folders"
+                )
+            catalogue.connection.execute(
+                "DELETE FROM visits WHERE due_utc = ? AND plant = (SELECT id FROM plants WHERE name = ?)", (one.due_utc, one.plant)
+            )
         for plant, due_utc in planned:
             catalogue.connection.execute(
                 "INSERT INTO visits (plant, due_utc, state) SELECT id, ?, 'due' FROM plants WHERE name = ? ON CONFLICT DO NOTHING",
                 (due_utc, plant),
             )
+    return dropped
 
 
 def list_visits(catalogue: Catalogue, *, plant: str | None = None, state: State | None = None) -> list[Visit]:

@@ -38,7 +38,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, error_sentence, is_expected
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.subject import Subject
-from rhizotwin.timelapse.runner import Runner
+from rhizotwin.timelapse.runner import Listener, Runner
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -101,7 +101,7 @@ class Console:
             stack.enter_context(lock_file(folder / LOCK, what=str(folder)))
             self.plants = Plants(folder / CATALOGUE if experiment is None else experiment.catalogue_path)
             if experiment is not None:
-                Runner(experiment).prepare()
+                Runner(experiment, listener=Listener(say=self.messages.add)).prepare()
             self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
             stack.callback(self.queue.close)
             self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)

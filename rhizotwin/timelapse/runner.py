@@ -22,6 +22,7 @@ from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.timelapse import reconstruction
@@ -93,7 +94,7 @@ class Runner:
         """Rig of the experiment with its turntable. It is None until the run starts."""
 
     def prepare(self) -> None:
-        """Create the catalogue if necessary, and add plants and planned scans that are not yet listed.
+        """Create the catalogue if necessary, add plants that are not yet listed, and plan the scans.
 
         Raises
         ------
@@ -139,7 +140,9 @@ class Runner:
         with catalogue.writing():
             for member in self.experiment.plants:
                 catalogue.add_plant(self.experiment.plant(member))
-            plan_visits(catalogue, self.experiment.visits())
+            dropped = plan_visits(catalogue, self.experiment.visits())
+        if dropped:
+            self.listener.say(f"the schedule has changed: removed {count(len(dropped), 'planned scan')} that had not begun")
 
     def _usual_calendar(self, catalogue: Catalogue) -> Calendar:
         if not self.experiment.is_emulated:

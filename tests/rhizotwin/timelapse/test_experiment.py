@@ -1,5 +1,7 @@
 """Experiment files: what they plan, and what is rejected."""
 
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,22 @@ def test_each_scan_has_a_folder_at_the_shortest_interval(make_experiment):
     experiment = load_experiment(path)
     visits = experiment.visits()
     assert len({experiment.scan_folder(experiment.member(name), due) for name, due in visits}) == len(visits) == 500
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the time zone is set by a variable")
+def test_dates_agree_with_days_when_the_clock_changes(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    """In Berlin the clock is set back on 25 October 2026, and a scan at 00:30 would then be at 23:30 of the day before."""
+    path = make_experiment(plants=1, rounds=4)
+    path.write_text(path.read_text().replace("2026-12-01T09:00:00+00:00", "2026-10-24T00:30"))
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    try:
+        experiment = load_experiment(path)
+        subjects = [experiment.known_scene(experiment.member(name), due).subject for name, due in experiment.visits()]
+        assert [(one.day, one.date) for one in subjects] == [(float(day), f"2026-10-{24 + day}") for day in range(4)]
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 @pytest.mark.parametrize(

@@ -246,6 +246,35 @@ def test_changed_plan_contradicts_the_catalogue(make_experiment):
         Runner(swapped).prepare()
 
 
+def planned(path: Path) -> tuple[list[str], list[str]]:
+    """Return the planned times in the catalogue of an experiment, and the lines of output."""
+    experiment, lines = load_experiment(path), list[str]()
+    Runner(experiment, listener=Listener(say=lines.append)).prepare()
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        return [one.due_utc[:13] for one in list_visits(catalogue)], lines
+
+
+def test_schedule_changes_before_its_first_scan(make_experiment):
+    path = make_experiment(plants=1, rounds=3)
+    assert planned(path) == (["2026-12-01T09", "2026-12-02T09", "2026-12-03T09"], [])
+    path.write_text(path.read_text().replace("T09:00", "T10:00").replace("rounds = 3", "rounds = 2"))
+    changed = "the schedule has changed: removed 3 planned scans that had not begun"
+    assert planned(path) == (["2026-12-01T10", "2026-12-02T10"], [changed])
+
+
+def test_begun_schedule_is_extended_and_shortened_but_not_moved(make_experiment):
+    path = make_experiment(plants=1, rounds=2)
+    with pytest.raises(KeyboardInterrupt):
+        run_slowly(load_experiment(path), 0.0, observer=Interruption())
+    text = path.read_text()
+    for rounds in (3, 1):
+        path.write_text(text.replace("rounds = 2", f"rounds = {rounds}"))
+        assert len(planned(path)[0]) == rounds
+    path.write_text(text.replace("T09:00", "T10:00"))
+    with pytest.raises(UserError, match=r"P1 planned for 2026-12-01T09:00:00\+00:00 is scanning, but not in the schedule; restore start"):
+        planned(path)
+
+
 @pytest.mark.slow
 def test_killed_at_random_points(make_experiment):
     """Kill the run 20 times: nothing is lost, nothing is scanned twice, and the catalogue agrees with the files."""
