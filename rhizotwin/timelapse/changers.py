@@ -9,6 +9,10 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.timelapse.experiment import Member
 
 
+class NobodyError(UserError):
+    """Raised if no person is available to place a canister, which ends a run."""
+
+
 class Changer(Protocol):
     """Interface of a device or person that places canisters on the turntable."""
 
@@ -24,8 +28,10 @@ class Changer(Protocol):
 
         Raises
         ------
+        NobodyError
+            If no person is available.
         UserError
-            If no person is available, or the carousel fails.
+            If the carousel fails.
         """
 
 
@@ -44,7 +50,7 @@ class PersonChanger:
     def change(self, member: Member, *, reason: str = "") -> None:
         """Ask a person to place the canister on the turntable, and wait for confirmation."""
         if self._ask is None:
-            raise UserError(
+            raise NobodyError(
                 f"the scan of plant {member.name} needs a person who puts its canister on the turntable; run the command in a terminal, "
                 'start it from the console, or use a carousel ([schedule] change = "carousel")'
             )

@@ -5,6 +5,7 @@ power failure. A scan is recorded as started before the rig moves, and as finish
 dataset. The folder of a dataset depends only on plant and planned time, so that no scan is repeated.
 """
 
+import sqlite3
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -20,13 +21,15 @@ from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.observers import Observers
+from rhizotwin.rig.scanning.preflight import check_disk
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.plan import ring_bands
 from rhizotwin.timelapse import reconstruction
-from rhizotwin.timelapse.changers import Changer
+from rhizotwin.timelapse.changers import Changer, NobodyError
 from rhizotwin.timelapse.clocks import Calendar, SystemCalendar, VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member
 from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
@@ -151,12 +154,29 @@ class Runner:
         return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
 
     def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
-        """Perform a planned scan at its time, or record it as missed."""
+        """Perform a planned scan at its time, or record it as missed.
+
+        Errors of the plant and its folder do not end the run. Errors of the disk and of the catalogue do.
+        """
         member = self.experiment.member(visit.plant)
         folder = self.experiment.scan_folder(member, visit.due_utc)
-        if self._is_complete(folder, member):
-            self._finish(catalogue, visit, folder)
-            return
+        try:
+            if self._is_complete(folder, member):
+                self._finish(catalogue, visit, folder)
+            else:
+                self._attempt(catalogue, visit, member, folder)
+        except NobodyError:
+            raise
+        except UserError as error:
+            if isinstance(error.__cause__, OSError | sqlite3.Error):
+                raise
+            scene = self.experiment.base_scene()
+            pictures = sum(ring.views * len(ring_bands(scene, number)) for number, ring in enumerate(scene.plan.rings))
+            check_disk(folder, pictures, scene.camera)
+            self._change(catalogue, visit, state="missed", note=str(error))
+
+    def _attempt(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
+        """Place the canister and scan the plant, again if the rig fails or the plant is another one."""
         reason = ""
         for attempt in range(1, self.experiment.schedule.tries + 1):
             if self._miss_if_late(catalogue, visit, folder, reason=reason):

@@ -1,11 +1,15 @@
 """Runs of small experiments on the emulated rig, in virtual time."""
 
+import errno
 import os
 import random
+import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -224,8 +228,46 @@ def test_dataset_of_another_plant_is_not_recorded(make_experiment):
     experiment.catalogue_path.unlink()
     (experiment.scans_folder / "P1_day_000.00").rename(experiment.scans_folder / "x")
     (experiment.scans_folder / "P2_day_000.00").rename(experiment.scans_folder / "P1_day_000.00")
-    with pytest.raises(UserError, match="contains a scan of plant 'P2' instead of P1"):
+    outcome = Runner(experiment).run()
+    assert "contains a scan of plant 'P2' instead of P1" in outcome.missed[0].note
+    assert outcome.scanned == 1
+
+
+def test_stray_file_of_one_plant_does_not_end_the_run(make_experiment):
+    experiment = load_experiment(make_experiment(plants=2, rounds=1))
+    note = experiment.scans_folder / "P1_day_000.00" / "note.txt"
+    note.parent.mkdir(parents=True)
+    note.write_text("a leaf broke")
+    outcome = Runner(experiment).run()
+    assert ([one.plant for one in outcome.missed], outcome.scanned) == (["P1"], 1)
+    assert "is not empty and contains no interrupted scan" in outcome.missed[0].note
+
+
+def fail(cause: Exception) -> Callable[..., None]:
+    """Return a function that raises UserError because of another error."""
+
+    def take(*_: object, **__: object) -> None:
+        raise UserError("free some space") from cause
+
+    return take
+
+
+@pytest.mark.parametrize(
+    ("name", "function"),
+    [
+        ("rhizotwin.rigs.take_scan", fail(OSError(errno.ENOSPC, "full"))),
+        ("rhizotwin.rigs.take_scan", fail(sqlite3.OperationalError("database is locked"))),
+        ("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2**40, 2**40, 2**24)),
+    ],
+    ids=["disk full", "catalogue locked", "too little space for the pictures"],
+)
+def test_full_disk_or_locked_catalogue_ends_the_run(make_experiment, monkeypatch: pytest.MonkeyPatch, name: str, function: Any):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    monkeypatch.setattr(name, function)
+    with pytest.raises(UserError, match="free some space"):
         Runner(experiment).run()
+    monkeypatch.undo()
+    assert Runner(experiment).run().scanned == 1
 
 
 def test_lost_catalogue_is_filled_from_the_datasets(make_experiment):
