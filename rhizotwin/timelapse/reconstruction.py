@@ -17,7 +17,8 @@ GROWTH = "growth"
 def reconstruct_scans(experiment: Experiment, catalogue: Catalogue, *, leave_out: set[Path], say: Callable[[str], object]) -> set[Path]:
     """Reconstruct all complete scans that have no result, and then update the growth curves.
 
-    The scans are reconstructed as by `rhizotwin batch`.
+    The growth curves are updated if they are older than a result, also if an earlier run was killed before it updated
+    them. The scans are reconstructed as by `rhizotwin batch`.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def reconstruct_scans(experiment: Experiment, catalogue: Catalogue, *, leave_out
         say(f"the reconstruction of {_count(sketches)} was skipped, because sketches of the emulated rig show no roots")
     if pictures:
         _reconstruct(experiment, catalogue, pictures, say)
-        _update_growth(experiment, catalogue, say)
+    _update_growth(experiment, catalogue, say)
     return {one.path for one in waiting}
 
 
@@ -66,6 +67,11 @@ def _reconstruct(experiment: Experiment, catalogue: Catalogue, scans: list[Scan]
 def _update_growth(experiment: Experiment, catalogue: Catalogue, say: Callable[[str], object]) -> None:
     phantoms = {one.name for one in experiment.plants if one.phantom}
     results = [one.path for one in catalogue.chosen_results() if not phantoms.intersection(one.plants)]
+    page = experiment.results_folder / GROWTH / growth_files.PAGE
+    written = page.stat().st_mtime_ns if page.is_file() else 0
+    heads = [path / "result.json" for path in results]
+    if not any(head.is_file() and head.stat().st_mtime_ns > written for head in heads):
+        return
     try:
         growth_files.write(results, experiment.results_folder / GROWTH, replace=True)
     except UserError as error:

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from rhizotwin.catalogue import adding
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.catalogue.visits import list_visits
@@ -26,6 +27,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring
+from rhizotwin.timelapse import reconstruction
 from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
 from rhizotwin.timelapse.clocks import VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member, load_experiment
@@ -315,6 +317,23 @@ def test_begun_schedule_is_extended_and_shortened_but_not_moved(make_experiment)
     path.write_text(text.replace("T09:00", "T10:00"))
     with pytest.raises(UserError, match=r"P1 planned for 2026-12-01T09:00:00\+00:00 is scanning, but not in the schedule; restore start"):
         planned(path)
+
+
+def test_growth_curves_are_written_if_an_earlier_run_was_killed_before(make_experiment, ball_result):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    Runner(experiment).prepare()
+    page = experiment.results_folder / "growth" / "growth.html"
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        for day in (0.0, 1.0):
+            result = ball_result(f"results/P1_{day:g}", subject={"plant": "P1", "treatment": "low N", "day": day})
+            adding.add_result(catalogue, result)
+        reconstruction.reconstruct_scans(experiment, catalogue, leave_out=set(), say=print)
+        written = page.stat().st_mtime_ns
+        reconstruction.reconstruct_scans(experiment, catalogue, leave_out=set(), say=print)
+        assert page.stat().st_mtime_ns == written
+        (result / "result.json").touch()
+        reconstruction.reconstruct_scans(experiment, catalogue, leave_out=set(), say=print)
+        assert page.stat().st_mtime_ns > written
 
 
 @pytest.mark.slow
