@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import connection, get_context
@@ -25,7 +25,8 @@ MOST_TRIES = 3
 LEFT_FREE = 0.1
 """Fraction of the available memory that batches leave free for other programs."""
 LOOK_S = 1.0
-"""Interval, in seconds, at which a worker process checks that the main process still exists."""
+"""Interval, in seconds, at which a worker process checks that the main process still exists, and the main process
+whether the jobs are to be stopped."""
 
 
 @dataclass
@@ -37,7 +38,9 @@ class _Worker:
     job: Job | None = None
 
 
-def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None) -> Iterator[tuple[Job, Outcome]]:
+def run(
+    jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None, stop: Callable[[], bool] = lambda: False
+) -> Iterator[tuple[Job, Outcome]]:
     """Run jobs, the largest first, and yield each job with its final outcome.
 
     Parameters
@@ -47,6 +50,8 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
     memory_mib : float or None
         Maximum total memory of all processes; None: 90 % of the available memory. A job that needs more memory runs
         alone.
+    stop : callable
+        Function that returns whether to kill all jobs and end.
     """
     most = workers or threads()
     allowed = memory_mib or available_mib() * (1.0 - LEFT_FREE)
@@ -54,10 +59,10 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
     tries: dict[str, int] = {}
     crew: list[_Worker] = []
     try:
-        while waiting or any(worker.job for worker in crew):
+        while (waiting or any(worker.job for worker in crew)) and not stop():
             _hand_out(waiting, crew, most, allowed)
             busy = [worker for worker in crew if worker.job]
-            ready = connection.wait([worker.line for worker in busy])
+            ready = connection.wait([worker.line for worker in busy], timeout=LOOK_S)
             for worker in [worker for worker in busy if worker.line in ready]:
                 job, outcome = worker.job, _hear(worker, crew)
                 if job is None:

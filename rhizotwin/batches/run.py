@@ -1,7 +1,7 @@
 """Execution of a batch: run all unfinished jobs, and collect the failures."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,9 @@ class Batch:
     """Failed jobs with their messages."""
 
 
-def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers: int | None = None) -> Batch:
+def run(
+    jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers: int | None = None, stop: Callable[[], bool] = lambda: False
+) -> Batch:
     """Run all jobs that no earlier run has finished, and show a progress bar.
 
     Parameters
@@ -45,6 +47,9 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
         Address of a Dask scheduler, or ``slurm``; None: worker processes on this computer.
     workers : int or None
         Maximum number of concurrent jobs; None: depends on processors and memory.
+    stop : callable
+        Function that returns whether to stop the jobs on this computer. They are in no list of the batch, and can be
+        run again.
 
     Returns
     -------
@@ -67,7 +72,7 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
         if not waiting:
             return Batch(kept=tuple(kept), done=(), failed=())
         if cluster is None:
-            outcomes = local.run(waiting, workers=workers)
+            outcomes = local.run(waiting, workers=workers, stop=stop)
         else:
             from rhizotwin.batches import cluster as dask
 

@@ -1,5 +1,6 @@
 """Reconstruction of an experiment's finished scans, and update of its growth curves."""
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,75 +9,103 @@ from rhizotwin.catalogue.records import Scan
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.experiment import growth_files
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 from rhizotwin.timelapse.experiment import Experiment
 
 GROWTH = "growth"
 """Name of the subfolder of growth curves in the folder of the results."""
 
 
-def reconstruct_scans(experiment: Experiment, catalogue: Catalogue, *, leave_out: set[Path], say: Callable[[str], object]) -> set[Path]:
-    """Reconstruct all complete scans that have no result, and then update the growth curves.
-
-    The growth curves are updated if they are older than a result, also if an earlier run was killed before it updated
-    them. The scans are reconstructed as by `rhizotwin batch`.
+class Reconstructor:
+    """Reconstructs the finished scans of an experiment, and updates its growth curves.
 
     Parameters
     ----------
     experiment : Experiment
         Experiment with the options of the reconstruction.
-    catalogue : Catalogue
-        Catalogue of the scans, to which the results are added.
-    leave_out : set of Path
-        Datasets to skip, because an earlier attempt failed.
     say : callable
         Function that is called with each line of output.
-
-    Returns
-    -------
-    set of Path
-        Datasets whose reconstruction was attempted.
     """
-    known = {one.scan for one in catalogue.results()}
-    waiting = [one for one in catalogue.scans() if one.complete and one.path not in known and one.path not in leave_out]
-    sketches, pictures = [one for one in waiting if one.sketch], [one for one in waiting if not one.sketch]
-    if sketches:
-        say(f"the reconstruction of {_count(sketches)} was skipped, because sketches of the emulated rig show no roots")
-    if pictures:
-        _reconstruct(experiment, catalogue, pictures, say)
-    _update_growth(experiment, catalogue, say)
-    return {one.path for one in waiting}
 
+    def __init__(self, experiment: Experiment, *, say: Callable[[str], object]) -> None:
+        self._experiment, self._say = experiment, say
+        self._longest_s = 0.0
+        """Longest duration of a reconstruction so far."""
+        self._tried: set[Path] = set()
+        """Datasets whose reconstruction ended, also if it failed, or that show no roots."""
+        self._charted: list[Path] = []
+        """Results for which growth curves were computed last."""
 
-def _reconstruct(experiment: Experiment, catalogue: Catalogue, scans: list[Scan], say: Callable[[str], object]) -> None:
-    from rhizotwin.batches import collect
-    from rhizotwin.batches.run import run
+    def step(self, catalogue: Catalogue, *, stop: Callable[[], bool], left_s: float | None = None) -> bool:
+        """Reconstruct one scan if there is time, or else update the growth curves if they are older than a result.
 
-    folder = str(experiment.results_folder)
-    sources = [str(one.path) for one in scans]
-    jobs = collect.reconstructions(sources, folder, voxel_mm=experiment.reconstruction.voxel_mm, settings=None, device="auto")
-    made = run(jobs, folder)
-    for job in (*made.kept, *made.done):
+        A reconstruction that is stopped is repeated in a later call, when there is more time.
+
+        Parameters
+        ----------
+        catalogue : Catalogue
+            Catalogue of the scans, to which the results are added.
+        stop : callable
+            Function that returns whether the reconstruction is to be stopped.
+        left_s : float or None
+            Time until the next scan, in seconds; None: unlimited, and all scans are reconstructed together.
+
+        Returns
+        -------
+        bool
+            Whether there was something to do.
+        """
+        if not self._experiment.reconstruction.run:
+            return False
+        waiting = self._waiting(catalogue)
+        if waiting and (left_s is None or self._longest_s < left_s):
+            self._reconstruct(catalogue, waiting if left_s is None else waiting[:1], stop)
+            return True
+        return self._update_growth(catalogue)
+
+    def _waiting(self, catalogue: Catalogue) -> list[Scan]:
+        """Return the complete scans without a result whose pictures show roots."""
+        known = {one.scan for one in catalogue.results()} | self._tried
+        waiting = [one for one in catalogue.scans() if one.complete and one.path not in known and (one.path / "dataset.json").is_file()]
+        if sketches := [one for one in waiting if one.sketch]:
+            self._say(
+                f"the reconstruction of {count(len(sketches), 'scan')} was skipped, because sketches of the emulated rig show no roots"
+            )
+            self._tried.update(one.path for one in sketches)
+        return [one for one in waiting if not one.sketch]
+
+    def _reconstruct(self, catalogue: Catalogue, scans: list[Scan], stop: Callable[[], bool]) -> None:
+        """Reconstruct scans as `rhizotwin batch` does."""
+        from rhizotwin.batches import collect
+        from rhizotwin.batches.run import run
+
+        folder, voxel_mm = str(self._experiment.results_folder), self._experiment.reconstruction.voxel_mm
+        begin_s = time.monotonic()
+        jobs = collect.reconstructions([str(one.path) for one in scans], folder, voxel_mm=voxel_mm, settings=None, device="auto")
+        made = run(jobs, folder, workers=1 if len(jobs) == 1 else None, stop=stop)
+        self._longest_s = max(self._longest_s, time.monotonic() - begin_s)
+        for job in (*made.kept, *made.done):
+            try:
+                adding.add_result(catalogue, Path(job.output))
+            except UserError as error:
+                self._say(f"{job.name}: {error}")
+        for job, sentence in made.failed:
+            self._say(f"the reconstruction of {job.name} failed: {sentence}")
+        if not stop():
+            self._tried.update(one.path for one in scans)
+
+    def _update_growth(self, catalogue: Catalogue) -> bool:
+        """Update the growth curves if they are older than a result, and return whether they are."""
+        phantoms = {one.name for one in self._experiment.plants if one.phantom}
+        results = [one.path for one in catalogue.chosen_results() if not phantoms.intersection(one.plants)]
+        page = self._experiment.results_folder / GROWTH / growth_files.PAGE
+        written = page.stat().st_mtime_ns if page.is_file() else 0
+        heads = [path / "result.json" for path in results]
+        if results == self._charted or not any(head.is_file() and head.stat().st_mtime_ns > written for head in heads):
+            return False
+        self._charted = results
         try:
-            adding.add_result(catalogue, Path(job.output))
+            growth_files.write(results, page.parent, replace=True)
         except UserError as error:
-            say(f"{job.name}: {error}")
-    for job, sentence in made.failed:
-        say(f"the reconstruction of {job.name} failed: {sentence}")
-
-
-def _update_growth(experiment: Experiment, catalogue: Catalogue, say: Callable[[str], object]) -> None:
-    phantoms = {one.name for one in experiment.plants if one.phantom}
-    results = [one.path for one in catalogue.chosen_results() if not phantoms.intersection(one.plants)]
-    page = experiment.results_folder / GROWTH / growth_files.PAGE
-    written = page.stat().st_mtime_ns if page.is_file() else 0
-    heads = [path / "result.json" for path in results]
-    if not any(head.is_file() and head.stat().st_mtime_ns > written for head in heads):
-        return
-    try:
-        growth_files.write(results, experiment.results_folder / GROWTH, replace=True)
-    except UserError as error:
-        say(f"the growth curves could not be computed: {error}")
-
-
-def _count(scans: list[Scan]) -> str:
-    return f"{len(scans)} scan{'' if len(scans) == 1 else 's'}"
+            self._say(f"the growth curves could not be computed: {error}")
+        return True

@@ -28,10 +28,10 @@ from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plan import ring_bands
-from rhizotwin.timelapse import reconstruction
 from rhizotwin.timelapse.changers import Changer, NobodyError
 from rhizotwin.timelapse.clocks import Calendar, SystemCalendar, VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member
+from rhizotwin.timelapse.reconstruction import GROWTH, Reconstructor
 from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
 
 
@@ -47,7 +47,7 @@ class Listener:
     on_visit: Callable[[Visit], object] = lambda _: None
     """Function that is called whenever the state of a planned scan has changed."""
     stop: Callable[[], bool] = lambda: False
-    """Function that returns whether the run should end before the next scan."""
+    """Function that returns whether the run should end before the next scan. A running reconstruction is stopped."""
     ask: Ask | None = None
     """Function that asks the user a question, and returns the answer. It is None if there is no user to ask."""
     observer: Observer = field(default_factory=Observer)
@@ -128,15 +128,15 @@ class Runner:
             calendar = self._calendar = self._calendar or self._usual_calendar(catalogue)
             self.table = self.table or (EmulatedTable if self.experiment.is_emulated else RealTable)(self.experiment)
             self._changer = self._changer or changer_of(self.experiment, self.table, ask=self.listener.ask)
-            tried: set[Path] = set()
-            while (visit := _next_visit(catalogue)) is not None and not self.listener.stop():
+            reconstructor, stop = Reconstructor(self.experiment, say=self.listener.say), self.listener.stop
+            while (visit := _next_visit(catalogue)) is not None and not stop():
                 due = datetime.fromisoformat(visit.due_utc)
-                if due > calendar.now():
-                    tried |= self._reconstruct(catalogue, leave_out=tried)
-                    calendar.wait_until(due, stop=self.listener.stop)
-                    continue
-                self._visit(catalogue, visit)
-            self._reconstruct(catalogue, leave_out=tried)
+                if due <= calendar.now():
+                    self._visit(catalogue, visit)
+                elif not self._reconstruct_until(due, calendar, reconstructor, catalogue):
+                    calendar.wait_until(due, stop=stop)
+            while not stop() and reconstructor.step(catalogue, stop=stop):
+                pass
             return outcome_of(self.experiment, catalogue)
 
     def _prepare(self, catalogue: Catalogue) -> None:
@@ -259,14 +259,10 @@ class Runner:
         self.listener.say(f"{visit.plant}: the scan planned for {visit.due_utc} is finished, with {pictures} pictures in {folder}")
         self.listener.on_visit(done)
 
-    def _reconstruct(self, catalogue: Catalogue, *, leave_out: set[Path]) -> set[Path]:
-        """Reconstruct all scans that have no result yet.
-
-        The result is the set of datasets whose reconstruction was attempted.
-        """
-        if not self.experiment.reconstruction.run:
-            return set()
-        return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
+    def _reconstruct_until(self, due: datetime, calendar: Calendar, reconstructor: Reconstructor, catalogue: Catalogue) -> bool:
+        """Reconstruct a scan or update the growth curves before the next scan, and return whether there was time."""
+        left_s = (due - calendar.now()).total_seconds()
+        return reconstructor.step(catalogue, stop=lambda: self.listener.stop() or calendar.now() >= due, left_s=left_s)
 
     def _change(self, catalogue: Catalogue, visit: Visit, *, state: State, note: str) -> Visit:
         changed = update_visit(catalogue, visit, state=state, at_utc=self._now().isoformat(timespec="seconds"), note=note)
@@ -300,7 +296,7 @@ class Runner:
 def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
     """Return the current state of an experiment from its catalogue."""
     visits = list_visits(catalogue)
-    page = experiment.results_folder / reconstruction.GROWTH / "growth.html"
+    page = experiment.results_folder / GROWTH / "growth.html"
     return Outcome(
         scanned=sum(one.state == "scanned" for one in visits),
         missed=tuple(one for one in visits if one.state == "missed"),

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,24 @@ def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: p
     crew[0].job = crew[1].job = None
     local._hand_out(waiting, crew, 8, 100.0)  # one always runs, however large
     assert given == ["large", "small", "huge"]
+
+
+def test_jobs_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    killed: list[str] = []
+
+    class Process:
+        def kill(self) -> None:
+            killed.append("killed")
+
+        def join(self) -> None:
+            killed.append("joined")
+
+    line, _other = Pipe()
+    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(Process(), line))
+    monkeypatch.setattr(local, "LOOK_S", 0.01)
+    stops = iter([False, False, True])
+    assert list(local.run([job("a", tmp_path)], workers=1, stop=lambda: next(stops))) == []
+    assert killed == ["killed", "joined"]
 
 
 def test_a_damaged_scan_fails_with_its_sentence_and_a_killed_process_is_replaced(tmp_path: Path) -> None:

@@ -9,14 +9,17 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rhizotwin.batches.jobs import Job
+from rhizotwin.batches.run import Batch
 from rhizotwin.catalogue import adding
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
@@ -27,10 +30,10 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring
-from rhizotwin.timelapse import reconstruction
 from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
 from rhizotwin.timelapse.clocks import VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member, load_experiment
+from rhizotwin.timelapse.reconstruction import Reconstructor
 from rhizotwin.timelapse.runner import Listener, Outcome, Runner
 from rhizotwin.timelapse.table import EmulatedTable
 
@@ -327,13 +330,61 @@ def test_growth_curves_are_written_if_an_earlier_run_was_killed_before(make_expe
         for day in (0.0, 1.0):
             result = ball_result(f"results/P1_{day:g}", subject={"plant": "P1", "treatment": "low N", "day": day})
             adding.add_result(catalogue, result)
-        reconstruction.reconstruct_scans(experiment, catalogue, leave_out=set(), say=print)
+        step = partial(Reconstructor(experiment, say=print).step, catalogue, stop=lambda: False)
+        assert step()
         written = page.stat().st_mtime_ns
-        reconstruction.reconstruct_scans(experiment, catalogue, leave_out=set(), say=print)
+        assert not step()
         assert page.stat().st_mtime_ns == written
         (result / "result.json").touch()
-        reconstruction.reconstruct_scans(experiment, catalogue, leave_out=set(), say=print)
+        assert Reconstructor(experiment, say=print).step(catalogue, stop=lambda: False)
         assert page.stat().st_mtime_ns > written
+
+
+class SlowBatch:
+    """Reconstructions that take two hours of virtual time, unless they are stopped."""
+
+    def __init__(self, calendar: VirtualCalendar) -> None:
+        self._calendar = calendar
+        self.began = list[str]()
+        self.stopped = list[str]()
+
+    def run(self, jobs: Sequence[Job], _: str, *, stop: Callable[[], bool], **__: object) -> Batch:
+        """Let time pass minute by minute."""
+        self.began += [job.name for job in jobs]
+        for _minute in range(120):
+            if stop():
+                self.stopped += [job.name for job in jobs]
+                return Batch(kept=(), done=(), failed=())
+            self._calendar.advance(60.0)
+        return Batch(kept=(), done=(), failed=tuple((job, "no roots") for job in jobs))
+
+
+def test_reconstruction_does_not_delay_the_next_scan(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    experiment = load_experiment(make_experiment(plants=2, rounds=2, schedule="every_h = 1\nlate_h = 0.5"))
+    calendar = VirtualCalendar(experiment.start_utc)
+    batch = SlowBatch(calendar)
+    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
+    monkeypatch.setattr("rhizotwin.batches.run.run", batch.run)
+    outcome = Runner(experiment, calendar=calendar).run()
+    assert (outcome.scanned, outcome.missed) == (4, ())
+    assert batch.stopped == ["P1_day_000.00"]
+    assert sorted(batch.began[1:]) == ["P1_day_000.00", "P1_day_000.04", "P2_day_000.00", "P2_day_000.04"]
+
+
+def test_reconstruction_that_would_take_too_long_is_not_begun(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    batch = SlowBatch(VirtualCalendar(experiment.start_utc))
+    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
+    monkeypatch.setattr("rhizotwin.batches.run.run", batch.run)
+    done = list[str]()
+    Runner(experiment, listener=Listener(on_visit=lambda visit: done.append(visit.state), stop=lambda: "scanned" in done)).run()
+    reconstructor = Reconstructor(experiment, say=print)
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        stops = iter([False, True, True])
+        assert reconstructor.step(catalogue, stop=lambda: next(stops), left_s=60.0)
+        assert not reconstructor.step(catalogue, stop=lambda: False, left_s=1e-9)
+        assert reconstructor.step(catalogue, stop=lambda: False, left_s=60.0)
+    assert batch.began == ["P1_day_000.00"] * 2
 
 
 @pytest.mark.slow
