@@ -59,15 +59,22 @@ def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
     )
 
 
-def merge(before: Plant, now: Plant, *, where: str) -> Plant:
+def merge(before: Plant, now: Plant, *, where: str, replaces: bool = False) -> Plant:
     """Merge the existing and the new entry of a plant.
 
-    ``where`` is the name of the catalogue in error messages.
+    Parameters
+    ----------
+    before, now : Plant
+        Existing and new entry.
+    where : str
+        Name of the catalogue in error messages.
+    replaces : bool
+        Whether known values of the new entry replace those of the existing one.
 
     Raises
     ------
     UserError
-        If the values of a field differ.
+        If the values of a field differ, and are not to be replaced.
     """
     changed: dict[str, Any] = {}
     for field in fields(Plant):
@@ -75,11 +82,12 @@ def merge(before: Plant, now: Plant, *, where: str) -> Plant:
         has_old, has_new = (_is_known(one) for one in (old, new))
         if not has_new or new == old:
             continue
-        if has_old and field.name not in KEPT:
+        if has_old and not replaces and field.name not in KEPT:
             raise UserError(
-                f"{where}: the {field.name} of plant {now.name} is {old} in the catalogue, but {new} in the new entry; correct one value"
+                f"{where}: the {field.name} of plant {now.name} is {old} in the catalogue, but {new} in the new entry; "
+                "correct the new entry, or the catalogue with `rhizotwin catalogue plant --replace`"
             )
-        if not has_old or field.name == "notes":
+        if replaces or not has_old or field.name == "notes":
             changed[field.name] = new
     return replace(before, **changed)
 

@@ -149,13 +149,21 @@ class Catalogue:
 
     # plants
 
-    def add_plant(self, plant: Plant) -> None:
+    def add_plant(self, plant: Plant, *, replaces: bool = False) -> None:
         """Add a plant, or add missing data to the existing entry.
+
+        Parameters
+        ----------
+        plant : Plant
+            Plant with its known data.
+        replaces : bool
+            Whether the known data replace those of the existing entry.
 
         Raises
         ------
         UserError
-            If the name is empty, a value differs from the existing entry, or the tag overlaps with another plant's tag.
+            If the name is empty, a value differs from the existing entry and is not to be replaced, or the tag overlaps
+            with another plant's tag.
         """
         check_subject(Subject(plant=plant.name, species=plant.species, treatment=plant.treatment, notes=plant.notes), self._place(plant))
         check_subject(Subject(date=plant.sown), self._place(plant))
@@ -164,7 +172,7 @@ class Catalogue:
         with self.writing():
             known = self.plants()
             before = next((one for one in known if one.name == plant.name), None)
-            merged = plant if before is None else plant_rows.merge(before, plant, where=str(self.path))
+            merged = plant if before is None else plant_rows.merge(before, plant, where=str(self.path), replaces=replaces)
             plant_rows.refuse_tag(merged, known, where=str(self.path))
             tag = merged.tag
             values = (

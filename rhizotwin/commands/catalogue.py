@@ -17,8 +17,11 @@ rhizotwin catalogue rebuild my_new.rhizotwin my_scans my_results
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
 
 from rhizotwin.arguments import (
     Flag,
@@ -45,6 +48,21 @@ Sources = Annotated[list[Path], with_metavar("FOLDERS")]
 Name = Literal["plants", "scans", "results", "traits", "rig_numbers", "masses", "visits"]
 WIDEST = 48
 """Maximum number of characters of a table cell printed on the terminal."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class PlantOptions:
+    """Options that describe a plant."""
+
+    species: Annotated[str, with_metavar("NAME")] = ""
+    """Species of the plant, such as 'Raphanus sativus'."""
+    treatment: Annotated[str, with_metavar("NAME")] = ""
+    """Treatment of the plant, such as 'low N'."""
+    sown: Annotated[str, option(read_date, "DATE")] = ""
+    """Sowing date, such as 2026-11-26."""
+    replicate: Annotated[int | None, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
+    """Number of the replicate within its treatment."""
 
 
 def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
@@ -79,10 +97,8 @@ def plant(
     *,
     canister: Annotated[int | None, option(lambda text: read_integer(text, 1, 500, "give 1 to 500"), "N")] = None,
     scene: SceneName | None = None,
-    species: Annotated[str, with_metavar("NAME")] = "",
-    treatment: Annotated[str, with_metavar("NAME")] = "",
-    sown: Annotated[str, option(read_date, "DATE")] = "",
-    replicate: Annotated[int | None, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None,
+    about: PlantOptions = PlantOptions(),
+    replace: Flag = False,
 ) -> None:
     """Add a plant to a catalogue, with the number of its canister.
 
@@ -100,18 +116,15 @@ def plant(
         Number of the canister's marker strip, printed by 'rhizotwin markers SCENE --labels N'; requires --scene.
     scene : str, optional
         Scene of the rig (name or file), which describes the marker strip.
-    species : str
-        Species of the plant, such as 'Raphanus sativus'.
-    treatment : str
-        Treatment of the plant, such as 'low N'.
-    sown : str
-        Sowing date, such as 2026-11-26.
-    replicate : int, optional
-        Number of the replicate within its treatment.
+    about : PlantOptions
+        Description of the plant.
+    replace : bool
+        Replace values of the plant that are already in the catalogue. Datasets keep their values.
 
     Examples
     --------
     rhizotwin catalogue plant my.rhizotwin P3 --canister 3 --scene my_scene.toml --treatment control --sown 2026-11-26
+    rhizotwin catalogue plant my.rhizotwin P3 --treatment "low N" --replace
     """
     from rhizotwin.catalogue.identity import strip_for_canister
     from rhizotwin.catalogue.records import Plant, Tag
@@ -122,7 +135,7 @@ def plant(
         raise UserError("--canister and --scene must be given together, because the scene describes the marker strips of the canisters")
     tag = None if canister is None or scene is None else Tag.of_strip(strip_for_canister(load_scene(scene).strip, canister))
     with Catalogue.open_or_create(catalogue) as opened:
-        opened.add_plant(Plant(name=name, species=species, treatment=treatment, sown=sown, replicate=replicate, tag=tag))
+        opened.add_plant(Plant(name=name, tag=tag, **vars(about)), replaces=replace)
     print(f"{catalogue}: plant {name}{f', {tag}' if tag else ''}")
 
 

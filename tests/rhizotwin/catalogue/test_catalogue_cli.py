@@ -122,6 +122,16 @@ def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
     command.fails(*scan, tmp_path / "f", "--plant", "P7", named=["no plant is named 'P7'"])
 
 
+def test_wrong_value_of_a_plant_is_replaced(tmp_path: Path, command: Command):
+    words = ("catalogue", "plant", tmp_path / "my.rhizotwin", "P1")
+    command.works(*words, "--treatment", "control", "--sown", "2026-11-20", "--replicate", "2")
+    changes = ("--treatment", "low N", "--sown", "2026-11-21")
+    command.fails(*words, *changes, named=["but low N in the new entry", "`rhizotwin catalogue plant --replace`"])
+    command.works(*words, *changes, "--replace")
+    with Catalogue.open(tmp_path / "my.rhizotwin") as opened:
+        assert opened.plant("P1") == Plant(name="P1", treatment="low N", sown="2026-11-21", replicate=2)
+
+
 def test_strips_of_canisters(tmp_path: Path, command: Command):
     save_scene(SCENE, tmp_path / "scene.toml")
     told = command.works("markers", tmp_path / "scene.toml", "-o", tmp_path / "strips.pdf", "--labels", "3").out
