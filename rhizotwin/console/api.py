@@ -251,7 +251,7 @@ def _add_scans(app: FastAPI, console: Console) -> None:
     def answer(request: body.Answer, client: Client) -> None:
         """Answer the question that the person at the rig is asked."""
         controls.require(client)
-        console.questions.answer(request.text)
+        console.questions.answer(request.text, number=request.question)
 
 
 def _add_plans(app: FastAPI, console: Console) -> None:

@@ -32,6 +32,7 @@ class Switch(Body):
 class Answer(Body):
     """Answer to the question that the person at the rig is asked."""
 
+    question: int = Field(description="Number of the question, which the state contains as question_number")
     text: str = Field(max_length=1000)
 
 

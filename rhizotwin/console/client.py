@@ -149,9 +149,23 @@ class Console:
         """Stop the running scan safely. The pictures taken so far are kept."""
         self.request("POST", "/api/scan/stop")
 
-    def answer(self, text: str) -> None:
-        """Answer the question that the person at the rig is asked. The state contains it as ``question``."""
-        self.request("POST", "/api/answer", {"text": text})
+    def answer(self, text: str, *, question: int) -> None:
+        """Answer the question that the person at the rig is asked.
+
+        Parameters
+        ----------
+        text : str
+            Answer.
+        question : int
+            Number of the question. The state contains the question as ``question``, and its number as
+            ``question_number``.
+
+        Raises
+        ------
+        UserError
+            If another question is pending, or none.
+        """
+        self.request("POST", "/api/answer", {"question": question, "text": text})
 
     def start_schedule(self) -> None:
         """Start the schedule, which performs each planned scan of the experiment at its time."""

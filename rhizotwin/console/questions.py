@@ -23,6 +23,8 @@ class Questions:
     def __init__(self, on_change: Callable[[], object]) -> None:
         self.text = ""
         """Text of the pending question. It is empty if no question is pending."""
+        self.number = 0
+        """Number of the latest question, which increases with each question."""
         self._on_change = on_change
         self._lock = threading.Lock()
         self._answers: SimpleQueue[str] = SimpleQueue()
@@ -44,6 +46,7 @@ class Questions:
         """
         with self._lock:
             self.text = question
+            self.number += 1
         self._on_change()
         try:
             while not cancelled():
@@ -57,16 +60,25 @@ class Questions:
                     self._answers.get()
             self._on_change()
 
-    def answer(self, text: str) -> None:
+    def answer(self, text: str, *, number: int) -> None:
         """Answer the pending question.
+
+        Parameters
+        ----------
+        text : str
+            Answer.
+        number : int
+            Number of the question that is answered.
 
         Raises
         ------
         UserError
-            If there is no pending question.
+            If there is no pending question, or it has another number.
         """
         with self._lock:
             if not self.text:
                 raise UserError("there is no question to answer")
+            if number != self.number:
+                raise UserError(f"question {number} is no longer pending; read the present question, and answer it")
             self.text = ""
             self._answers.put(text)

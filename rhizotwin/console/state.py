@@ -45,6 +45,7 @@ class StateView:
             "picture": self._picture(),
             "scan": None if console.scan is None else console.scan.plain(),
             "question": console.questions.text,
+            "question_number": console.questions.number,
             "sketch": self._sketch_state(),
             "plants": plants,
             "schedule": self._schedule(visits),

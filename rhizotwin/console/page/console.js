@@ -120,7 +120,8 @@ function showScan(running) {
 }
 
 function showQuestion() {
-  if (by("question-text").textContent !== state.question) by("answer").value = "";
+  if (by("question").dataset.number !== `${state.question_number}`) by("answer").value = "";
+  by("question").dataset.number = state.question_number;
   by("question").hidden = state.question === "";
   by("question-text").textContent = state.question;
 }
@@ -248,7 +249,7 @@ function onSubmit(id, action) {
 onSubmit("lights", (fields) => command(`lights ${fields.panel.value} ${fields.front.value}`));
 onSubmit("go", (fields) => command(`go ${fields.distance.value} ${fields.height.value}`));
 onSubmit("line", (fields) => command(fields[0].value));
-onSubmit("question", () => act("POST", "/api/answer", { text: by("answer").value }));
+onSubmit("question", () => act("POST", "/api/answer", { question: Number(by("question").dataset.number), text: by("answer").value }));
 onSubmit("start", (fields) => {
   const day = fields.day.value === "" ? null : Number(fields.day.value);
   const texts = { plant: fields.plant.value.trim(), treatment: fields.treatment.value.trim(), notes: fields.notes.value.trim() };

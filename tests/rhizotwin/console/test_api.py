@@ -192,17 +192,26 @@ def test_a_device_that_fails_is_reported_with_what_to_do(lab: Lab, fault: Fault,
 def test_a_question_waits_for_its_answer(lab: Lab) -> None:
     console = lab.client("Anna")
     with pytest.raises(UserError, match="there is no question"):
-        console.answer("0")
+        console.answer("0", question=0)
     questions, answers = lab.console.questions, []
     asking = threading.Thread(target=lambda: answers.append(questions.ask("Which angle?", cancelled=lambda: False)))
     asking.start()
     until(lambda: console.state()["question"] == "Which angle?")
-    console.answer("117.5")
+    first = console.state()["question_number"]
+    console.answer("117.5", question=first)
     asking.join(LONG_S)
     assert answers == ["117.5"]
     assert console.state()["question"] == ""
     with pytest.raises(KeyboardInterrupt):
         questions.ask("Which angle?", cancelled=lambda: True)
+    asking = threading.Thread(target=lambda: answers.append(questions.ask("Keep its position?", cancelled=lambda: False)))
+    asking.start()
+    until(lambda: console.state()["question"])
+    with pytest.raises(UserError, match=f"question {first} is no longer pending; read the present question"):
+        console.answer("117.5", question=first)  # the second click of a double click
+    console.answer("ok", question=console.state()["question_number"])
+    asking.join(LONG_S)
+    assert answers == ["117.5", "ok"]
 
 
 def test_names_lead_nowhere_else(lab: Lab, tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def confirm_all(console: Console, ended: threading.Event) -> bool:
                 return True
             if state["question"]:
                 with suppress(UserError):
-                    console.answer("")
+                    console.answer("", question=state["question_number"])
             time.sleep(0.05)
     return False
 

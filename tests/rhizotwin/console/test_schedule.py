@@ -67,6 +67,10 @@ class ScheduleLab:
         found: Any = until(lambda: (text := self.client.state()["question"]) and f"(plant {plant})" in text and text)
         return str(found)
 
+    def answer(self, text: str) -> None:
+        """Answer the pending question."""
+        self.client.answer(text, question=self.client.state()["question_number"])
+
 
 @pytest.fixture
 def lab(tmp_path: Path, scene_file: Path) -> Iterator[ScheduleLab]:
@@ -85,10 +89,10 @@ def test_the_schedule_asks_checks_and_continues(lab: ScheduleLab) -> None:
     lab.question("P1")
     with pytest.raises(UserError, match=r"the rig is busy \(schedule of two plants\); wait until this action has ended"):
         lab.client.command("pose")
-    lab.client.answer("2")
+    lab.answer("2")
     assert lab.question("P1").startswith("The plant on the turntable is P2 instead of P1; put P1 on the turntable.")
     assert not list(lab.experiment.scans_folder.rglob("*.png"))
-    lab.client.answer("")
+    lab.answer("")
     lab.question("P2")
     lab.restart()
 
@@ -101,7 +105,7 @@ def test_the_schedule_asks_checks_and_continues(lab: ScheduleLab) -> None:
     lab.client.start_schedule()
     for plant in ("P2", "P1", "P2"):
         lab.question(plant)
-        lab.client.answer("")
+        lab.answer("")
         until(lambda: not lab.client.state()["question"])
     until(lambda: lab.client.state()["activity"] == "")
     state = lab.client.state()
@@ -133,7 +137,7 @@ def test_nothing_is_written_under_a_wrong_name(lab: ScheduleLab) -> None:
 def test_a_canister_without_a_strip_is_not_scanned(lab: ScheduleLab) -> None:
     lab.client.start_schedule()
     lab.question("P1")
-    lab.client.answer("7")
+    lab.answer("7")
     assert "matches no plant in the catalogue" in lab.question("P1")
     lab.client.stop_schedule()
 
