@@ -120,10 +120,17 @@ def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monit
             _copy_folder(found.folder, goal)
             path, place = str(found.summary.get("dataset", "")), found.scan.place if found.scan else ""
             atomic.write_json(goal / "result.json", found.summary | {"dataset": place})
-            if path and (page := goal / "report.html").is_file():
-                text = page.read_text(encoding="utf-8", errors="surrogateescape").replace(html.escape(path), html.escape(place))
-                atomic.write_bytes(page, text.encode("utf-8", "surrogateescape"))
+            if (page := goal / "report.html").is_file():
+                atomic.write_bytes(page, page.read_bytes().replace(_dataset_cells(path), _dataset_cells(place)))
             step()
+
+
+def _dataset_cells(path: str) -> bytes:
+    """Return the cells of a report's table that state the path of the dataset.
+
+    Other parts of the report, such as encoded pictures, may contain the same letters as the path.
+    """
+    return f"<td>dataset</td><td>{html.escape(path)}</td>".encode("utf-8", "backslashreplace")
 
 
 def _copy_folder(source: Path, goal: Path) -> None:

@@ -9,10 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rhizotwin.publishing import published as publishing
 from rhizotwin.publishing.study import EXAMPLE, read_study
+from rhizotwin.report import page
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.stored import result_files, stored_traits
 from tests.command import Command
 from tests.conftest import Reconstructed
+from tests.rhizotwin import plant as plants
 
 pytest.importorskip("rocrate")
 
@@ -79,6 +84,32 @@ def test_checksums_tables_and_copies_are_those_of_the_sources(published: Path, m
     assert [row["Data file link"] for row in units] == [f"scans/{made.name}/"]
     assert "CC-BY-4.0" in (published / "README.md").read_text(encoding="utf-8")
     assert (published / "contact_sheet.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
+    return plants.make(tmp_path_factory.mktemp("plant"))
+
+
+def edit_summary(folder: Path, **changes: object) -> None:
+    summary = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    (folder / "result.json").write_text(json.dumps({k: v for k, v in (summary | changes).items() if v is not None}), encoding="utf-8")
+
+
+def found_in(folder: Path) -> publishing.Found:
+    return publishing.Found(
+        name="one", folder=folder, summary=result_files.read_summary(folder), traits=stored_traits.read(folder), scan=None
+    )
+
+
+@pytest.mark.parametrize("dataset", [".", "data", "wd", "/home/ann/<my> scan \udce9"])
+def test_a_published_report_differs_only_in_the_path_of_the_dataset(plant: plants.Plant, dataset: str, tmp_path: Path) -> None:
+    edit_summary(plant.result, dataset=dataset)
+    page.write(plant.result, dataset=plant.dataset)
+    publishing.copy([], [found_in(plant.result)], tmp_path, monitor=Monitor())
+    edit_summary(plant.result, dataset="")
+    expected = page.write(plant.result, dataset=plant.dataset).read_bytes()
+    assert (tmp_path / "results" / "one" / "report.html").read_bytes() == expected
 
 
 def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, study: Path, tmp_path: Path, command: Command) -> None:
