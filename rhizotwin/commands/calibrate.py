@@ -118,8 +118,8 @@ def camera(
 
     Focal length, principal point and distortion are estimated from pictures of the board. Take all pictures with the
     focus that is used for scanning. Pictures that cannot be used are listed with the reason. The output folder contains
-    camera.toml (a [camera] section for scene files), calibration.json (all numbers) and report.html (residuals,
-    coverage and all pictures).
+    camera.toml (the lens, for the [camera] section of scene files), calibration.json (all numbers) and report.html
+    (residuals, coverage and all pictures).
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def camera(
     drawn : BoardOptions
         Dimensions of the board, if there is no board file.
     scene : str, optional
-        Scene (name or file), of which a copy with the calibrated camera is written to scene.toml. The pictures must
+        Scene (name or file), of which a copy with the calibrated lens is written to scene.toml. The pictures must
         have the picture size of the scene.
     progress : Progress
         Progress output.
@@ -290,9 +290,9 @@ def simulate(
 
 
 def _with_camera(scene: Scene, found: Camera) -> Scene:
-    """Return a copy of the scene with the calibrated camera.
+    """Return a copy of the scene with the calibrated lens.
 
-    The bit depth of the scene's camera is retained.
+    The bit depth, response curve and bands of the scene's camera are retained.
     """
     if scene.camera.image_wh != found.image_wh:
         (wide, high), (width, height) = scene.camera.image_wh, found.image_wh
@@ -300,6 +300,7 @@ def _with_camera(scene: Scene, found: Camera) -> Scene:
             f"the camera of scene {scene.name} has {wide}x{high} pixels, but the pictures of the board have {width}x{height}; "
             "change camera.image_wh, or take the pictures of the board at the size used for scanning"
         )
-    calibrated = replace(scene, camera=replace(found, bits=scene.camera.bits))
+    lens = replace(scene.camera, kind=found.kind, focal_px=found.focal_px, principal_px=found.principal_px, distortion=found.distortion)
+    calibrated = replace(scene, camera=lens)
     check_scene(calibrated, where=f"scene {scene.name} with the calibrated camera")
     return calibrated

@@ -241,9 +241,11 @@ def _camera_text(made: Calibration) -> str:
     head = (
         f"# Fitted to {fit.corners} corners in {len(fit.views)} pictures; residual {fit.rms_px:.3f} px rms. {model_text(fit)}.\n"
         f"# Standard deviations of focal_px and principal_px: {std} px.\n"
-        "# Replace the section [camera] of the scene file with this section.\n"
+        "# Copy these lines to the section [camera] of the scene file, in place of the lines with the same names.\n"
     )
-    return head + toml_text.dumps({"camera": to_plain(made.camera)})
+    camera = to_plain(made.camera)
+    lens = {name: camera[name] for name in ("kind", "image_wh", "focal_px", "principal_px", "distortion")}
+    return head + toml_text.dumps({"camera": lens})
 
 
 def _none_usable(rejected: dict[str, str], pictures: int) -> str:

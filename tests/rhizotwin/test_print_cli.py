@@ -40,9 +40,10 @@ def test_from_twin_pictures_to_a_scene_with_their_lens(tmp_path: Path, monkeypat
 
     command.fails("calibrate camera twin -o two --scene mine.toml", named=["has 800x600 pixels"])
     text = (tmp_path / "mine.toml").read_text(encoding="utf-8")
-    (tmp_path / "mine.toml").write_text(text.replace("image_wh = [800, 600]", "image_wh = [400, 300]"), encoding="utf-8")
+    text = text.replace("image_wh = [800, 600]", "image_wh = [400, 300]").replace('\ntransfer = "linear"', '\ntransfer = "srgb"')
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     command.works("calibrate camera twin -o two --scene mine.toml")
     again = load_scene(tmp_path / "two" / "scene.toml").camera
     np.testing.assert_allclose(again.focal_px, found.focal_px, rtol=1e-9)  # OpenCV's threads add up in any order
-    assert (again.image_wh, again.bits) == ((400, 300), 12)
+    assert (again.image_wh, again.bits, again.transfer) == ((400, 300), 12, "srgb")
     command.fails("calibrate camera twin -o lens", named=["lens: the folder already exists and is not empty"])

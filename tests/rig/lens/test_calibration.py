@@ -1,6 +1,7 @@
 """The lens from pictures of the board: corners, fit, what is left out and refused, and the twin's pictures of the board."""
 
 import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -270,6 +271,8 @@ def test_the_lens_of_the_twin_is_found_and_bad_pictures_are_named(twin: Path, tm
     written = [*write_calibration(made, out), write_report(made, out)]
     assert [path.name for path in written] == ["camera.toml", "calibration.json", "report.html"]
     assert load_scene(out / "camera.toml").camera == made.camera
+    lens = tomllib.loads((out / "camera.toml").read_text(encoding="utf-8"))["camera"]
+    assert lens.keys() == {"kind", "image_wh", "focal_px", "principal_px", "distortion"}  # the scene keeps its curve and bands
     assert json.loads((out / "calibration.json").read_text(encoding="utf-8")) == numbers(made)
     page = (out / "report.html").read_text(encoding="utf-8")
     assert all(name in page for name in [*made.fit.views, *made.rejected, "data:image/png;base64,"])
