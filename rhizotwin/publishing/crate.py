@@ -65,7 +65,7 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
     for found in results:
         result = crate.add_dataset(dest_path=found.place, properties=_result(found))
         plain: dict[str, Any] = {"@id": f"#reconstruct-{found.name}", "@type": "CreateAction", "name": f"Reconstruction of {found.name}"}
-        action = crate.add_jsonld({**plain, "description": f"rhizotwin {found.summary['versions'].get('rhizotwin', version)}"})
+        action = crate.add_jsonld({**plain, "description": f"rhizotwin {found.version or 'of unknown version'}"})
         action["instrument"], action["result"] = software, result
         if found.scan is not None:
             action["object"] = entities[found.scan.name]

@@ -103,10 +103,10 @@ def _units(scans: Sequence[Scan]) -> list[list[str]]:
 
 
 def _variables(results: Sequence[Found]) -> list[list[str]]:
-    return [[d.name, d.heading, d.meaning, _METHOD, d.unit or "1"] for d in DEFINITIONS] if results else []
+    return [[d.column, d.heading, d.meaning, _METHOD, d.unit or "1"] for d in DEFINITIONS] if results else []
 
 
 def _files(scans: Sequence[Scan], results: Sequence[Found]) -> list[list[str]]:
     rows = [[f"{scan.place}/", f"{len(scan.dataset.frames)} pictures with scene and rig data", ""] for scan in scans]
-    rows += [[f"{one.place}/", "shape, roots, traits and report", str(one.summary["versions"].get("rhizotwin", ""))] for one in results]
+    rows += [[f"{one.place}/", "shape, roots, traits and report", one.version] for one in results]
     return rows + ([["traits.csv", "traits of all results, with intervals and verdicts", ""]] if results else [])

@@ -61,6 +61,11 @@ class Found:
         return f"{RESULTS}/{self.name}"
 
     @property
+    def version(self) -> str:
+        """Version of the program that reconstructed the result. It is empty if it was not recorded."""
+        return str(self.summary.get("versions", {}).get("rhizotwin", ""))
+
+    @property
     def plants(self) -> list[PlantTraits]:
         """Return the traits of each plant."""
         return traits_by_plant(self.name, self.summary, self.traits)

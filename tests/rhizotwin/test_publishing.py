@@ -4,11 +4,13 @@ import csv
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rhizotwin.publishing import crate, miappe
 from rhizotwin.publishing import published as publishing
 from rhizotwin.publishing.study import EXAMPLE, read_study
 from rhizotwin.report import page
@@ -93,7 +95,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
 
 def edit_summary(folder: Path, **changes: object) -> None:
     summary = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    (folder / "result.json").write_text(json.dumps({k: v for k, v in (summary | changes).items() if v is not None}), encoding="utf-8")
+    (folder / "result.json").write_text(json.dumps(summary | changes), encoding="utf-8")
 
 
 def found_in(folder: Path) -> publishing.Found:
@@ -110,6 +112,24 @@ def test_a_published_report_differs_only_in_the_path_of_the_dataset(plant: plant
     edit_summary(plant.result, dataset="")
     expected = page.write(plant.result, dataset=plant.dataset).read_bytes()
     assert (tmp_path / "results" / "one" / "report.html").read_bytes() == expected
+
+
+def test_results_of_unknown_versions_are_published(plant: plants.Plant, study: Path, tmp_path: Path) -> None:
+    found = found_in(plant.result)
+    found = replace(found, summary={key: value for key, value in found.summary.items() if key not in ("versions", "settings")})
+    files = list(csv.DictReader(miappe.tables(read_study(study), [], [found])["data_file.csv"].splitlines()))
+    assert files[0]["Data file version"] == ""
+    crate.write(tmp_path, read_study(study), [], [found], files={}, version="9.9")
+    (action,) = [one for one in json.loads((tmp_path / "ro-crate-metadata.json").read_bytes())["@graph"] if one["@type"] == "CreateAction"]
+    assert action["description"] == "rhizotwin of unknown version"
+
+
+def test_variables_have_the_names_of_the_columns_of_the_traits(plant: plants.Plant, study: Path) -> None:
+    found = found_in(plant.result)
+    variables = csv.DictReader(miappe.tables(read_study(study), [], [found])["observed_variable.csv"].splitlines())
+    names = [row["Variable ID"] for row in variables]
+    assert "volume_mm3" in names
+    assert set(names) <= set(stored_traits.spreadsheet([(found.name, found.summary, found.traits)]).splitlines()[0].split(","))
 
 
 def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, study: Path, tmp_path: Path, command: Command) -> None:
