@@ -4,6 +4,7 @@
   const VIRIDIS = ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"];
   const LINE_SHADE = matchMedia("(prefers-color-scheme: dark)").matches ? 1.0 : 0.5; // centre lines have the colour of the surface, darker on white
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const unzip = (text, type) => new Response(new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("gzip")), { headers: { "Content-Type": type } }).blob();
   const positions = (packed) => {
     const steps = new Uint16Array(bytes(packed.points).buffer), found = new Float32Array(steps.length);
     for (let k = 0; k < steps.length; k++) found[k] = packed.origin[k % 3] + packed.scale * steps[k];
@@ -17,8 +18,6 @@
     for (const name of Object.keys(packed.colours)) shape.colours[name] = bytes(packed.colours[name]);
     shape.lines = packed.roots ? positions(packed.roots) : new Float32Array(0);
     shape.counts = packed.roots ? packed.roots.counts : [];
-    shape.parents = packed.roots ? packed.roots.parents : [];
-    shape.diameters = packed.roots ? Array.from(new Uint16Array(bytes(packed.roots.diameters).buffer), (d) => d / 1000) : [];
     return shape;
   }
 
@@ -211,31 +210,15 @@
     return new Blob([words(0x46546c67, 2, 28 + text.length + size, text.length, 0x4e4f534a), text, words(size, 0x004e4942), ...parts], { type: "model/gltf-binary" });
   }
 
-  function rsml(shape, name) {
-    const plain = (text) => text.replace(/[<>&"]/g, "");
-    const below = shape.counts.map(() => []), begin = [];
-    let first = 0;
-    shape.counts.forEach((count, k) => { begin.push(first); first += count; if (shape.parents[k] >= 0) below[shape.parents[k]].push(k); });
-    const write = (k) => {
-      const numbers = Array.from({ length: shape.counts[k] }, (_, i) => begin[k] + i);
-      const point = (i) => `<point x="${shape.lines[3 * i].toFixed(4)}" y="${shape.lines[3 * i + 1].toFixed(4)}" z="${shape.lines[3 * i + 2].toFixed(4)}"/>`;
-      return `<root id="1.${k + 1}" label=""><geometry><polyline>${numbers.map(point).join("")}</polyline></geometry>`
-        + `<functions><function name="diameter" domain="polyline">${numbers.map((i) => `<sample>${shape.diameters[i]}</sample>`).join("")}</function></functions>${below[k].map(write).join("")}</root>`;
-    };
-    const whole = shape.counts.map((_, k) => (shape.parents[k] < 0 ? write(k) : "")).join("");
-    return new Blob([`<?xml version="1.0" encoding="UTF-8"?><rsml><metadata><version>1</version><unit>mm</unit><resolution>1</resolution><last-modified>${new Date().toISOString()}</last-modified>`
-      + `<software>rhizotwin</software><user></user><file-key>${plain(name)}</file-key></metadata><scene><plant id="1" label="">${whole}</plant></scene></rsml>`], { type: "application/xml" });
-  }
-
   for (const box of document.querySelectorAll("[data-result]")) {
     const data = JSON.parse(box.querySelector("script[type='application/json']").textContent);
     const shape = unpack(data.shape), choice = box.querySelector(".solid select");
     show(box.querySelector(".solid"), shape);
-    const files = { csv: () => new Blob([data.csv], { type: "text/csv" }), stl: () => stl(shape), glb: () => glb(shape, choice.value), rsml: () => rsml(shape, data.name) };
+    const files = { csv: () => new Blob([data.csv], { type: "text/csv" }), stl: () => stl(shape), glb: () => glb(shape, choice.value), rsml: () => unzip(data.rsml, "application/xml") };
     for (const button of box.querySelectorAll("button[data-file]")) {
-      button.addEventListener("click", () => {
+      button.addEventListener("click", async () => {
         const link = document.createElement("a");
-        link.href = URL.createObjectURL(files[button.dataset.file]());
+        link.href = URL.createObjectURL(await files[button.dataset.file]());
         link.download = `${data.file}.${button.dataset.file}`;
         link.click();
         setTimeout(() => URL.revokeObjectURL(link.href), 10000);

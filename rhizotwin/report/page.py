@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import html
 import json
 import re
@@ -195,11 +196,12 @@ def _shape(report: _Report, surface: Mesh) -> str:
     """Return the canvas that shows the shape in 3D, and the buttons that save files, as HTML."""
     packed = shape_data.pack_shape(surface, report.roots)
     data = {
-        "name": report.name,
         "file": re.sub(r"[^A-Za-z0-9_-]+", "_", report.name) or "result",
         "csv": trait_table.to_csv(report.traits, report.assessed),
         "shape": packed,
     }
+    if report.roots:
+        data["rsml"] = base64.b64encode(gzip.compress((report.folder / "roots.rsml").read_bytes(), mtime=0)).decode()
     options = "".join(f"<option value={by}>colour by {by}</option>" for by in packed["keys"]) + "<option value=plain>one colour</option>"
     saved = ["csv", "stl", "glb", *(["rsml"] if report.roots else [])]
     labels = {"csv": "Traits (CSV)", "stl": "Surface (STL)", "glb": "Surface with colours (GLB)", "rsml": "Centre lines (RSML)"}

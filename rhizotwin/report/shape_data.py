@@ -22,8 +22,8 @@ _LEVELS = 65535
 def pack_shape(surface: Mesh, roots: Sequence[Root]) -> dict[str, Any]:
     """Return a surface with centre lines and colours as JSON values that ``page.js`` reads.
 
-    Coordinates are integers in units of 1/65535 of the largest extent, which are a few micrometres. Diameters are
-    stored in micrometres. Each vertex refers to the nearest centre-line point and has the colour of this point.
+    Coordinates are integers in units of 1/65535 of the largest extent, which are a few micrometres. Each vertex
+    refers to the nearest centre-line point and has the colour of this point.
 
     Parameters
     ----------
@@ -39,15 +39,8 @@ def pack_shape(surface: Mesh, roots: Sequence[Root]) -> dict[str, Any]:
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
     nearest = surface_mesh.nearest_root(surface.vertices_mm, points, diameters / 2.0)
-    return packed | {"nearest": _encode(nearest.astype("<u4")), "roots": _pack_lines(roots, points, diameters), **_pack_colours(roots)}
-
-
-def _pack_lines(roots: Sequence[Root], points: NDArray[np.float64], diameters: NDArray[np.float64]) -> dict[str, Any]:
-    return _pack_positions(points) | {
-        "diameters": _encode(np.clip(np.round(1000.0 * diameters), 0, _LEVELS).astype("<u2")),
-        "counts": [len(root.points_mm) for root in roots],
-        "parents": [root.parent for root in roots],
-    }
+    lines = _pack_positions(points) | {"counts": [len(root.points_mm) for root in roots]}
+    return packed | {"nearest": _encode(nearest.astype("<u4")), "roots": lines, **_pack_colours(roots)}
 
 
 def _pack_colours(roots: Sequence[Root]) -> dict[str, Any]:
