@@ -103,7 +103,7 @@ def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
 def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
     """Read the leaves of the shape or of the untrimmed hull.
 
-    Raise `UserError` if the file is missing, damaged or empty.
+    Raise `UserError` if the file is missing, damaged or empty, or if a value is invalid.
     """
     path, prefix = Path(folder) / "shape.npz", "hull_" if hull else ""
     if not path.is_file():
@@ -132,7 +132,23 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
         raise UserError(
             f"{path} contains an empty shape, because nothing was reconstructed; check the pictures and the scene, then reconstruct again."
         )
+    if fault := _find_fault(leaves):
+        raise UserError(f"{path} is damaged: {fault}; repeat the reconstruction.")
     return leaves
+
+
+def _find_fault(leaves: Leaves) -> str:
+    """Return a description of the first invalid value of the leaves. It is empty if all values are valid."""
+    origin_mm, occupancy = leaves.origin_mm, leaves.occupancy
+    whole = leaves.low.dtype.kind in "iu" and leaves.size.dtype.kind in "iu"
+    valid = {
+        "the positions and sizes of the leaves must be integers": whole,
+        "the size of every leaf must be at least 1": whole and (leaves.size >= 1).all(),
+        "origin_mm must be three finite numbers": origin_mm.shape == (3,) and np.isfinite(origin_mm).all(),
+        "voxel_mm must be a finite number above 0": 0.0 < leaves.voxel_mm < np.inf,
+        "all occupancies must be 0 to 1": ((occupancy >= 0.0) & (occupancy <= 1.0)).all(),
+    }
+    return next((condition for condition, fits in valid.items() if not fits), "")
 
 
 def check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
