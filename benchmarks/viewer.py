@@ -339,12 +339,10 @@ def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
 def _volume_difference(result: Path, corrected: Path) -> float:
     """Return the difference between the corrected volume and that of the corrected result measured again."""
     from rhizotwin.corrections import corrected as folders
-    from rhizotwin.corrections import log
     from rhizotwin.corrections.session import Session
     from rhizotwin.stored import result_files
 
     session = Session(result)
-    session.replay(log.read(result / log.LOG_NAME, result))
     before = session.measure().volume_mm3
     folders.write(session, corrected)
     leaves = result_files.read_leaves(corrected)

@@ -51,15 +51,15 @@ def edit(
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.stored import result_files
 
-    session = Session(result)
-    made = log.read(apply, result)
+    made, fit = log.read(apply, result), None
     if any(entry.do == "fit" for entry in made.edits):
-        found = load_dataset(dataset or Path(str(session.summary["dataset"])))
-        result_files.check_same_scan(session.summary["dataset_sha256"], session.summary["scene"], result, found)
-        session.refit = refit.fitter(result, found)
+        old = result_files.read_summary(result)
+        found = load_dataset(dataset or Path(str(old["dataset"])))
+        result_files.check_same_scan(old["dataset_sha256"], old["scene"], result, found)
+        fit = refit.fitter(result, found)
     with progress.bar(corrections=2.0, measure=3.0) as bar:
         with bar.stage("corrections"):
-            session.replay(made)
+            session = Session(result, log=made, refit=fit)
         with bar.stage("measure"):
             summary = corrected.write(session, output, dataset=dataset, last=lambda folder: page.write(folder, dataset=dataset))
     print(f"{result_traits.describe_edits(summary)}: {words.volume_text(summary)[0]}, in {output}")

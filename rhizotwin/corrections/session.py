@@ -16,6 +16,8 @@ from rhizotwin.corrections import state as states
 from rhizotwin.corrections.log import Edit, Log
 from rhizotwin.corrections.solid import Solid
 from rhizotwin.corrections.state import Refit, State
+from rhizotwin.scenes.dataset import file_sha256
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.stored import result_files
 
@@ -43,9 +45,23 @@ class Session:
 
     The volume is divided among the roots on first use of `solid`, at the latest by the first correction. The division
     takes seconds for large plants.
+
+    Parameters
+    ----------
+    result_folder : Path
+        Folder of the result.
+    log : Log or None
+        Corrections to apply. None: the corrections that are saved in the folder, if any.
+    refit : Refit or None
+        Function that fits roots to the pictures. None: refitting is not available.
+
+    Raises
+    ------
+    UserError
+        If a file of the result cannot be read, or a correction cannot be applied.
     """
 
-    def __init__(self, result_folder: Path, *, refit: Refit | None = None) -> None:
+    def __init__(self, result_folder: Path, *, log: Log | None = None, refit: Refit | None = None) -> None:
         self.folder = Path(result_folder)
         self.summary: dict[str, Any] = result_files.read_summary(self.folder)
         self.roots: tuple[Root, ...] = result_files.read_roots(self.folder)
@@ -63,6 +79,12 @@ class Session:
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
         self._measured: tuple[State, Measured] | None = None
+        self._path = self.folder / logs.LOG_NAME
+        self._known = self._file_hash()
+        if log is None and self._known:
+            self._resume()
+        for edit in () if log is None else log.edits:
+            self._apply(edit)
 
     @property
     def state(self) -> State:
@@ -98,13 +120,6 @@ class Session:
         with self.lock:
             self._apply(edit)
             self._undone.clear()
-            return self.state
-
-    def replay(self, log: Log) -> State:
-        """Apply all corrections of a log and return the new state."""
-        with self.lock:
-            for edit in log.edits:
-                self.do(edit)
             return self.state
 
     def undo(self) -> State:
@@ -162,12 +177,32 @@ class Session:
         return sum(a is not b for a, b in zip_longest(self.log.edits, self._saved))
 
     def save(self) -> Path:
-        """Write the log of corrections to the result's folder and return its path. The result itself is not changed."""
+        """Write the log of corrections to the result's folder and return its path. The result itself is not changed.
+
+        Raises
+        ------
+        UserError
+            If another session has saved corrections since this session was opened.
+        """
         with self.lock:
-            path = self.folder / logs.LOG_NAME
-            logs.write(path, self.log, follow=False)
-            self._saved = self.log.edits
-            return path
+            if self._file_hash() not in (self._known, None):
+                raise UserError(f"{self._path} was changed by another session; move it before you save, or open the result again")
+            logs.write(self._path, self.log, follow=False)
+            self._saved, self._known = self.log.edits, self._file_hash()
+            return self._path
+
+    def _file_hash(self) -> str | None:
+        """Return the hash of the saved log. It is None if there is no saved log."""
+        return file_sha256(self._path) if self._path.is_file() else None
+
+    def _resume(self) -> None:
+        """Apply the saved corrections."""
+        try:
+            for edit in logs.read(self._path, self.folder).edits:
+                self._apply(edit)
+        except UserError as error:
+            raise UserError(f"the saved corrections cannot be applied ({error}); move {self._path} to open the result without them") from None
+        self._saved = self.log.edits
 
     def _apply(self, edit: Edit) -> None:
         self._states.append(states.apply(self.state, edit, self.solid, refit=self.refit))

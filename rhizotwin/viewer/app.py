@@ -195,14 +195,7 @@ class Viewer(Drawing):
 
     def refit(self) -> None:
         """Refit the roots to the pictures."""
-        from rhizotwin.corrections.refit import fitter  # loads the engine
-
-        shown = self.shown
-        if shown.dataset is None:
-            self.notify("refitting needs the pictures; restart the viewer with 'rhizotwin view RESULT DATASET'")
-            return
         self.notify("the roots are being refitted to the pictures ...")
-        shown.session.refit = fitter(shown.session.folder, shown.dataset)
         self.correct("fit")
 
     def undo(self) -> None:

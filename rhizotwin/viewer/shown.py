@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin import surface_mesh
+from rhizotwin.corrections.lines import Lines
 from rhizotwin.corrections.session import Session
+from rhizotwin.corrections.state import Refitted
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
@@ -28,8 +30,8 @@ class Shown:
     """Result with all data that the viewer can display."""
 
     def __init__(self, folder: Path, dataset_folder: Path | None) -> None:
-        self.session = Session(folder)
-        self._given = dataset_folder
+        self._folder, self._given = folder, dataset_folder
+        self.session = Session(folder, refit=self._refit)
         self._loading = threading.Lock()
         self._mesh: tuple[object, Mesh] | None = None
         self._surface: tuple[object, Mesh] | None = None
@@ -46,7 +48,7 @@ class Shown:
 
         Return None if the recorded dataset no longer exists or has changed.
         """
-        return result_files.find_dataset(self.session.folder, self.session.summary, self._given)
+        return result_files.find_dataset(self._folder, result_files.read_summary(self._folder), self._given)
 
     @cached_property
     def pictures(self) -> Pictures | None:
@@ -87,6 +89,14 @@ class Shown:
                 summary = corrected.summarise(self.session, mesh) if edits else self.session.summary
                 self._traits = edits, stored_traits.of_summary(summary, mesh, self.session.state.roots() if edits else self.session.roots)
             return self._traits[1]
+
+    def _refit(self, lines: Lines) -> dict[int, Refitted]:
+        """Fit roots to the pictures."""
+        from rhizotwin.corrections.refit import fitter  # loads the engine
+
+        if self.dataset is None:
+            raise UserError("refitting needs the pictures; restart the viewer with 'rhizotwin view RESULT DATASET'")
+        return fitter(self._folder, self.dataset)(lines)
 
     def _full_mesh(self) -> Mesh:
         """Return the surface after corrections with all its triangles."""

@@ -1,6 +1,7 @@
 """Corrections: what they make of roots, voxels, volume and traits, and that a log makes them again."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,12 @@ from tests.rhizotwin.plant import Plant
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Plant:
     """Return a plant that the tests share: they write logs beside it at most."""
     return plants.make(tmp_path_factory.mktemp("plant"))
+
+
+@pytest.fixture
+def own(plant: Plant, tmp_path: Path) -> Path:
+    """Return a copy of the result, in which a test may save corrections."""
+    return Path(shutil.copytree(plant.result, tmp_path / "own"))
 
 
 def volume_of(folder: Path) -> float:
@@ -158,8 +165,9 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, 
     session.do(log.edit("cut", roots=[0], point_mm=(1.0, 0.5, -40.0), who="ben"))
     saved = session.save()
     assert {path: path.read_bytes() for path in files} == files
-    again = Session(plant.result)
-    again.replay(log.read(saved, plant.result))
+    made = log.read(saved, plant.result)
+    saved.unlink()
+    again = Session(plant.result, log=made)
     summary = corrected.write(again, tmp_path / "new")
     assert summary["volume_mm3"] == pytest.approx(session.measure().volume_mm3, rel=1e-9)
     assert volume_of(tmp_path / "new") == pytest.approx(summary["volume_mm3"], rel=1e-5)
@@ -178,6 +186,31 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, 
     assert json.loads((tmp_path / "new" / "traits.json").read_text())["edits"] == told
 
 
+def test_saved_corrections_are_there_when_the_result_is_opened_again(own: Path):
+    session = Session(own)
+    session.do(log.edit("delete roots", roots=[1], who="ann"))
+    session.save()
+    again = Session(own)
+    assert (len(again.log.edits), again.unsaved) == (1, 0)
+    assert again.measure().volume_mm3 == pytest.approx(session.measure().volume_mm3, rel=1e-9)
+    again.do(log.edit("delete roots", roots=[2], who="ben"))
+    again.save()
+    assert [one.who for one in log.read(own / log.LOG_NAME, own).edits] == ["ann", "ben"]
+    session.undo()
+    with pytest.raises(UserError, match="changed by another session"):
+        session.save()
+    assert len(log.read(own / log.LOG_NAME, own).edits) == 2
+
+
+def test_saved_corrections_that_cannot_be_applied_are_kept(own: Path):
+    path = own / log.LOG_NAME
+    log.write(path, replace(log.new(own), edits=(log.edit("delete roots", roots=[99]),)))
+    before = path.read_bytes()
+    with pytest.raises(UserError, match=r"root 99 does not exist\); move .*edits.json to open"):
+        Session(own)
+    assert path.read_bytes() == before
+
+
 def edit(**changes: object) -> dict[str, object]:
     return {"edits": [{"do": "cut", "who": "a", "when": "b"} | changes]}
 
@@ -194,8 +227,9 @@ def edit(**changes: object) -> dict[str, object]:
         ({"schema_version": 99}, "schema_version"),
     ],
 )
-def test_logs_that_are_wrong_are_refused(plant: Plant, change: dict, reason: str):
-    path = Session(plant.result).save()
+def test_logs_that_are_wrong_are_refused(plant: Plant, tmp_path: Path, change: dict, reason: str):
+    path = tmp_path / log.LOG_NAME
+    log.write(path, log.new(plant.result))
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(UserError, match=reason):
         log.read(path, plant.result)
