@@ -69,7 +69,7 @@ class Session:
         self._sources = [(root.points_mm, root.diameters_mm) for root in self.roots]
         self._finest_mm: float | None = self.summary["settings"].get("finest_mm")
         self._undivided = Solid.undivided(self.leaves, self._sources, finest_mm=self._finest_mm)
-        self._divided: Solid | None = None
+        self._divided: Solid | None = None  # with the tubes of all corrections, including those that can be redone
         self._dividing = threading.Lock()
         self.log: Log = logs.new(self.folder)
         self.lock = threading.RLock()
@@ -93,11 +93,12 @@ class Session:
 
     @property
     def solid(self) -> Solid:
-        """Return the voxels, whose volume is divided among the roots."""
+        """Return the voxels after the corrections, whose volume is divided among the roots."""
         with self._dividing:
             if self._divided is None:
                 self._divided = Solid.of(self.leaves, self._sources, finest_mm=self._finest_mm)
-            return self._divided
+                self._states[0] = states.resize(self._states[0], self._divided)  # roots may lie outside the voxels of the result
+            return self._divided.first(voxels=len(self.state.gone), sources=self.state.sources)
 
     @property
     def can_undo(self) -> bool:
@@ -166,7 +167,7 @@ class Session:
                     volumes = solid.volumes_mm3(now.pieces, now.gone)
                     total = float(volumes.sum())
                 else:
-                    solid = self._divided or self._undivided
+                    solid = self._undivided if self._divided is None else self.solid
                     volumes, total = solid.measured_mm3, float(self._undivided.measured_mm3.sum())
                 self._measured = now, Measured(total, now.length_mm, len(now.lines), volumes, solid)
             return self._measured[1]
@@ -205,5 +206,7 @@ class Session:
         self._saved = self.log.edits
 
     def _apply(self, edit: Edit) -> None:
-        self._states.append(states.apply(self.state, edit, self.solid, refit=self.refit))
+        solid = self.solid  # without the tubes of corrections that were undone, which a replayed log does not contain
+        self._states.append(states.apply(self.state, edit, solid, refit=self.refit))
+        self._divided = solid
         self.log = replace(self.log, edits=(*self.log.edits, edit))

@@ -9,7 +9,7 @@ among the roots. Where tubes overlap, the volume is assigned to the first remain
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -73,7 +73,8 @@ class _Samples:
 class Solid:
     """Voxels whose volume is divided among sources.
 
-    A source is a root of the result or a tube added by a correction. Sources are never removed.
+    A source is a root of the result or a tube added by a correction. A correction that is undone keeps its sources and
+    voxels until the next correction, so that it can be redone (`first`).
     """
 
     low: Index
@@ -178,6 +179,21 @@ class Solid:
         )
         return numbers
 
+    def first(self, *, voxels: int, sources: int) -> Solid:
+        """Return the solid as it was when it had the given numbers of voxels and sources. The arrays are shared."""
+        return replace(
+            self,
+            low=self.low[:voxels],
+            size=self.size[:voxels],
+            measured_mm3=self.measured_mm3[:voxels],
+            sources=self.sources[:sources],
+            _parts=[part for part in self._parts if not len(part.source) or part.source[0] < sources],
+            _claim=self._claim[:voxels],
+            _rest_mm3=self._rest_mm3[:voxels],
+            _rest_source=self._rest_source[:voxels],
+            _rest_along=self._rest_along[:voxels],
+        )
+
     def volumes_mm3(self, pieces: Iterable[Piece], gone: Mask) -> Array:
         """Return the volume of each voxel (N,), mm3, after the deletion of voxels and of parts of sources.
 
@@ -186,7 +202,7 @@ class Solid:
         pieces : iterable of Piece
             Remaining parts of the sources.
         gone : bool array
-            Whether a voxel is deleted, (M,) with M <= N. Voxels beyond M are not deleted.
+            Whether a voxel is deleted (N,).
         """
         alive = self._remaining_intervals(pieces)
         rest = (self._rest_source < 0) | self._is_remaining(alive, np.maximum(self._rest_source, 0), self._rest_along)
@@ -201,7 +217,7 @@ class Solid:
                 added = part.source >= self.given
                 owner[part.leaf[added]] = part.source[added]
             volume += room * np.minimum(filling.limit_occupancy(made, owner), 1.0 - volume / room)
-        volume[: len(gone)][gone] = 0.0
+        volume[gone] = 0.0
         return volume
 
     def leaves_in(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> Index:

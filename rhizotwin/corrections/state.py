@@ -49,11 +49,13 @@ class State:
     lines: Lines
     """Remaining roots, keyed by number."""
     gone: Mask
-    """Mask (N,) of the deleted voxels."""
+    """Mask (N,) of the deleted voxels. N includes the voxels that corrections added."""
     removed: Lines
     """Deleted roots as they were before the deletion, keyed by number."""
     next_number: int
     """Number that will be assigned to the next new root."""
+    sources: int
+    """Number of sources, including the tubes that corrections added."""
     base_mm: tuple[float, float, float] | None = None
     """Base of the plant in the canister frame, mm. It is None if it was not corrected."""
 
@@ -75,7 +77,7 @@ class State:
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
     """Return the state of a result before corrections. Root k consists of source k of ``solid``."""
     lines = roots_of.as_lines(roots)
-    return State(lines, np.zeros(len(solid.size), bool), {}, len(lines))
+    return State(lines, np.zeros(len(solid.size), bool), {}, len(lines), len(solid.sources))
 
 
 def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None) -> State:
@@ -106,7 +108,7 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
     if edit.do in ("delete voxels", "delete box"):
         return _delete_voxels(state, _rows(edit, solid), edit, solid)
     if edit.do == "restore voxels":
-        gone = _pad_mask(state.gone, solid)
+        gone = state.gone.copy()
         gone[_rows(edit, solid)] = False
         return replace(state, gone=gone)
     if edit.do == "fit":
@@ -186,8 +188,10 @@ def _rows(edit: Edit, solid: Solid) -> NDArray[np.int64]:
     return rows
 
 
-def _pad_mask(gone: Mask, solid: Solid) -> Mask:
-    return np.concatenate([gone, np.zeros(len(solid.size) - len(gone), bool)])
+def resize(state: State, solid: Solid) -> State:
+    """Extend the state to all sources and voxels of a solid."""
+    added = np.zeros(len(solid.size) - len(state.gone), bool)
+    return replace(state, gone=np.concatenate([state.gone, added]), sources=len(solid.sources))
 
 
 def _delete_voxels(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) -> State:
@@ -195,7 +199,7 @@ def _delete_voxels(state: State, rows: NDArray[np.int64], edit: Edit, solid: Sol
 
     If the correction has a box, the parts of roots inside the box are deleted.
     """
-    gone = _pad_mask(state.gone, solid)
+    gone = state.gone.copy()
     gone[rows] = True
     now = np.zeros(len(solid.size) + 1, bool)  # the last entry represents points outside all voxels
     now[rows] = True
@@ -255,7 +259,7 @@ def _join(state: State, one: int, other: int, solid: Solid) -> State:
     lines = {k: replace(line, parent=one) if line.parent == other else line for k, line in state.lines.items() if k != other} | {one: whole}
     for lateral in [k for k, line in lines.items() if line.parent == one]:
         lines = roots_of.inherit_plant(lines, lateral)
-    return replace(state, lines=lines)
+    return replace(resize(state, solid), lines=lines)
 
 
 def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
@@ -281,7 +285,7 @@ def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) ->
                 source = source_of[number, a, b]
                 pieces.append(Piece(source, 0.0, solid.length_mm(source)))
         lines[number] = replace(line, points_mm=root.points_mm, diameters_mm=root.diameters_mm, pieces=tuple(pieces), sigma_mm=None)
-    return replace(state, lines=lines)
+    return replace(resize(state, solid), lines=lines)
 
 
 def _runs(stays: Mask) -> list[tuple[int, int, bool]]:

@@ -202,6 +202,27 @@ def test_saved_corrections_are_there_when_the_result_is_opened_again(own: Path):
     assert len(log.read(own / log.LOG_NAME, own).edits) == 2
 
 
+def test_tubes_that_were_undone_leave_nothing_behind(own: Path):
+    """Rows of voxels in the log must be those of a session without the undone tube."""
+    session = Session(own)
+    count, before = len(session.solid.size), session.measure().volume_mm3
+    session.do(log.edit("join", roots=[1, 2]))
+    joined = session.measure().volume_mm3
+    session.undo()
+    assert session.measure().volume_mm3 == before
+    assert len(session.measure().volumes_mm3) == count
+    session.redo()
+    assert session.measure().volume_mm3 == joined
+    session.undo()
+    session.do(log.edit("join", roots=[3, 2]))
+    bridge = np.flatnonzero(session.measure().volumes_mm3[count:] > 1e-9) + count
+    session.do(log.edit("delete voxels", runs=log.runs(bridge[::2].tolist())))
+    session.save()
+    again = Session(own)
+    assert again.measure().volumes_mm3 == pytest.approx(session.measure().volumes_mm3, abs=1e-9)
+    assert again.measure().length_mm == pytest.approx(session.measure().length_mm)
+
+
 def test_saved_corrections_that_cannot_be_applied_are_kept(own: Path):
     path = own / log.LOG_NAME
     log.write(path, replace(log.new(own), edits=(log.edit("delete roots", roots=[99]),)))
