@@ -25,6 +25,7 @@ KINDS = {
     "delete voxels": "delete voxels and the parts of roots inside them",
     "delete box": "delete all roots and voxels inside a box",
     "restore voxels": "restore deleted voxels",
+    "restore deletion": "restore roots, parts of roots and voxels of the last deletion that was not restored",
     "cut": "cut a root at a point, beyond which it becomes a new root",
     "join": "join a root to the end of another root",
     "parent": "make a root a lateral of another root",

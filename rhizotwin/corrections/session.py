@@ -140,23 +140,6 @@ class Session:
                 self.log = replace(self.log, edits=(*self.log.edits, edit))
             return self.state
 
-    def last_deleted(self) -> tuple[list[int], NDArray[np.int64]]:
-        """Return the numbers of the roots and the rows of the voxels in the most recent deletion.
-
-        Restored roots and voxels are omitted, and deletions that were restored completely are skipped.
-        """
-        with self.lock:
-            now, count = self.state, len(self.state.gone)
-            for before, after in zip(self._states[-2::-1], self._states[:0:-1], strict=True):
-                roots = [k for k in after.removed if k not in before.removed and k in now.removed]
-                gone = np.zeros(count, bool)
-                gone[: len(after.gone)] = after.gone
-                gone[: len(before.gone)] &= ~before.gone
-                rows = np.flatnonzero(gone & now.gone)
-                if roots or len(rows):
-                    return roots, rows
-            return [], np.zeros(0, np.int64)
-
     def measure(self) -> Measured:
         """Return the volume and length after the corrections."""
         with self.lock:

@@ -12,7 +12,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.corrections import deletions
 from rhizotwin.corrections import lines as roots_of
+from rhizotwin.corrections.deletions import Deletion
 from rhizotwin.corrections.lines import Line, Lines, Piece
 from rhizotwin.corrections.log import Edit
 from rhizotwin.corrections.solid import Solid
@@ -58,6 +60,8 @@ class State:
     """Number of sources, including the tubes that corrections added."""
     base_mm: tuple[float, float, float] | None = None
     """Base of the plant in the canister frame, mm. It is None if it was not corrected."""
+    deletions: tuple[Deletion, ...] = ()
+    """Deletions that were not restored, oldest first."""
 
     @property
     def pieces(self) -> list[Piece]:
@@ -102,11 +106,13 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
     if edit.do == "delete roots":
         chosen = _check_roots(state, edit)
         numbers = [k for root in chosen for k in (roots_of.descendants(state.lines, root) if edit.laterals else [root])]
-        return _delete_roots(state, numbers)
+        return _record(state, _delete_roots(state, numbers))
     if edit.do == "restore roots":
         return _restore_roots(state, edit)
+    if edit.do == "restore deletion":
+        return _restore_deletion(state)
     if edit.do in ("delete voxels", "delete box"):
-        return _delete_voxels(state, _rows(edit, solid), edit, solid)
+        return _record(state, _delete_voxels(state, _rows(edit, solid), edit, solid))
     if edit.do == "restore voxels":
         gone = state.gone.copy()
         gone[_rows(edit, solid)] = False
@@ -175,7 +181,37 @@ def _restore_roots(state: State, edit: Edit) -> State:
     for k in edit.roots:
         if lines[k].parent not in lines:
             lines[k] = replace(lines[k], parent=-1)
-    return replace(state, lines=lines, removed={k: line for k, line in state.removed.items() if k not in edit.roots})
+    left = {k: line for k, line in state.removed.items() if k not in edit.roots}
+    for deletion in state.deletions:
+        if deletion.removed.keys() & edit.roots:
+            lines = deletions.reattach(lines, deletion)
+    waiting = tuple(one for one in state.deletions if len(one.rows) or not one.removed or one.removed.keys() & left)
+    return replace(state, lines=lines, removed=left, deletions=waiting)
+
+
+def _record(before: State, after: State) -> State:
+    """Add a deletion to the state after it, so that it can be restored."""
+    made = Deletion(
+        before={k: line for k, line in before.lines.items() if after.lines.get(k) is not line},
+        after={k: line for k, line in after.lines.items() if before.lines.get(k) is not line},
+        removed={k: line for k, line in after.removed.items() if k not in before.removed},
+        rows=np.flatnonzero(after.gone & ~before.gone),
+    )
+    return replace(after, deletions=(*after.deletions, made)) if made.before or len(made.rows) else after
+
+
+def _restore_deletion(state: State) -> State:
+    if not state.deletions:
+        raise UserError("there are no deleted roots or voxels to restore")
+    last, gone = state.deletions[-1], state.gone.copy()
+    gone[last.rows] = False
+    return replace(
+        state,
+        lines=deletions.restore(state.lines, state.removed, last),
+        gone=gone,
+        removed={k: line for k, line in state.removed.items() if k not in last.removed},
+        deletions=state.deletions[:-1],
+    )
 
 
 def _rows(edit: Edit, solid: Solid) -> NDArray[np.int64]:
@@ -223,7 +259,7 @@ def _set_tip(state: State, number: int, edit: Edit) -> State:
     at = _inner_arc_length(line, edit)
     lines = roots_of.divide(state.lines, number, at, state.next_number)
     cut = _delete_roots(replace(state, lines=lines, next_number=state.next_number + 1), roots_of.descendants(lines, state.next_number))
-    return replace(cut, lines={**cut.lines, number: replace(cut.lines[number], tip_seen=True)})
+    return _record(state, replace(cut, lines={**cut.lines, number: replace(cut.lines[number], tip_seen=True)}))
 
 
 def _join(state: State, one: int, other: int, solid: Solid) -> State:

@@ -15,6 +15,7 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections import log as logs
+from rhizotwin.corrections.deletions import find_edited
 from rhizotwin.corrections.lines import descendants
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -182,16 +183,14 @@ class Viewer(Drawing):
         self.correct(kind, roots=self.roots)
 
     def restore(self) -> None:
-        """Restore those roots or voxels of the last deletion that have not been restored yet."""
+        """Restore the last deletion that was not restored, and name the roots that were edited since and remain cut."""
         with self.lock:
-            roots, rows = self.shown.session.last_deleted()
-            if not roots and not len(rows):
-                self.notify("there are no deleted roots or voxels to restore")
-                return
-            if len(rows):
-                self.correct("restore voxels", runs=logs.runs([int(row) for row in rows]))
-            if roots:
-                self.correct("restore roots", roots=roots)
+            state = self.shown.session.state
+            edited = find_edited(state.lines, state.deletions[-1]) if state.deletions else []
+            self.correct("restore deletion")
+            if edited:
+                names = ", ".join(map(str, edited))
+                self.notify(f"root {names} was edited after the deletion and keeps its present shape; undo later corrections to restore it")
 
     def refit(self) -> None:
         """Refit the roots to the pictures."""

@@ -60,8 +60,7 @@ def _add_buttons(viewer: Viewer) -> None:
         return len(viewer.roots) == 2
 
     def deleted() -> bool:
-        here, rows = viewer.shown.session.last_deleted()
-        return bool(here) or len(rows) > 0
+        return bool(viewer.shown.session.state.deletions)
 
     lateral, join = "make the first selected root a lateral of the second", "append the second selected root to the end of the first"
     clear = "clear the selection and the measurement"
@@ -70,7 +69,7 @@ def _add_buttons(viewer: Viewer) -> None:
         _Button(
             "Delete with laterals", lambda: viewer.delete(laterals=True), roots, "delete the selected roots and their laterals", red=True
         ),
-        _Button("Restore the last deletion", viewer.restore, deleted, "restore the roots or voxels that were deleted last"),
+        _Button("Restore the last deletion", viewer.restore, deleted, "restore the roots, parts of roots or voxels that were deleted last"),
         _Button("Join two", lambda: viewer.pair("join"), two, join),
         _Button("Make lateral of the second", lambda: viewer.pair("parent"), two, lateral),
         _Button("Refit", viewer.refit, lambda: viewer.shown.dataset is not None, "refit centre lines and diameters to the pictures"),
