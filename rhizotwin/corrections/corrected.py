@@ -79,6 +79,8 @@ def write(
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)
+        if (session.folder / "shoot.ply").is_file():
+            shutil.copyfile(session.folder / "shoot.ply", building / "shoot.ply")
         hull = result_files.read_leaves(session.folder, hull=True)  # corrections do not change the hull
         atomic.write_bytes(building / "shape.npz", shape_npz(_voxels(measured), hull))
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
+from rhizotwin import command_steps
 from rhizotwin.corrections import corrected, lines, log, surface
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.roots import plants as recon_plants
+from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant as ScenePlant
 from rhizotwin.scenes.rsml_reader import read_rsml
@@ -292,6 +295,21 @@ def test_saved_corrections_that_cannot_be_applied_are_kept(own: Path):
     with pytest.raises(UserError, match=r"root 99 does not exist\); move .*edits.json to open"):
         Session(own)
     assert path.read_bytes() == before
+
+
+def test_the_shoot_is_kept_and_its_result_can_be_replaced(own: Path, tmp_path: Path):
+    mesh = trimesh.creation.icosphere(radius=5.0)
+    numbers = {"leaf_area_mm2": 80.0, "stalks_mm3": 1.0, "leaf_thickness_mm": 0.3, "pot_top_mm": 8.0, "hidden_share": 0.1, "enclosed_share": 0.0}
+    shoot = Shoot(mesh=mesh, hull_mm3=500.0, blades_mm2=(80.0,), covered_px={"a": 9.0}, mm2_per_px={"a": 1.0}, **numbers)
+    replace(load_result(own), shoot=shoot).save(own)
+    session = Session(own)
+    session.do(log.edit("delete roots", roots=[1]))
+    for _ in range(2):
+        corrected.write(session, tmp_path / "new")
+        kept = load_result(tmp_path / "new").shoot
+        assert kept is not None
+        assert kept.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)
+        command_steps.refuse_place(tmp_path / "new", own)
 
 
 def edit(**changes: object) -> dict[str, object]:
