@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +86,7 @@ def write(
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
-        logs.write(building / "corrected.json", session.log)
+        logs.write(building / logs.APPLIED_NAME, replace(session.log, earlier=logs.read_applied(session.folder)))
         for name, text in result_traits.trait_files(traits, summary, mass_g=summary.get("mass_g")).items():
             atomic.write_text(building / name, text)
         summary |= {"traits": to_plain(traits)}
@@ -111,13 +111,15 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
     points = [mesh.vertices_mm, *(line.points_mm for line in state.lines.values())]
     corners = np.concatenate(points) if sum(len(part) for part in points) else np.zeros((1, 3))
     roots = state.roots()
+    made, earlier = session.log.edits, old.get("edits") or {}  # earlier corrections, if the result is itself a corrected one
+    first = float(earlier.get("volume_before_mm3", before))
     edits = {
-        "count": len(session.log.edits),
-        "who": sorted({edit.who for edit in session.log.edits}),
-        "last": max((edit.when for edit in session.log.edits), default=None),
-        "volume_share": share(before, after),
-        "volume_before_mm3": before,
-        "base_mm": state.base_mm,
+        "count": len(made) + earlier.get("count", 0),
+        "who": sorted({*(edit.who for edit in made), *earlier.get("who", ())}),
+        "last": max((edit.when for edit in made), default=earlier.get("last")),
+        "volume_share": share(first, after),
+        "volume_before_mm3": first,
+        "base_mm": earlier.get("base_mm") if state.base_mm is None else state.base_mm,
     }
     changed = {
         "volume_mm3": after,

@@ -3,11 +3,13 @@
 Corrections are applied when the log is replayed. The result itself is not changed.
 """
 
+from __future__ import annotations
+
 import getpass
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from rhizotwin.scenes.reading import read_file
 
 SCHEMA_VERSION = 1
 LOG_NAME = "edits.json"
+APPLIED_NAME = "corrected.json"
+"""Name of the file in a corrected result that contains the applied log."""
 KINDS = {
     "delete roots": "delete roots, and their laterals if `laterals` is true",
     "restore roots": "restore deleted roots",
@@ -68,6 +72,8 @@ class Log:
     """SHA-256 hash of the result's ``shape.npz``. The numbers of voxels and roots in the log are valid only for this
     file."""
     edits: tuple[Edit, ...] = ()
+    earlier: tuple[Log, ...] = ()
+    """Logs of earlier corrections that a corrected result already contains, oldest first."""
 
 
 def edit(do: str, *, roots: Sequence[int] = (), who: str | None = None, **more: Any) -> Edit:
@@ -95,8 +101,8 @@ def new(result_folder: Path) -> Log:
     return Log(shape_sha256=file_sha256(result_folder / "shape.npz"))
 
 
-def read(path: Path, result_folder: Path) -> Log:
-    """Read a log and check that it was written for the given result.
+def read(path: Path, result_folder: Path | None) -> Log:
+    """Read a log and check that it was written for the given result. None: the result is not checked.
 
     Raises
     ------
@@ -109,10 +115,10 @@ def read(path: Path, result_folder: Path) -> Log:
         stored = json.loads(read_file(path).decode())
         if not isinstance(stored, dict) or stored.get("schema_version") != SCHEMA_VERSION:
             raise ValueError(f"schema_version is not {SCHEMA_VERSION}")
-        log = Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
+        log = replace(_log(stored), earlier=tuple(_log(one) for one in stored.get("earlier", ())))
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise UserError(f"{path} could not be read as a log of corrections ({error}); give a file saved by 'rhizotwin view'") from None
-    if log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
+    if result_folder is not None and log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
         raise UserError(
             f"{path} contains corrections of a different result and cannot be applied to {result_folder}; "
             "if the scan was reconstructed again, repeat the corrections"
@@ -122,9 +128,26 @@ def read(path: Path, result_folder: Path) -> Log:
 
 def write(path: Path, log: Log, *, follow: bool = True) -> None:
     """Write a log to a file atomically, with `scenes.atomic.write_bytes`."""
+    earlier = {"earlier": [_plain(one) for one in log.earlier]} if log.earlier else {}
+    atomic.write_bytes(path, atomic.json_bytes({"schema_version": SCHEMA_VERSION, **_plain(log), **earlier}), follow=follow)
+
+
+def read_applied(result_folder: Path) -> tuple[Log, ...]:
+    """Return the logs of all corrections that a result already contains, oldest first."""
+    path = result_folder / APPLIED_NAME
+    if not path.is_file():
+        return ()
+    log = read(path, None)
+    return (*log.earlier, replace(log, earlier=()))
+
+
+def _plain(log: Log) -> dict[str, Any]:
     listed = [{key: value for key, value in asdict(entry).items() if value not in ((), None, False)} for entry in log.edits]
-    text = atomic.json_bytes({"schema_version": SCHEMA_VERSION, "shape_sha256": log.shape_sha256, "edits": listed})
-    atomic.write_bytes(path, text, follow=follow)
+    return {"shape_sha256": log.shape_sha256, "edits": listed}
+
+
+def _log(stored: Any) -> Log:
+    return Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
 
 
 def _edit(entry: Any) -> Edit:

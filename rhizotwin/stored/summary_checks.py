@@ -165,6 +165,12 @@ _OPTIONAL: dict[str, Fits] = {
             "factors": lambda value: isinstance(value, dict) and all(_number(factor) and factor > 0.0 for factor in value.values()),
         }
     ),
+    "edits": _or_none(
+        _with(
+            {"count": _number, "who": _list(_text), "volume_share": _number},
+            {"last": _or_none(_text), "volume_before_mm3": _number, "base_mm": _or_none(_numbers(3))},
+        )
+    ),
     "shoot": _or_none(
         _with(
             {"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number},

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -295,6 +296,23 @@ def test_saved_corrections_that_cannot_be_applied_are_kept(own: Path):
     with pytest.raises(UserError, match=r"root 99 does not exist\); move .*edits.json to open"):
         Session(own)
     assert path.read_bytes() == before
+
+
+def test_a_result_that_is_corrected_again_lists_all_corrections(plant: Plant, tmp_path: Path):
+    volumes, edits = [volume_of(plant.result)], {}
+    places = (plant.result, tmp_path / "once", tmp_path / "twice", tmp_path / "thrice")
+    for (source, output), who in zip(pairwise(places), ("ben", "ann", "cid"), strict=True):
+        session = Session(source)
+        session.do(log.edit("delete roots", roots=[1], who=who))
+        summary = corrected.write(session, output)
+        edits = summary["edits"]
+        volumes.append(summary["volume_mm3"])
+    assert (edits["count"], edits["who"]) == (3, ["ann", "ben", "cid"])
+    assert edits["volume_before_mm3"] == pytest.approx(volumes[0])
+    assert edits["volume_share"] == pytest.approx(volumes[-1] / volumes[0] - 1.0)
+    made = log.read_applied(places[-1])
+    assert [one.edits[0].who for one in made] == ["ben", "ann", "cid"]
+    assert made[0] == log.read(places[1] / "corrected.json", plant.result)
 
 
 def test_the_shoot_is_kept_and_its_result_can_be_replaced(own: Path, tmp_path: Path):
