@@ -28,6 +28,7 @@ from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
@@ -75,6 +76,7 @@ def write(
     if summary.get("plants"):
         roots, summary["plants"] = _by_plant(session, summary, Mesh.of(mesh), _voxels(measured))
     traits = stored_traits.of_summary(summary, Mesh.of(mesh), roots)
+    summary["estimates"] = _unreliable_estimates(session.summary, traits)
     with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
@@ -96,7 +98,7 @@ def write(
 
 
 def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
-    """Return the content of ``result.json`` for a corrected result, without its traits and verdicts.
+    """Return the content of ``result.json`` for a corrected result, without its traits, estimates and verdicts.
 
     Parameters
     ----------
@@ -125,13 +127,12 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
         "volume_mm3": after,
         "volume_bounds_mm3": [min(low, after), max(high, after)],
         "length_mm": measured.length_mm,
-        "estimates": [],  # the estimates are only valid for the uncorrected roots
         "tips": sum(bool(root.tip_seen) for root in roots),
         "extents_min_mm": corners.min(axis=0).tolist(),
         "extents_max_mm": corners.max(axis=0).tolist(),
         "edits": edits,
     }
-    kept = {key: value for key, value in old.items() if key != "traits"}
+    kept = {key: value for key, value in old.items() if key not in ("traits", "estimates")}
     return dict(json.loads(json.dumps({**kept, **changed})))
 
 
@@ -170,6 +171,21 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
         "volume_verdict": verdict(lost) if lost else verdict_now,
         "checks": checked,
     }
+
+
+def _unreliable_estimates(old: Json, traits: Traits) -> list[Json]:
+    """Return the estimates of a result that are not reliable, with their corrected values.
+
+    A trait that was not reliable is not reliable after corrections either. Its interval is extended to the corrected
+    value. Reliable estimates are omitted, because their intervals are only valid for the uncorrected roots.
+    """
+    found = []
+    for one in old.get("estimates") or ():
+        value = getattr(traits, one["name"], None)
+        if not one["trusted"] and value is not None:
+            low, high = one["interval"]
+            found.append({**one, "value": float(value), "interval": [min(low, float(value)), max(high, float(value))]})
+    return found
 
 
 def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tuple[tuple[Root, ...], list[Json]]:

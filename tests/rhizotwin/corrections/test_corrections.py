@@ -13,9 +13,10 @@ import trimesh
 from rhizotwin import command_steps
 from rhizotwin.corrections import corrected, lines, log, surface
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
+from rhizotwin.recon.results import assessments, by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.roots import plants as recon_plants
 from rhizotwin.recon.shoots.shoot import Shoot
+from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant as ScenePlant
 from rhizotwin.scenes.rsml_reader import read_rsml
@@ -313,6 +314,22 @@ def test_a_result_that_is_corrected_again_lists_all_corrections(plant: Plant, tm
     made = log.read_applied(places[-1])
     assert [one.edits[0].who for one in made] == ["ben", "ann", "cid"]
     assert made[0] == log.read(places[1] / "corrected.json", plant.result)
+
+
+def test_a_trait_that_was_not_reliable_is_not_reliable_after_corrections(own: Path, tmp_path: Path):
+    one, length = load_result(own), load_result(own).solid.length_mm
+    interval = (0.9 * length, 2.0 * length)
+    estimate = Estimate(name="total_length_mm", value=length, interval=interval, trusted=False, verdict="the roots are too thin")
+    replace(one, estimates=(estimate, replace(estimate, name="mean_diameter_mm", trusted=True))).save(own)
+    session = Session(own)
+    session.do(log.edit("delete roots", roots=[1, 2]))
+    summary = corrected.write(session, tmp_path / "new")
+    now = session.measure().length_mm
+    (left,) = load_result(tmp_path / "new").estimates
+    assert (left.name, left.value, left.interval) == ("total_length_mm", pytest.approx(now), pytest.approx((now, 2.0 * length)))
+    judged = assessments.assess(summary, stored_traits.read(tmp_path / "new"))
+    assert (judged["total_length_mm"].verdict, judged["mean_diameter_mm"].verdict) == ("not reliable", "not assessed")
+    assert judged["total_length_mm"].reason == "the roots are too thin"
 
 
 def test_the_shoot_is_kept_and_its_result_can_be_replaced(own: Path, tmp_path: Path):
