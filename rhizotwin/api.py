@@ -97,7 +97,8 @@ def view(
     Parameters
     ----------
     result : Result, path, or sequence of these
-        One or more results or result folders; the page shows one result at a time.
+        One or more results or result folders; the page shows one result at a time. Corrections can be saved only in
+        result folders.
     dataset : Dataset or path, optional
         Dataset with the pictures; default: the dataset recorded in the result.
     port : int
@@ -115,8 +116,10 @@ def view(
     require("port", port, "whole number")
     require("dataset", dataset, "Dataset", "path", "None")
     with ExitStack() as stack:
-        folders = [stack.enter_context(_saved(one)) for one in _several("result", result, "Result", "path")]
-        shown = View(app.start(folders, _folder_of(dataset), port=port), stack.pop_all())
+        given = _several("result", result, "Result", "path")
+        folders = [stack.enter_context(_saved(one)) for one in given]
+        temporary = [folder for folder, one in zip(folders, given, strict=True) if not isinstance(one, str | Path)]
+        shown = View(app.start(folders, _folder_of(dataset), temporary=temporary, port=port), stack.pop_all())
     if open_browser:
         webbrowser.open(shown.address)
     return shown

@@ -75,6 +75,8 @@ class Session:
         self.lock = threading.RLock()
         self.refit = refit
         """Function that fits roots to the pictures. It is None if refitting is not available."""
+        self.is_temporary = False
+        """Whether the folder will be removed, so that corrections cannot be saved in it."""
         self._states = [states.start(self._undivided, self.roots)]
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
@@ -166,9 +168,11 @@ class Session:
         Raises
         ------
         UserError
-            If another session has saved corrections since this session was opened.
+            If another session has saved corrections since this session was opened, or the folder is temporary.
         """
         with self.lock:
+            if self.is_temporary:
+                raise UserError("the result exists only in memory; save it first with result.save(folder), then correct it in rt.view(folder)")
             if self._file_hash() not in (self._known, None):
                 raise UserError(f"{self._path} was changed by another session; move it before you save, or open the result again")
             logs.write(self._path, self.log, follow=False)

@@ -6,7 +6,7 @@ All connected browsers show the same state.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -250,18 +250,20 @@ def screen_of(client: viser.ClientHandle) -> Screen:
     return Screen(frames.invert(world_from_camera), float(camera.fov), float(camera.aspect))
 
 
-def start(folders: Sequence[Path], dataset: Path | None, *, host: str = guard.LOCAL, port: int = 8080) -> Viewer:
-    """Start a server that displays results in browsers.
+def start(
+    folders: Sequence[Path], dataset: Path | None, *, temporary: Collection[Path] = (), host: str = guard.LOCAL, port: int = 8080
+) -> Viewer:
+    """Start a server that displays results in browsers. Corrections cannot be saved in temporary folders.
 
     Raises
     ------
     UserError
         If a result cannot be read, or the address cannot be used.
     """
-    return show(guard.serve(host=host, port=port), folders, dataset)
+    return show(guard.serve(host=host, port=port), folders, dataset, temporary=temporary)
 
 
-def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) -> Viewer:
+def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None, *, temporary: Collection[Path] = ()) -> Viewer:
     """Display results on a running server. Browsers may already be connected.
 
     Raises
@@ -272,7 +274,7 @@ def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) ->
     from rhizotwin.viewer import panels
 
     try:
-        viewer = Viewer(served, folders, dataset)
+        viewer = Viewer(served, folders, dataset, temporary=temporary)
     except UserError:
         served.stop()
         raise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,10 +76,10 @@ class Look:
 class Drawing:
     """State of the viewer, and methods that display this state in browsers."""
 
-    def __init__(self, served: Served, folders: Sequence[Path], dataset: Path | None = None) -> None:
+    def __init__(self, served: Served, folders: Sequence[Path], dataset: Path | None = None, *, temporary: Collection[Path] = ()) -> None:
         self.served, self.look = served, Look()
         self.scene = Scene3d(served.server)
-        self._folders, self._dataset = list(folders), dataset
+        self._folders, self._dataset, self._temporary = list(folders), dataset, temporary
         self._loaded: dict[int, Shown] = {}
         self._place = 0
         self.lock = threading.RLock()
@@ -120,7 +120,8 @@ class Drawing:
         """Display the result with index ``place``."""
         with self.lock:
             if place not in self._loaded:
-                self._loaded[place] = Shown(self._folders[place], self._dataset)
+                folder = self._folders[place]
+                self._loaded[place] = Shown(folder, self._dataset, temporary=folder in self._temporary)
             self._place = place
             self.roots, self.voxels, self.measured = [], set(), []
             self.scene.clear()

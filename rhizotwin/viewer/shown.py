@@ -29,9 +29,10 @@ FARTHEST_MM = 1.0
 class Shown:
     """Result with all data that the viewer can display."""
 
-    def __init__(self, folder: Path, dataset_folder: Path | None) -> None:
+    def __init__(self, folder: Path, dataset_folder: Path | None, *, temporary: bool = False) -> None:
         self._folder, self._given = folder, dataset_folder
         self.session = Session(folder, refit=self._refit)
+        self.session.is_temporary = temporary
         self._loading = threading.Lock()
         self._mesh: tuple[object, Mesh] | None = None
         self._surface: tuple[object, Mesh] | None = None

@@ -63,6 +63,10 @@ def test_a_view_is_served_and_closed(plant: plants.Plant) -> None:
     assert line.getresponse().status == 200
     line.close()
     assert with_result.address in with_result._repr_html_()
+    with_result._viewer.correct("delete roots", roots=[1])
+    with_result._viewer.save()
+    assert "save it first with result.save(folder)" in with_result._viewer.message
+    assert with_result._viewer.unsaved() == 1
     with_result.close()
 
 
