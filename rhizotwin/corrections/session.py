@@ -67,7 +67,7 @@ class Session:
         self.roots: tuple[Root, ...] = result_files.read_roots(self.folder)
         self.leaves = result_files.read_leaves(self.folder)
         self._sources = [(root.points_mm, root.diameters_mm) for root in self.roots]
-        self._finest_mm: float | None = self.summary["settings"].get("finest_mm")
+        self._finest_mm = result_files.finest_mm(self.summary)
         self._undivided = Solid.undivided(self.leaves, self._sources, finest_mm=self._finest_mm)
         self._divided: Solid | None = None  # with the tubes of all corrections, including those that can be redone
         self._dividing = threading.Lock()

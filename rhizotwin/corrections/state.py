@@ -218,10 +218,12 @@ def _rows(edit: Edit, solid: Solid) -> NDArray[np.int64]:
     """Return the row numbers of the voxels to correct."""
     if edit.box_mm is not None:
         return solid.leaves_in(*edit.box_mm)
-    rows = np.concatenate([np.zeros(0, np.int64), *(np.arange(first, first + count) for first, count in edit.runs)])
-    if len(rows) and rows.max() >= len(solid.size):
-        raise UserError(f"correction '{edit.do}': voxel {rows.max()} does not exist; the shape has {len(solid.size)} voxels")
-    return rows
+    chosen = np.zeros(len(solid.size), bool)
+    for first, count in edit.runs:
+        if first + count > len(chosen):
+            raise UserError(f"correction '{edit.do}': voxel {first + count - 1} does not exist; the shape has {len(chosen)} voxels")
+        chosen[first : first + count] = True
+    return np.flatnonzero(chosen)
 
 
 def resize(state: State, solid: Solid) -> State:

@@ -72,6 +72,15 @@ def test_the_volume_that_two_roots_share_stays_with_the_one_that_is_left(plant: 
     assert {line.parent for line in session.state.lines.values()} == {-1}
 
 
+def test_a_result_without_settings_can_be_corrected(own: Path):
+    summary = json.loads((own / "result.json").read_text())
+    del summary["settings"]
+    (own / "result.json").write_text(json.dumps(summary))
+    session = Session(own)
+    session.do(log.edit("delete roots", roots=[1]))
+    assert session.measure().roots == 3
+
+
 def test_a_cut_keeps_volume_and_length_and_moves_laterals(plant: Plant):
     session = Session(plant.result)
     before = session.measure()
@@ -379,6 +388,8 @@ def test_corrections_that_cannot_be_are_refused_and_change_nothing(plant: Plant)
         log.edit("join", roots=[1]),
         log.edit("join", roots=[1, 1]),
         log.edit("delete voxels", runs=((10_000_000, 2),)),
+        log.edit("delete voxels", runs=((0, 10**13),)),
+        log.edit("delete voxels", runs=((10**30, 1),)),
         log.edit("fit"),
         log.edit("restore roots", roots=[1]),
     ):
