@@ -25,7 +25,7 @@ class Deletion:
 
     @property
     def cut(self) -> dict[int, list[int]]:
-        """Return the numbers of the parts of each root that was shortened or divided. The root itself is the first part."""
+        """Return the numbers of the parts of each root that was shortened or divided, the root itself first."""
         cut = [k for k, line in self.after.items() if k in self.before and self.before[k].points_mm is not line.points_mm]
         return {k: [k, *(new for new, line in self.after.items() if new not in self.before and line.parent == k)] for k in cut}
 

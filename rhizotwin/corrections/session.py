@@ -172,7 +172,9 @@ class Session:
         """
         with self.lock:
             if self.is_temporary:
-                raise UserError("the result exists only in memory; save it first with result.save(folder), then correct it in rt.view(folder)")
+                raise UserError(
+                    "the result exists only in memory; save it first with result.save(folder), then correct it in rt.view(folder)"
+                )
             if self._file_hash() not in (self._known, None):
                 raise UserError(f"{self._path} was changed by another session; move it before you save, or open the result again")
             logs.write(self._path, self.log, follow=False)
@@ -189,7 +191,9 @@ class Session:
             for edit in logs.read(self._path, self.folder).edits:
                 self._apply(edit)
         except UserError as error:
-            raise UserError(f"the saved corrections cannot be applied ({error}); move {self._path} to open the result without them") from None
+            raise UserError(
+                f"the saved corrections cannot be applied ({error}); move {self._path} to open the result without them"
+            ) from None
         self._saved = self.log.edits
 
     def _apply(self, edit: Edit) -> None:

@@ -343,7 +343,14 @@ def test_a_trait_that_was_not_reliable_is_not_reliable_after_corrections(own: Pa
 
 def test_the_shoot_is_kept_and_its_result_can_be_replaced(own: Path, tmp_path: Path):
     mesh = trimesh.creation.icosphere(radius=5.0)
-    numbers = {"leaf_area_mm2": 80.0, "stalks_mm3": 1.0, "leaf_thickness_mm": 0.3, "pot_top_mm": 8.0, "hidden_share": 0.1, "enclosed_share": 0.0}
+    numbers = {
+        "leaf_area_mm2": 80.0,
+        "stalks_mm3": 1.0,
+        "leaf_thickness_mm": 0.3,
+        "pot_top_mm": 8.0,
+        "hidden_share": 0.1,
+        "enclosed_share": 0.0,
+    }
     shoot = Shoot(mesh=mesh, hull_mm3=500.0, blades_mm2=(80.0,), covered_px={"a": 9.0}, mm2_per_px={"a": 1.0}, **numbers)
     replace(load_result(own), shoot=shoot).save(own)
     session = Session(own)
