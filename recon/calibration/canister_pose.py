@@ -31,7 +31,7 @@ from scipy.optimize import least_squares
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View, matrix, project_inner, tank_pose
+from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix, project_inner, tank_pose
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import MAD, inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
@@ -344,9 +344,7 @@ def _pixels(view: View, scene: Scene, points_mm: Array) -> Array:
     """Return the pixels (M, 2) of points beside the canister, which are in air or in a tank's liquid."""
     if scene.tank is not None:
         return project_inner(view, _liquid(scene, scene.tank), points_mm)
-    turn = cv2.Rodrigues(view.cam_from_canister[:3, :3])[0]
-    shift, lens = view.cam_from_canister[:3, 3], np.array(view.camera.distortion)
-    return np.asarray(cv2.projectPoints(points_mm, turn, shift, matrix(view.camera), lens)[0].reshape(-1, 2), np.float64)
+    return cam_pixels(view.camera, frames.apply(view.cam_from_canister, points_mm))
 
 
 def _liquid(scene: Scene, around: Tank) -> Optics:

@@ -106,17 +106,32 @@ def to_azimuth(view: View, directions: Array) -> Array:
 
 
 def direction_pixels(view: View, directions: Array) -> Array:
-    """Project directions (..., 3) in the azimuth frame to pixels (..., 2); NaN behind the camera."""
+    """Project directions (..., 3) in the azimuth frame to pixels (..., 2); NaN where `cam_pixels` is."""
     cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
     return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
 
 
+def fold_r2(camera: Camera) -> float:
+    """Return the squared radius, in normalised coordinates, at which the lens distortion folds.
+
+    It is infinite for most lenses. Beyond it, the distorted radius ``r (1 + k1 r^2 + k2 r^4 + k3 r^6)`` decreases, so
+    that the model would project directions far outside the picture into it.
+    """
+    k1, k2, _, _, k3 = camera.distortion
+    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # of the derivative with respect to r, as a polynomial in r^2
+    return float(roots.real[np.isreal(roots) & (roots.real > 0.0)].min(initial=np.inf))
+
+
 def cam_pixels(camera: Camera, cam: Array) -> Array:
-    """Project directions (..., 3) in the camera's frame to pixels (..., 2); NaN behind the camera."""
+    """Project directions (..., 3) in the camera's frame to pixels (..., 2).
+
+    The pixels are NaN behind the camera, and where the lens distortion is not valid (`fold_r2`).
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.where(cam[..., 2] > 0, cam[..., 0] / cam[..., 2], np.nan), cam[..., 1] / cam[..., 2]
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
+    x = np.where(r2 < fold_r2(camera), x, np.nan)
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
@@ -232,8 +247,9 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
         px, visible, _ = project_through_tank(view, optics, points_mm)
         return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), visible.astype(np.int64)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
-    return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
+    w, p_z, _ = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
+    px = direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
+    return px, np.isfinite(px[..., 0]).sum(axis=1)
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
@@ -269,6 +285,8 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     at = tank_view(view, optics)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     q, visible = tank.find_rays(at, points)
+    px = _pixels(view, q)
+    visible &= np.isfinite(px).all(axis=1)
     by_ray = np.stack(
         [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
     )
@@ -279,7 +297,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)
     jacobian[visible] = -by_ray[visible] @ np.linalg.solve(slopes[visible], by_point[visible])
-    return _pixels(view, q), visible, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
+    return px, visible, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
 
 
 def _pixels(view: View, q: Array) -> Array:

@@ -23,17 +23,17 @@ import numpy as np
 
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers
 from rhizotwin.recon.optics import ray_kernel, window
-from rhizotwin.recon.optics.cameras import View, tank_pose, tank_view
+from rhizotwin.recon.optics.cameras import View, fold_r2, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.recon.optics.start_tables import CELL_MM, direct_table, tank_table
 from rhizotwin.recon.optics.window import Place
 from rhizotwin.scenes import frames
 
-_PARAMETERS = 40
+_PARAMETERS = 44
 """Number of kernel parameters per view. It must be a multiple of four, because four parameters are read at a time."""
 _PRINCIPAL = slice(15, 17)
 """Indices of the principal point, px, in a view's parameters."""
-_IN_OPEN, _SWAY = 24, 36
+_IN_OPEN, _SWAY = 24, 40
 """Two positions in a view's parameters. The first is the number of leading parameters that are used without a tank. The
 second is the index of the first sway parameter."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
@@ -90,6 +90,7 @@ class ViewBank:
             packed[k, 13:15], packed[k, _PRINCIPAL] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
             packed[k, 22] = optics.n_water  # not a literal of the kernel, as it may change
+            packed[k, 23] = fold_r2(view.camera)
             packed[k, _SWAY:] = *view.sway, optics.water_z_mm
             camera_mm = step_rho * round(view.rho_mm / step_rho), step_z * round(float(view.centre_mm[2]) / step_z)
             if optics.tank is None:
@@ -123,7 +124,7 @@ def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
     at = tank_view(view, optics)
     turn, shift = at.azimuth_from_tank[:3, :3], at.azimuth_from_tank[:3, 3]
     packed[:9] = tank_pose(view)[:3, :3].ravel()
-    packed[9], packed[10], packed[23], packed[24:33], packed[33:36] = *at.centre_mm, turn.ravel(), shift
+    packed[9], packed[10], packed[36], packed[24:33], packed[33:36] = *at.centre_mm, turn.ravel(), shift
     levers = optics.outer_radius_mm * turn[1:, 0], [at.tank.front_mm + float(turn[:, 0] @ shift)]
     return tuple(round(float(part) / _TABLE_MM[0]) for part in np.concatenate(levers))
 
@@ -167,7 +168,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     at = c * x - s * y, s * x + c * y, point.z
     end = _solve_direct(bank, view, parameter, at, active) if bank.optics.tank is None else _solve_tank(bank, view, parameter, at, active)
     ray, visible, clear_mm = end.ray, end.visible, end.clear_mm
-    u, v, in_front, (u_b, u_p, v_b, v_p) = end.pixel
+    u, v, in_view, (u_b, u_p, v_b, v_p) = end.pixel
 
     # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
     f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
@@ -181,7 +182,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     for by_point in (du, dv):
         by_point.z -= by_point.x * aside + by_point.y * along
         by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
-    return Projected(mi.Vector2f(u, v), visible & in_front, clear_mm, du, dv)
+    return Projected(mi.Vector2f(u, v), visible & in_view, clear_mm, du, dv)
 
 
 def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
@@ -239,7 +240,7 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
     if tank is None:
         raise ValueError(f"{tank=} but expected a tank")
     n_w = parameter[22]
-    place = Place(centre=[parameter[9], parameter[10], parameter[23]], turn=parameter[24:33], shift=parameter[33:36])
+    place = Place(centre=[parameter[9], parameter[10], parameter[36]], turn=parameter[24:33], shift=parameter[33:36])
     start = _start(bank, view, at, at[1], active)
     clear_mm, q_y, q_z = start.y, start.x, window.straight(tank, place, mi.Point3f(*at))[1]
     for step in range(TANK_STEPS + 1):

@@ -173,7 +173,8 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
 
 Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
 """Result of the projection of rays. The elements are, in this order, the column and the row of the ray in pixels,
-whether the ray is in front of the camera, and the derivatives of column and row with respect to two unknowns."""
+whether the ray is in front of the camera and the lens distortion is valid there (`cameras.fold_r2`), and the
+derivatives of column and row with respect to two unknowns."""
 
 
 def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
@@ -233,4 +234,4 @@ def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tup
     fx, fy, px0, py0 = parameter[13:17]
     u_b, u_p = fx * (u_x * xn_b + u_y * yn_b), fx * (u_x * xn_p + u_y * yn_p)
     v_b, v_p = fy * (u_y * xn_b + v_y * yn_b), fy * (u_y * xn_p + v_y * yn_p)
-    return fx * u + px0, fy * v + py0, cz > 0, (u_b, u_p, v_b, v_p)
+    return fx * u + px0, fy * v + py0, (cz > 0) & (r2 < parameter[23]), (u_b, u_p, v_b, v_p)

@@ -156,6 +156,7 @@ def _paper_pixels(view: View, scene: Scene, shape: tuple[int, ...]) -> NDArray[n
     outward = points * [1.0, 1.0, 0.0] / pot.outer_radius_mm
     toward = view.centre_mm - points
     points = points[(outward * toward).sum(axis=1) > _FACING * np.linalg.norm(toward, axis=1)]
-    pixels = np.round(cameras.cam_pixels(view.camera, frames.apply(view.cam_from_canister, points))).astype(np.int64)
+    px = cameras.cam_pixels(view.camera, frames.apply(view.cam_from_canister, points))
+    pixels = np.round(px[np.isfinite(px).all(axis=1)]).astype(np.int64)
     within = (pixels >= 0).all(axis=1) & (pixels[:, 0] < shape[1]) & (pixels[:, 1] < shape[0])
     return pixels[within]

@@ -34,6 +34,8 @@ rim is known more accurately than this from the markers."""
 _RIM_STEPS = 180
 """Number of corners of the polygon that approximates the net pot's rim. The polygon deviates from the circle by less
 than 0.02 % of the radius, which is far below a pixel."""
+_LEVELS = 64
+"""Number of heights, from the foot of the canister to the rim of the net pot, at which the outline is tried."""
 _OPAQUE = 0.5
 """Minimum opacity of the pixels that belong to the plant's interior. The brightness of the plant is measured in the
 interior."""
@@ -83,10 +85,17 @@ def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene
 
 
 def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
-    """Return two masks (H, W): the strip together with the canister, and the top of the net pot."""
+    """Return two masks (H, W): the strip together with the canister, and the top of the net pot.
+
+    The canister is masked from the lowest height that the lens projects, which is below the picture.
+    """
     pot = scene.net_pot
-    rim, foot = _outline(view, pot, pot.top_mm), _outline(view, pot, -scene.canister.height_mm)
     top, whole = (np.zeros(shape, np.uint8) for _ in range(2))
+    heights_mm = np.linspace(-scene.canister.height_mm, pot.top_mm, _LEVELS)
+    circles = [circle for z in heights_mm if np.isfinite(circle := _outline(view, pot, float(z))).all()]
+    if not circles:
+        return whole > 0, top > 0
+    foot, rim = circles[0], circles[-1]
     cv2.fillPoly(top, [np.round(rim).astype(np.int32)], 1)
     hull = cv2.convexHull(np.concatenate([rim, foot]).astype(np.float32))
     cv2.fillPoly(whole, [np.round(hull).astype(np.int32)], 1)
@@ -96,7 +105,10 @@ def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, 
 
 
 def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
-    """Return pixel coordinates (N, 2) of points on the net pot's circular outline at the height ``z_mm``."""
+    """Return pixel coordinates (N, 2) of points on the net pot's circular outline at the height ``z_mm``.
+
+    They are NaN behind the camera, and where the lens distortion is not valid.
+    """
     angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
     circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
     return cameras.direction_pixels(

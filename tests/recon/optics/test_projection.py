@@ -25,6 +25,21 @@ def bank_and_view(n_wall: float = 1.49, n_water: float = 1.333, *, sways: bool =
     return projection.ViewBank.pack([cameras.View(camera=LENS, cam_from_canister=level), view], optics), view, optics
 
 
+def test_points_beyond_the_fold_of_a_lens_are_not_seen() -> None:
+    """Beyond the fold, the distortion would project points 350 px below the picture into it."""
+    lens = Camera(distortion=(-0.5, 0.0, 0.0, 0.0, 0.0))
+    optics = refraction.Optics.from_scene(Scene(camera=lens, canister=Canister(height_mm=300.0)))
+    bent = cameras.View(camera=lens, cam_from_canister=frames.level_camera(distance_mm=150.0, height_mm=-30.0, tilt_deg=0.0))
+    points = random_points(optics, 2000) * [0.5, 0.5, 2.4]
+    found, straight = (in_kernel(projection.ViewBank.pack([view] * 2, optics), points) for view in (bent, replace(bent, camera=Camera())))
+    beyond = (((straight["px"].T - lens.principal_px) / lens.focal_px) ** 2).sum(axis=1) > 1.0 / 1.5  # 3 |k1| r^2 = 1
+    assert (straight["visible"] & beyond).sum() > 200
+    np.testing.assert_array_equal(found["visible"], straight["visible"] & ~beyond)
+    px, count = cameras.project(bent, optics, points[beyond])
+    assert np.isnan(px).all()
+    assert (count == 0).all()
+
+
 def test_what_sways_is_seen_where_it_is() -> None:
     bank, view, optics = bank_and_view(sways=True)
     points = random_points(optics, 1000) * [0.8, 0.8, 1.0]

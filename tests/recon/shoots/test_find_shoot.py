@@ -91,6 +91,15 @@ def test_a_disc_that_leans_has_its_one_sided_area() -> None:
     assert enclosed < find_shoot.MUCH_ENCLOSED
 
 
+def test_a_canister_beyond_the_lens_is_masked_down_to_the_picture_s_edge() -> None:
+    """The front of the foot is beyond the fold of the lens, which is at the corners of the picture."""
+    lens = Camera(focal_px=(800.0, 800.0), distortion=(-0.37, 0.0, 0.0, 0.0, 0.0))
+    view = View(camera=lens, cam_from_canister=frames.level_camera(distance_mm=200.0, height_mm=60.0, tilt_deg=0.0))
+    masks = shoot_silhouettes._pot_masks(view, SCENE, (600, 800))
+    assert (masks[0] | masks[1])[400:, 400].all()
+    assert not (masks[0] | masks[1])[:250].any()
+
+
 def test_what_stands_before_the_pot_does_not_carve() -> None:
     every = views()
     found = shoot_silhouettes.ring_silhouettes([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)[0]

@@ -9,6 +9,7 @@ import pytest
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.read_pictures import CurveFound, Pictures
+from rhizotwin.recon.shoots import shoot_colour
 from rhizotwin.recon.shoots.shoot_colour import measure_colour
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
@@ -78,6 +79,12 @@ def test_paper_that_is_not_lit_gives_no_reflectance(tmp_path: Path) -> None:
     found = colour_of(tmp_path, paper=0.01)
     assert found.values == {}
     assert len(found.warnings) == len(LEAF)
+
+
+def test_paper_behind_the_camera_or_beyond_the_lens_is_not_read() -> None:
+    close = frames.level_camera(distance_mm=90.0, height_mm=100.0, tilt_deg=-60.0)
+    view = View(camera=Camera(distortion=(-0.5, 0.0, 0.0, 0.0, 0.0)), cam_from_canister=close)
+    assert not len(shoot_colour._paper_pixels(view, Scene(), (600, 800)))
 
 
 def test_saturated_paper_is_not_used(tmp_path: Path) -> None:
