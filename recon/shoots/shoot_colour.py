@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -28,6 +29,9 @@ _FACING = 0.7
 _LEAST_LIGHT, _FULL = 0.02, 0.99
 """Minimum and maximum brightness of white paper, as a fraction of full scale. Below the minimum, noise would dominate.
 Above the maximum, the camera is saturated (`rig.scanning.preflight.FULL`)."""
+_MOST_FULL = 0.01
+"""Maximum fraction of the leaves' pixels that are saturated. Their true brightness is unknown, and without these
+pixels, which are the brightest, the mean would be too small."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +66,7 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
     Colour
         Reflectances and vegetation indices; empty if no view was taken in another band.
     """
-    scene, unread = pictures.dataset.scene, list[str]()
+    scene, unread, saturated = pictures.dataset.scene, list[str](), Counter[str]()
     ranges = {band: name for name, band in _dark_bands(scene).items()}
     number = {pictures.frames[k].view: k for k in drawn}
     ratios: dict[str, dict[int, float]] = {}
@@ -73,13 +77,23 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
         if (k := number.get(frame.view)) is None:
             continue
         try:
-            ratio = _ratio(pictures, frame, drawn[k], views[k])
+            light = _measure_light(pictures, frame, drawn[k], views[k])
         except UserError as error:
             unread.append(f"{frame.file} is not used for the colour of the shoot: {error}")
-        else:
-            of_band |= {} if ratio is None else {k: ratio}
+            continue
+        if light is None:
+            continue
+        if light.full > _MOST_FULL:
+            saturated[frame.band] += 1
+        elif _LEAST_LIGHT <= light.paper <= _FULL:
+            of_band[k] = light.leaves / light.paper
     warnings = [
-        f"the reflectance in the range {name} could not be determined, because no view shows both leaves and well exposed paper"
+        f"{count} of {len(drawn)} pictures in the band {band} are not used for the colour, because the leaves are overexposed; "
+        "reduce front_level of the band, or the exposure"
+        for band, count in saturated.items()
+    ]
+    warnings += [
+        f"the reflectance in the range {name} could not be determined, because no view shows both leaves and paper well exposed"
         for name, found in ratios.items()
         if not found
     ]
@@ -118,11 +132,20 @@ def _lit_bands(scene: Scene) -> tuple[str, ...]:
     )
 
 
-def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> float | None:
-    """Return the ratio of the mean brightness of the leaves to that of the strip's paper.
+@dataclass(frozen=True, kw_only=True)
+class _Light:
+    """Brightness in one picture, as fractions of full scale."""
 
-    Return None if leaves or well exposed paper are not visible.
-    """
+    leaves: float
+    """Mean brightness of the leaves."""
+    full: float
+    """Fraction of the leaves' pixels that are saturated."""
+    paper: float
+    """Median brightness of the strip's paper."""
+
+
+def _measure_light(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> _Light | None:
+    """Measure the brightness of leaves and paper in a picture; None if one of them is not visible."""
     curve = pictures.curve
     picture = read_image(pictures.dataset, frame, curve=None if curve is None or curve.warning is None else curve.curve)
     image = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
@@ -130,8 +153,8 @@ def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View)
     paper = _paper_pixels(view, pictures.dataset.scene, image.shape)
     if not leaves.any() or not len(paper):
         return None
-    white = float(np.median(image[paper[:, 1], paper[:, 0]]))
-    return float(image[leaves].mean()) / white if _LEAST_LIGHT <= white <= _FULL else None
+    green, white = image[leaves], image[paper[:, 1], paper[:, 0]]
+    return _Light(leaves=float(green.mean()), full=float((green > _FULL).mean()), paper=float(np.median(white)))
 
 
 def _interior_mask(silhouette: Silhouette) -> Mask:

@@ -23,10 +23,11 @@ LEAF = {"red": 0.06, "red_edge": 0.3, "nir": 0.48}
 NM = {"red": 670.0, "red_edge": 720.0, "nir": 850.0}
 
 
-def colour_of(folder: Path, *, panel_level: float = 0.0, paper: float = PAPER, damaged: str = "", curve: Curve = LINEAR):
+def colour_of(folder: Path, *, panel_level: float = 0.0, paper: float = PAPER, damaged: str = "", curve: Curve = LINEAR, bright: int = 0):
     """Measure leaves in the upper half of two pictures, paper in the lower half; light differs by view and band.
 
-    The second view's leaves are shaded, in all bands alike; a damaged picture cannot be read.
+    The second view's leaves are shaded, in all bands alike; a damaged picture cannot be read. In near infrared,
+    ``bright`` of the 200 columns of leaves are three times as bright as the full scale.
     """
     bands = (Band(name="white"), *(Band(name=name, wavelength_nm=nm, panel_level=panel_level) for name, nm in NM.items()))
     scene = Scene(camera=replace(Camera().resized((200, 150)), bands=bands))
@@ -35,7 +36,8 @@ def colour_of(folder: Path, *, panel_level: float = 0.0, paper: float = PAPER, d
         for name, share in LEAF.items():
             light = np.full((150, 200), paper * brightness)
             light[:60] *= share * shade
-            write_image(folder / f"{view}_{name}.png", np.rint(curve.number(light) * 65535).astype(np.uint16))
+            light[:60, : bright if name == "nir" else 0] = 3.0
+            write_image(folder / f"{view}_{name}.png", np.rint(curve.number(light.clip(0.0, 1.0)) * 65535).astype(np.uint16))
             listed.append(Frame(file=f"{view}_{name}.png", sha256="", kind="shoot", band=name, view=view))
     if damaged:
         (folder / damaged).write_bytes(b"no picture")
@@ -90,3 +92,15 @@ def test_paper_behind_the_camera_or_beyond_the_lens_is_not_read() -> None:
 def test_saturated_paper_is_not_used(tmp_path: Path) -> None:
     """Only the second, darker view counts, in which the leaves are shaded."""
     assert colour_of(tmp_path, paper=1.0).values["reflectance_nir"] == pytest.approx(0.24, abs=2e-3)
+
+
+def test_saturated_leaves_give_no_reflectance_and_a_remedy(tmp_path: Path) -> None:
+    """Their true brightness is unknown: clipped near infrared would make the index too small."""
+    found = colour_of(tmp_path, bright=20)
+    assert set(found.values) == {"reflectance_red", "reflectance_red_edge"}
+    assert "2 of 2 pictures in the band nir" in found.warnings[0]
+    assert "reduce front_level" in found.warnings[0]
+
+
+def test_a_highlight_on_a_leaf_is_no_saturation(tmp_path: Path) -> None:
+    assert "ndvi" in colour_of(tmp_path, bright=1).values
