@@ -146,24 +146,8 @@ def _exact_cameras(pictures: Pictures, lens: model.Camera, poses: Sequence[frame
     )
     optics = Optics.from_scene(pictures.dataset.scene)
     if pictures.dataset.masks and optics.straight:
-        optics = _unobstructed_optics(optics, poses)
+        optics = replace(optics, unobstructed=True)  # rendered in air: neither rim nor floor obstructs rays
     return Cameras(lens=lens.as_pinhole(), optics=optics, all=every, order=_used_frames(every))
-
-
-def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
-    """Return optics with straight rays and without obstacles, for masks that were rendered in air.
-
-    Neither the rim nor the floor of the canister obstructs rays. The height limits are extended to the cameras, because
-    a line of sight enters the wall at a height between the camera and the point.
-    """
-    heights = [float(frames.invert(pose)[2, 3]) for pose in poses]
-    low, high = min(heights), max(heights)
-    return replace(
-        optics,
-        floor_z_mm=min(optics.floor_z_mm, low),
-        water_z_mm=max(optics.water_z_mm, high),
-        bottom_z_mm=min(optics.bottom_z_mm, low),
-    )
 
 
 def _table_deg(pictures: Pictures) -> list[float]:

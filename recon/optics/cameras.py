@@ -229,7 +229,7 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
 def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
     """Project points in the water into a view, and find all images of each point.
 
-    Through a tank, only the image of `project_through_tank` is found.
+    Through a tank, and if nothing obstructs rays, only the image of `project_inner` is found.
 
     Parameters
     ----------
@@ -243,13 +243,14 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
     count : (N,) int64 array
         Number of images; 0 where the view is blind.
     """
-    if optics.tank is not None:
-        px, visible, _ = project_through_tank(view, optics, points_mm)
-        return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), visible.astype(np.int64)
+    if optics.tank is not None or optics.unobstructed:
+        px = project_inner(view, optics, points_mm)
+        missing = np.full_like(px, np.nan)
+        return np.stack([px, missing, missing], axis=1), np.isfinite(px[:, 0]).astype(np.int64)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z, _ = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     px = direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
-    return px, np.isfinite(px[..., 0]).sum(axis=1)
+    return px, np.asarray(np.isfinite(px[..., 0]).sum(axis=1), np.int64)
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
@@ -259,6 +260,8 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
     """
     if optics.tank is not None:
         return project_through_tank(view, optics, points_mm)[0]
+    if optics.unobstructed:
+        return cam_pixels(view.camera, frames.apply(view.cam_from_canister, apply_sway(view, optics, points_mm)))
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))

@@ -25,7 +25,7 @@ from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vecto
 from rhizotwin.recon.optics import ray_kernel, window
 from rhizotwin.recon.optics.cameras import View, fold_r2, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
-from rhizotwin.recon.optics.start_tables import CELL_MM, direct_table, tank_table
+from rhizotwin.recon.optics.start_tables import ALL_CLEAR_MM, CELL_MM, direct_table, tank_table
 from rhizotwin.recon.optics.window import Place
 from rhizotwin.scenes import frames
 
@@ -93,13 +93,15 @@ class ViewBank:
             packed[k, 23] = fold_r2(view.camera)
             packed[k, _SWAY:] = *view.sway, optics.water_z_mm
             camera_mm = step_rho * round(view.rho_mm / step_rho), step_z * round(float(view.centre_mm[2]) / step_z)
-            if optics.tank is None:
+            if optics.unobstructed:
+                tables.append(np.zeros((1, 1, 2)))  # not used
+            elif optics.tank is None:
                 tables.append(direct_table(*camera_mm, optics))
-                continue
-            key = *camera_mm, *_pack_tank(packed[k], view, optics)
-            if key not in made:
-                made[key] = tank_table(view, optics)
-            tables.append(made[key])
+            else:
+                key = *camera_mm, *_pack_tank(packed[k], view, optics)
+                if key not in made:
+                    made[key] = tank_table(view, optics)
+                tables.append(made[key])
         shape = tables[0].shape[:2]
         return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))
 
@@ -166,23 +168,15 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     aside, along, turned = sway.x - sway.z * point.y, sway.y + sway.z * point.x, sway.z * deep
     x, y = point.x + aside * deep, point.y + along * deep
     at = c * x - s * y, s * x + c * y, point.z
-    end = _solve_direct(bank, view, parameter, at, active) if bank.optics.tank is None else _solve_tank(bank, view, parameter, at, active)
-    ray, visible, clear_mm = end.ray, end.visible, end.clear_mm
-    u, v, in_view, (u_b, u_p, v_b, v_p) = end.pixel
-
-    # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
-    f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
-    by = (f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)
-    b_x, b_y, b_z = (-ray.inv * (ray.f2_p * g1 - ray.f1_p * g2) for g1, g2 in by)
-    p_x, p_y, p_z = (-ray.inv * (ray.f1_b * g2 - ray.f2_b * g1) for g1, g2 in by)
-    u_az, v_az = u_b * b_x + u_p * p_x, v_b * b_x + v_p * p_x
-    u_ay, v_ay = u_b * b_y + u_p * p_y, v_b * b_y + v_p * p_y
-    du = mi.Vector3f(c * u_az + s * u_ay, c * u_ay - s * u_az, u_b * b_z + u_p * p_z)
-    dv = mi.Vector3f(c * v_az + s * v_ay, c * v_ay - s * v_az, v_b * b_z + v_p * p_z)
+    if bank.optics.unobstructed:
+        end = _look(parameter, at, active)
+    else:
+        end = (_solve_direct if bank.optics.tank is None else _solve_tank)(bank, view, parameter, at, active)
+    du, dv = (mi.Vector3f(c * by_x + s * by_y, c * by_y - s * by_x, by_z) for by_x, by_y, by_z in (end.du, end.dv))
     for by_point in (du, dv):
         by_point.z -= by_point.x * aside + by_point.y * along
         by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
-    return Projected(mi.Vector2f(u, v), visible & in_view, clear_mm, du, dv)
+    return Projected(mi.Vector2f(end.u, end.v), end.visible, end.clear_mm, du, dv)
 
 
 def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
@@ -203,19 +197,50 @@ def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
 
 @dataclass
 class _End:
-    """Ray from the camera to a point, and its pixel.
+    """Pixel at which a view shows a point."""
 
-    Derivatives are with respect to (b, p) or, through a tank, (q_y, q_z).
-    """
-
-    ray: ray_kernel.Ray
-    """Ray, and the distances by which it misses the point."""
+    u: Float
+    """Column, px."""
+    v: Float
+    """Row, px."""
     visible: Bool
     """Whether the view shows the point exactly once."""
     clear_mm: Float
     """Horizontal distance within which the view shows all neighbouring points exactly once, mm."""
-    pixel: ray_kernel.Pixel
-    """Pixel of the ray, with derivatives."""
+    du: tuple[Float, Float, Float]
+    """Gradient of the column with respect to the point in the azimuth frame, px/mm."""
+    dv: tuple[Float, Float, Float]
+    """Gradient of the row with respect to the point in the azimuth frame, px/mm."""
+
+    @staticmethod
+    def of_ray(ray: ray_kernel.Ray, visible: Bool, clear_mm: Float, pixel: ray_kernel.Pixel) -> _End:
+        """Compute the gradients of the pixel of a ray through the point.
+
+        The derivatives of ray and pixel are with respect to (b, p) or, through a tank, (q_y, q_z).
+        """
+        u, v, in_view, (u_b, u_p, v_b, v_p) = pixel
+        # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
+        f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
+        by = (f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)
+        b = [-ray.inv * (ray.f2_p * g1 - ray.f1_p * g2) for g1, g2 in by]
+        p = [-ray.inv * (ray.f1_b * g2 - ray.f2_b * g1) for g1, g2 in by]
+        (u_x, u_y, u_z), (v_x, v_y, v_z) = ([by_b * b[i] + by_p * p[i] for i in range(3)] for by_b, by_p in ((u_b, u_p), (v_b, v_p)))
+        return _End(u, v, visible & in_view, clear_mm, (u_x, u_y, u_z), (v_x, v_y, v_z))
+
+
+def _look(parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+    """Project points in the azimuth frame along straight rays that nothing obstructs.
+
+    The normalised coordinates (x_n, y_n) of the camera are the unknowns by which the lens is differentiated.
+    """
+    r = parameter[:9]
+    direction = at[0] - parameter[9], at[1], at[2] - parameter[10]
+    x, y, depth = (sum(r[3 * row + i] * direction[i] for i in range(3)) for row in range(3))
+    by_x, by_y = (tuple(depth * part for part in r[3 * row : 3 * row + 3]) for row in range(2))
+    u, v, in_view, (u_x, u_y, v_x, v_y) = ray_kernel.through_lens(parameter, direction, by_x, by_y)
+    x_n, y_n = ([(r[3 * row + i] - part / depth * r[6 + i]) / depth for i in range(3)] for row, part in enumerate((x, y)))
+    (du_x, du_y, du_z), (dv_x, dv_y, dv_z) = ([a * x_n[i] + b * y_n[i] for i in range(3)] for a, b in ((u_x, u_y), (v_x, v_y)))
+    return _End(u, v, active & in_view, mi.Float(ALL_CLEAR_MM), (du_x, du_y, du_z), (dv_x, dv_y, dv_z))
 
 
 def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
@@ -231,7 +256,7 @@ def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
             p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
     visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
     visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
-    return _End(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
+    return _End.of_ray(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
 
 
 def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
@@ -261,7 +286,7 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
     ahead = dr.sqrt(1 - q_y * q_y - q_z * q_z)
     zero, one = mi.Float(0.0), mi.Float(1.0)
     pixel = ray_kernel.through_lens(parameter, (-ahead, q_y, q_z), (q_y / ahead, one, zero), (q_z / ahead, zero, one))
-    return _End(ray, visible, clear_mm, pixel)
+    return _End.of_ray(ray, visible, clear_mm, pixel)
 
 
 def _first_ray(

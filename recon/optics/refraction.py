@@ -64,6 +64,9 @@ class Optics:
     """Lowest height at which a ray may enter the wall, mm, which is the underside of the canister."""
     tank: Tank | None = None
     """Tank around the canister; None if there is no tank."""
+    unobstructed: bool = False
+    """Whether neither canister nor water exists, so that rays are straight and reach the roots from all directions. The
+    other values then only bound the space of the roots."""
 
     @property
     def straight(self) -> bool:

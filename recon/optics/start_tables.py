@@ -18,6 +18,8 @@ from rhizotwin.recon.optics.tank import TankView
 
 CELL_MM = 1.0
 """Cell size of the start tables, mm. Newton's method refines the interpolated values."""
+ALL_CLEAR_MM = 1e3
+"""Distance to points that do not have exactly one image, if there are none, mm. It exceeds every canister."""
 _SINES = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193))
 """Impact parameters of the lines in a fan, as fractions of the largest impact parameter. Neighbouring lines are at most
 half a cell apart, and closest together where refraction is strongest."""
@@ -54,7 +56,7 @@ def direct_table(rho_mm: float, z_cam_mm: float, optics: Optics) -> Array:
     if optics.straight:
         single[:] = True
     whole = np.concatenate([single[:1:-1], single[1:]])  # y < 0 mirrors y > 0
-    clear_mm = np.full(whole.shape, 1e3) if whole.all() else ndimage.distance_transform_edt(whole) * CELL_MM
+    clear_mm = np.full(whole.shape, ALL_CLEAR_MM) if whole.all() else ndimage.distance_transform_edt(whole) * CELL_MM
     clear_mm = clear_mm[len(single) - 3 :]
     return np.stack([b_a, clear_mm], axis=-1)
 
@@ -76,7 +78,7 @@ def tank_table(view: View, optics: Optics) -> Array:
     for q_z in climbs:
         single &= _tank_fan(at, q_z)[1] == 1
     single |= np.hypot(*np.moveaxis(_positions(optics), -1, 0)) >= optics.inner_radius_mm  # there are no roots
-    clear_mm = np.full(single.shape, 1e3) if single.all() else ndimage.distance_transform_edt(single) * CELL_MM
+    clear_mm = np.full(single.shape, ALL_CLEAR_MM) if single.all() else ndimage.distance_transform_edt(single) * CELL_MM
     return np.stack([q_y, clear_mm], axis=-1)
 
 
