@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
@@ -14,6 +16,7 @@ from rhizotwin.recon.hull import carve, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Hull
+from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
@@ -100,20 +103,32 @@ def enclosed_share(hull: Hull, blades: Blades) -> float:
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:
     """Return the space in air in which the shoot may lie.
 
-    The space contains everything that the silhouettes show, up to the maximum radius of a shoot.
+    The space contains everything that the silhouettes show, up to the maximum radius of a shoot, and the rays to it.
     """
     top_mm = scene.net_pot.top_mm
-    reach_mm, high_mm = scene.net_pot.outer_radius_mm, top_mm
-    for silhouette, view in zip(drawn, views, strict=True):
-        rows, columns = np.nonzero(silhouette.coverage > 0.5)
-        if not len(rows):
-            continue
-        (fx, fy), (cx, cy) = view.camera.focal_px, view.camera.principal_px
+    slopes = [(view, _outer_slopes(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
+    wide_mm = 0.0
+    for view, slope in slopes:
         # an object at distance r from the axis appears at most as wide as r / (distance - r)
-        aside = float(np.abs(columns - cx).max()) / fx
-        reach_mm = max(reach_mm, min(_ROOM, aside / (1.0 - min(aside, 0.5))) * view.rho_mm)
-        up, axis = float((cy - rows.min()) / fy), view.cam_from_canister[:3, 2]
-        forward = np.sqrt(1.0 - axis[2] ** 2)  # horizontal component of the optical axis
-        climb = (axis[2] - up * axis[1]) / (forward - up * axis[2])  # rise of the highest ray per horizontal mm
+        aside = float(np.abs(slope[:, 0]).max(initial=0.0))
+        wide_mm = max(wide_mm, min(_ROOM, aside / (1.0 - min(aside, 0.5))) * view.rho_mm)
+    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * min(view.rho_mm for view in views)))
+    high_mm = top_mm
+    for view, slope in slopes:
+        climb = float(slope[:, 1].max(initial=-np.inf))
         high_mm = max(high_mm, float(view.centre_mm[2]) + max(climb * (view.rho_mm + side * reach_mm) for side in (-1.0, 1.0)))
     return Water(reach_mm, high_mm + 2.0, top_mm)
+
+
+def _outer_slopes(silhouette: Silhouette, view: View) -> NDArray[np.float64]:
+    """Return the slopes (N, 2) of the rays through the convex hull of the covered pixels that lead towards the axis.
+
+    They are the shift aside and the rise per distance along -x in the azimuth frame. Their extremes are at the hull.
+    """
+    covered = np.argwhere(silhouette.coverage > 0.5)[:, ::-1]
+    if not len(covered):
+        return np.empty((0, 2))
+    hull = cv2.convexHull(covered.astype(np.int32))[:, 0]
+    along = cameras.to_azimuth(view, cameras.camera_directions(view.camera, hull))
+    along = along[along[:, 0] < 0.0]
+    return np.asarray(along[:, 1:] / -along[:, :1])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.calibration.find_cameras import find_cameras
+from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, find_shoot, shoot_hull, shoot_silhouettes
@@ -98,6 +99,43 @@ def test_a_canister_beyond_the_lens_is_masked_down_to_the_picture_s_edge() -> No
     masks = shoot_silhouettes._pot_masks(view, SCENE, (600, 800))
     assert (masks[0] | masks[1])[400:, 400].all()
     assert not (masks[0] | masks[1])[:250].any()
+
+
+@pytest.mark.parametrize(
+    ("distance_mm", "height_mm", "tilt_deg", "roll_deg", "radius_mm"),
+    [
+        (420.0, 120.0, 10.0, 0.0, 80.0),
+        (420.0, 120.0, 10.0, 15.0, 80.0),
+        (420.0, 120.0, 10.0, 90.0, 80.0),
+        (420.0, 120.0, 10.0, 180.0, 80.0),
+        (350.0, 420.0, 45.0, 0.0, 150.0),
+        (250.0, 480.0, 60.0, 0.0, 120.0),
+    ],
+)
+def test_the_room_holds_the_shoot_and_the_rays_that_show_it(
+    distance_mm: float, height_mm: float, tilt_deg: float, roll_deg: float, radius_mm: float
+) -> None:
+    lens = Camera(image_wh=(1400, 1400), focal_px=(1100.0, 1100.0), principal_px=(699.5, 699.5))
+    top_mm, high_mm = SCENE.net_pot.top_mm, 60.0
+    angle = np.linspace(0.0, 2.0 * np.pi, 120)
+    circle = np.stack([radius_mm * np.cos(angle), radius_mm * np.sin(angle), np.zeros(120)], axis=1)
+    points = np.concatenate([circle + np.array([0.0, 0.0, top_mm + rise]) for rise in (0.5, high_mm)])
+    pose = frames.rotation_z(np.deg2rad(roll_deg)) @ frames.level_camera(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)
+    every = [View(camera=lens, cam_from_canister=pose @ frames.rotation_z(2.0 * np.pi * k / 12)) for k in range(12)]
+    silhouettes = []
+    for view in every:
+        covered = np.zeros((1400, 1400), np.float32)
+        px = np.round(cam_pixels(lens, frames.apply(view.cam_from_canister, points))).astype(int)
+        px = px[((px >= 0) & (px < 1400)).all(axis=1)]
+        covered[px[:, 1], px[:, 0]] = 1.0
+        silhouettes.append(Silhouette(covered, np.ones((1400, 1400), bool)))
+    room = shoot_hull._room(silhouettes, every, SCENE)
+    assert radius_mm < room.radius_mm < 0.81 * distance_mm
+    away = points - every[0].centre_mm  # where each ray enters the room
+    a, b = np.sum(away[:, :2] ** 2, axis=1), away[:, :2] @ every[0].centre_mm[:2]
+    share = (-b - np.sqrt(b**2 - a * (distance_mm**2 - room.radius_mm**2))) / a
+    assert (every[0].centre_mm[2] + share * away[:, 2]).max() < room.top_mm
+    assert room.top_mm < high_mm + top_mm + 1.05 * height_mm
 
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
