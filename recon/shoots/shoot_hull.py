@@ -80,10 +80,14 @@ def carve_shoot(
     )
     grid = room.grid(finest_mm)
     hull = carve.carve(ViewBank.pack(views, optics), maps, grid, room, slack_px=SLACK_PX)
+    no_shoot = UserError("the shoot's silhouettes have no volume in common. The cameras do not match the pictures, or there is no shoot.")
     if hull.leaves.volume_mm3() == 0.0:
-        raise UserError("the shoot's silhouettes have no volume in common. The cameras do not match the pictures, or there is no shoot.")
+        raise no_shoot
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)
-    return hull, surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
+    mesh = surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
+    if not len(mesh.faces):
+        raise no_shoot
+    return hull, mesh
 
 
 def stalks_mm3(hull: Hull, blades: Blades) -> float:

@@ -9,12 +9,14 @@ import pytest
 
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.hull.leaves import Hull
 from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, find_shoot, shoot_hull, shoot_silhouettes
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.dataset import Dataset, Frame
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
 from tests.recon.hull.exact_pictures import rows
@@ -136,6 +138,21 @@ def test_the_room_holds_the_shoot_and_the_rays_that_show_it(
     share = (-b - np.sqrt(b**2 - a * (distance_mm**2 - room.radius_mm**2))) / a
     assert (every[0].centre_mm[2] + share * away[:, 2]).max() < room.top_mm
     assert room.top_mm < high_mm + top_mm + 1.05 * height_mm
+
+
+def test_a_hull_too_faint_for_a_surface_is_no_shoot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes that are filled to less than a half have a volume but no surface."""
+    every, monitor = views()[::4], Monitor.of(None)
+    silhouettes = shoot_silhouettes.ring_silhouettes([drawn(view, ball(15.0, (0.0, 0.0, 75.0))) for view in every], every, SCENE)
+    carved = shoot_hull.carve.carve
+
+    def carve_faint(*given: object, **more: object) -> Hull:
+        hull = carved(*given, **more)
+        return replace(hull, leaves=replace(hull.leaves, occupancy=0.4 * hull.leaves.occupancy))
+
+    monkeypatch.setattr(shoot_hull.carve, "carve", carve_faint)
+    with pytest.raises(UserError, match="no volume in common"):
+        shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=2.0, monitor=monitor)
 
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
