@@ -7,7 +7,7 @@ import pytest
 
 import rhizotwin.sim.render
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.solids import to_surface, unite_roots
@@ -39,3 +39,13 @@ def test_smooth_pixels_are_what_all_rays_give(profile: str, monkeypatch: pytest.
     all_light, all_coverage = renderer.view(1)
     np.testing.assert_array_equal(coverage, all_coverage)
     assert 0.0 < np.abs(light - all_light).max() < 2e-4
+
+
+def test_out_of_focus_edges_of_a_telecentric_camera_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The focal lengths of the camera are not used: they would make the blur narrower."""
+    camera = Camera(kind="telecentric", mm_per_px=0.05, image_wh=(640, 40), focal_px=(150.0, 150.0), principal_px=(319.5, 19.5))
+    scene = Scene(camera=camera, plan=CapturePlan(rings=(Ring(views=1, height_mm=-60.0),)), disturbances=Disturbances(aperture_mm=20.0))
+    renderer = Renderer(scene, draw_world(scene, seed=1), threads())
+    _, coverage = renderer.view(0)
+    monkeypatch.setattr(rhizotwin.sim.render, "MOST_BEND", -1.0)  # no pixel is smooth
+    np.testing.assert_array_equal(coverage, renderer.view(0)[1])
