@@ -66,11 +66,18 @@ def check_subject(subject: Subject, place: Place) -> None:
         text = getattr(subject, name)
         if not text.isprintable():
             raise place.at(name).error("must be one line of printable characters", ascii(text))
-    if subject.date:
-        try:
-            date.fromisoformat(subject.date)
-        except ValueError:
-            raise place.at("date").error("must be a date such as 2022-10-06", subject.date) from None
+        if text.startswith(("=", "@")):
+            raise place.at(name).error("must not begin with = or @, which spreadsheets read as a formula", text)
+    if subject.date and not _is_date(subject.date):
+        raise place.at("date").error("must be a date such as 2022-10-06", subject.date)
+
+
+def _is_date(text: str) -> bool:
+    """Return whether a text is a date in the format YYYY-MM-DD, whose order as text is that in time."""
+    try:
+        return date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
 
 
 def from_summary(summary: Mapping[str, Any], where: str) -> Subject:

@@ -132,6 +132,8 @@ class Result:
     """Cameras of all pictures of the roots."""
     shoot: Shoot | None = None
     """Shoot above the net pot, or None if no picture shows it."""
+    edits: Json | None = None
+    """Summary of the manual corrections, or None if the result was not corrected."""
     bands: Mapping[str, float] = field(default_factory=dict)
     """Signal-to-noise ratio of the roots in each band of the camera, starting with the band that was used. Empty if the
     camera has no bands, or if the band is specified in the settings."""
@@ -258,6 +260,7 @@ class Result:
             "extents_max_mm": solid.extents_max_mm,
             "views": [self._view(camera) for camera in self.cameras],
             "shoot": None if self.shoot is None else self.shoot.summary(),
+            **({} if self.edits is None else {"edits": self.edits}),
             "bands": dict(self.bands),
             "rig": self.rig,
             "warnings": list(self.warnings),

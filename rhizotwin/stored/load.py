@@ -49,6 +49,7 @@ def load_result(folder: Path | str) -> Result:
         mass_g=summary.get("mass_g"),
         cameras=tuple(_camera(view) for view in views),
         shoot=_shoot(folder, summary.get("shoot")),
+        edits=summary.get("edits"),
         bands=summary.get("bands") or {},
         fill={view["file"]: view["fill"] for view in views if view.get("fill") is not None},
         rig=summary.get("rig") or {},

@@ -39,6 +39,8 @@ def test_cells_of_a_table_give_it_back() -> None:
     ("wrong", "says"),
     [
         ({"date": "16.10.2022"}, "must be a date such as 2022-10-06"),
+        ({"date": "2022-W40-4"}, "must be a date such as 2022-10-06"),
+        ({"treatment": "=HYPERLINK(1)"}, "must not begin with = or @"),
         ({"plant": "a\nb"}, "one line"),
         ({"day": -1.0}, "must be between 0 and 36500"),
         ({"plnat": "P7"}, "did you mean"),
