@@ -4,9 +4,9 @@ The parts of the rig must fit together, and match the camera model.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
 from rhizotwin.scenes.plants import check_plants
@@ -14,10 +14,6 @@ from rhizotwin.scenes.schema import Place, suggestion
 from rhizotwin.scenes.solution import check_solution
 from rhizotwin.scenes.specimens import GrownSpecimen, Specimen, SphereSpecimen
 from rhizotwin.scenes.subject import check_subject
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 TELECENTRIC_TILT_DEG = 1.5
 """Maximum tilt of a telecentric camera, deg. Up to this tilt, the pinhole model of the camera (`model.FAR_MM`) is exact
@@ -215,12 +211,10 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
         if not -size <= centre <= 2 * size:
             must = f"must be at most one picture size ({size} px) outside the picture"
             raise place.at("camera", "principal_px", axis).error(must, centre)
-    import numpy as np
-
-    own, extra = np.array(camera.distortion), np.array(scene.disturbances.distortion)
+    own, extra = camera.distortion, scene.disturbances.distortion
     _check_distortion(camera, own, place.at("camera", "distortion"))
-    if extra.any():
-        _check_distortion(camera, own + extra, place.at("disturbances", "distortion"))
+    if any(extra):
+        _check_distortion(camera, [a + b for a, b in zip(own, extra, strict=True)], place.at("disturbances", "distortion"))
 
 
 def _check_bands(scene: Scene, place: Place) -> None:
@@ -251,23 +245,16 @@ def _check_spectrum(spectrum: tuple[tuple[float, float], ...], place: Place) -> 
         raise place.error("must have increasing wavelengths", spectrum)
 
 
-def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: Place) -> None:
-    """Reject a radial distortion that is not monotonic.
-
-    The distorted radius must increase with the undistorted radius up to the corners of the picture.
-    """
-    import numpy as np
+def _check_distortion(camera: Camera, distortion: Sequence[float], place: Place) -> None:
+    """Reject a lens distortion that folds before it reaches the corners of the picture."""
+    from rhizotwin.scenes.lens import fold_r2
 
     k1, k2, _, _, k3 = distortion
     sides = [max(c, n - 1 - c) / f for c, n, f in zip(camera.principal_px, camera.image_wh, camera.focal_px, strict=True)]
-    corner = math.hypot(*sides)
-    r = np.linspace(0.0, 4.0 * corner, 2001)
-    bent = r * (1.0 + k1 * r**2 + k2 * r**4 + k3 * r**6)
-    falling = np.flatnonzero(np.diff(bent) <= 0.0)
-    reached = bent.max() if not falling.size else bent[falling[0]]
-    if reached < corner:
+    r2 = fold_r2(distortion)
+    if math.isfinite(r2) and math.sqrt(r2) * (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) < math.hypot(*sides):
         must = "is not monotonic up to the corners of the picture; check the signs, and the order k1, k2, p1, p2, k3"
-        raise place.error(must, [float(v) for v in distortion])
+        raise place.error(must, list(distortion))
 
 
 def _check_plan(scene: Scene, place: Place) -> None:

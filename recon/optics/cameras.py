@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.optics import refraction, tank
 from rhizotwin.recon.optics.refraction import Approach, Array, Optics
 from rhizotwin.recon.optics.tank import TankView
-from rhizotwin.scenes import frames
+from rhizotwin.scenes import frames, lens
 from rhizotwin.scenes.model import Camera
 
 Sway = tuple[float, float, float]
@@ -111,27 +111,16 @@ def direction_pixels(view: View, directions: Array) -> Array:
     return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
 
 
-def fold_r2(camera: Camera) -> float:
-    """Return the squared radius, in normalised coordinates, at which the lens distortion folds.
-
-    It is infinite for most lenses. Beyond it, the distorted radius ``r (1 + k1 r^2 + k2 r^4 + k3 r^6)`` decreases, so
-    that the model would project directions far outside the picture into it.
-    """
-    k1, k2, _, _, k3 = camera.distortion
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # of the derivative with respect to r, as a polynomial in r^2
-    return float(roots.real[np.isreal(roots) & (roots.real > 0.0)].min(initial=np.inf))
-
-
 def cam_pixels(camera: Camera, cam: Array) -> Array:
     """Project directions (..., 3) in the camera's frame to pixels (..., 2).
 
-    The pixels are NaN behind the camera, and where the lens distortion is not valid (`fold_r2`).
+    The pixels are NaN behind the camera, and where the lens distortion is not valid (`scenes.lens.fold_r2`).
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.where(cam[..., 2] > 0, cam[..., 0] / cam[..., 2], np.nan), cam[..., 1] / cam[..., 2]
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
-    x = np.where(r2 < fold_r2(camera), x, np.nan)
+    x = np.where(r2 < lens.fold_r2(camera.distortion), x, np.nan)
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y

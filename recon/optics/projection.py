@@ -23,11 +23,11 @@ import numpy as np
 
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers
 from rhizotwin.recon.optics import ray_kernel, window
-from rhizotwin.recon.optics.cameras import View, fold_r2, tank_pose, tank_view
+from rhizotwin.recon.optics.cameras import View, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.recon.optics.start_tables import ALL_CLEAR_MM, CELL_MM, direct_table, tank_table
 from rhizotwin.recon.optics.window import Place
-from rhizotwin.scenes import frames
+from rhizotwin.scenes import frames, lens
 
 _PARAMETERS = 44
 """Number of kernel parameters per view. It must be a multiple of four, because four parameters are read at a time."""
@@ -90,7 +90,7 @@ class ViewBank:
             packed[k, 13:15], packed[k, _PRINCIPAL] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
             packed[k, 22] = optics.n_water  # not a literal of the kernel, as it may change
-            packed[k, 23] = fold_r2(view.camera)
+            packed[k, 23] = lens.fold_r2(view.camera.distortion)
             packed[k, _SWAY:] = *view.sway, optics.water_z_mm
             camera_mm = step_rho * round(view.rho_mm / step_rho), step_z * round(float(view.centre_mm[2]) / step_z)
             if optics.unobstructed:

@@ -173,7 +173,7 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
 
 Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
 """Result of the projection of rays. The elements are, in this order, the column and the row of the ray in pixels,
-whether the ray is in front of the camera and the lens distortion is valid there (`cameras.fold_r2`), and the
+whether the ray is in front of the camera and the lens distortion is valid there (`scenes.lens.fold_r2`), and the
 derivatives of column and row with respect to two unknowns."""
 
 
