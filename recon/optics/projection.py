@@ -169,14 +169,14 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     x, y = point.x + aside * deep, point.y + along * deep
     at = c * x - s * y, s * x + c * y, point.z
     if bank.optics.unobstructed:
-        end = _look(parameter, at, active)
+        found = _project_straight(parameter, at, active)
     else:
-        end = (_solve_direct if bank.optics.tank is None else _solve_tank)(bank, view, parameter, at, active)
-    du, dv = (mi.Vector3f(c * by_x + s * by_y, c * by_y - s * by_x, by_z) for by_x, by_y, by_z in (end.du, end.dv))
-    for by_point in (du, dv):
+        found = (_solve_direct if bank.optics.tank is None else _solve_tank)(bank, view, parameter, at, active)
+    for by_point in (found.du, found.dv):  # from the azimuth frame to the canister frame, and through the sway
+        by_point.x, by_point.y = c * by_point.x + s * by_point.y, c * by_point.y - s * by_point.x
         by_point.z -= by_point.x * aside + by_point.y * along
         by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
-    return Projected(mi.Vector2f(end.u, end.v), end.visible, end.clear_mm, du, dv)
+    return found
 
 
 def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
@@ -195,55 +195,42 @@ def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
     return float(np.median(scale[visible] if visible.any() else scale))
 
 
-@dataclass
-class _End:
-    """Pixel at which a view shows a point."""
-
-    u: Float
-    """Column, px."""
-    v: Float
-    """Row, px."""
-    visible: Bool
-    """Whether the view shows the point exactly once."""
-    clear_mm: Float
-    """Horizontal distance within which the view shows all neighbouring points exactly once, mm."""
-    du: tuple[Float, Float, Float]
-    """Gradient of the column with respect to the point in the azimuth frame, px/mm."""
-    dv: tuple[Float, Float, Float]
-    """Gradient of the row with respect to the point in the azimuth frame, px/mm."""
-
-    @staticmethod
-    def of_ray(ray: ray_kernel.Ray, visible: Bool, clear_mm: Float, pixel: ray_kernel.Pixel) -> _End:
-        """Compute the gradients of the pixel of a ray through the point.
-
-        The derivatives of ray and pixel are with respect to (b, p) or, through a tank, (q_y, q_z).
-        """
-        u, v, in_view, (u_b, u_p, v_b, v_p) = pixel
-        # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
-        f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
-        by = (f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)
-        b = [-ray.inv * (ray.f2_p * g1 - ray.f1_p * g2) for g1, g2 in by]
-        p = [-ray.inv * (ray.f1_b * g2 - ray.f2_b * g1) for g1, g2 in by]
-        (u_x, u_y, u_z), (v_x, v_y, v_z) = ([by_b * b[i] + by_p * p[i] for i in range(3)] for by_b, by_p in ((u_b, u_p), (v_b, v_p)))
-        return _End(u, v, visible & in_view, clear_mm, (u_x, u_y, u_z), (v_x, v_y, v_z))
-
-
-def _look(parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+def _project_straight(parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> Projected:
     """Project points in the azimuth frame along straight rays that nothing obstructs.
 
-    The normalised coordinates (x_n, y_n) of the camera are the unknowns by which the lens is differentiated.
+    The gradients are with respect to the point in the azimuth frame.
     """
-    r = parameter[:9]
-    direction = at[0] - parameter[9], at[1], at[2] - parameter[10]
-    x, y, depth = (sum(r[3 * row + i] * direction[i] for i in range(3)) for row in range(3))
-    by_x, by_y = (tuple(depth * part for part in r[3 * row : 3 * row + 3]) for row in range(2))
-    u, v, in_view, (u_x, u_y, v_x, v_y) = ray_kernel.through_lens(parameter, direction, by_x, by_y)
-    x_n, y_n = ([(r[3 * row + i] - part / depth * r[6 + i]) / depth for i in range(3)] for row, part in enumerate((x, y)))
-    (du_x, du_y, du_z), (dv_x, dv_y, dv_z) = ([a * x_n[i] + b * y_n[i] for i in range(3)] for a, b in ((u_x, u_y), (v_x, v_y)))
-    return _End(u, v, active & in_view, mi.Float(ALL_CLEAR_MM), (du_x, du_y, du_z), (dv_x, dv_y, dv_z))
+    away = at[0] - parameter[9], at[1], at[2] - parameter[10]
+    x_by, y_by, depth_by = (parameter[3 * row : 3 * row + 3] for row in range(3))  # gradients of x, y and depth
+    x, y, depth = (by[0] * away[0] + by[1] * away[1] + by[2] * away[2] for by in (x_by, y_by, depth_by))
+    iz = 1 / depth
+    xn, yn = x * iz, y * iz
+    (u, v), (u_x, u_y, v_y), valid = ray_kernel.distort(parameter, xn, yn)
+    xn_by = [(part - xn * ahead) * iz for part, ahead in zip(x_by, depth_by, strict=True)]
+    yn_by = [(part - yn * ahead) * iz for part, ahead in zip(y_by, depth_by, strict=True)]
+    fx, fy, px0, py0 = parameter[13:17]
+    du = mi.Vector3f(*(fx * (u_x * a + u_y * b) for a, b in zip(xn_by, yn_by, strict=True)))
+    dv = mi.Vector3f(*(fy * (u_y * a + v_y * b) for a, b in zip(xn_by, yn_by, strict=True)))
+    return Projected(mi.Vector2f(fx * u + px0, fy * v + py0), active & (depth > 0) & valid, mi.Float(ALL_CLEAR_MM), du, dv)
 
 
-def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+def _from_ray(ray: ray_kernel.Ray, visible: Bool, clear_mm: Float, pixel: ray_kernel.Pixel) -> Projected:
+    """Return the projections of points, given the rays that reach them.
+
+    The derivatives of ray and pixel are with respect to (b, p) or, through a tank, (q_y, q_z). The gradients of the
+    result are with respect to the point in the azimuth frame.
+    """
+    u, v, in_view, (u_b, u_p, v_b, v_p) = pixel
+    # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
+    f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
+    by = (f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)
+    b_by = [-ray.inv * (ray.f2_p * g1 - ray.f1_p * g2) for g1, g2 in by]
+    p_by = [-ray.inv * (ray.f1_b * g2 - ray.f2_b * g1) for g1, g2 in by]
+    du, dv = (mi.Vector3f(*(by_b * b + by_p * p for b, p in zip(b_by, p_by, strict=True))) for by_b, by_p in ((u_b, u_p), (v_b, v_p)))
+    return Projected(mi.Vector2f(u, v), visible & in_view, clear_mm, du, dv)
+
+
+def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> Projected:
     """Find the rays from cameras without a tank to points in the azimuth frame."""
     o = bank.optics
     rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
@@ -256,10 +243,10 @@ def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
             p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
     visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
     visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
-    return _End.of_ray(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
+    return _from_ray(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
 
 
-def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> Projected:
     """Find the rays from cameras through a tank's front to points in the azimuth frame."""
     o, tank = bank.optics, bank.optics.tank
     if tank is None:
@@ -286,7 +273,7 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
     ahead = dr.sqrt(1 - q_y * q_y - q_z * q_z)
     zero, one = mi.Float(0.0), mi.Float(1.0)
     pixel = ray_kernel.through_lens(parameter, (-ahead, q_y, q_z), (q_y / ahead, one, zero), (q_z / ahead, zero, one))
-    return _End.of_ray(ray, visible, clear_mm, pixel)
+    return _from_ray(ray, visible, clear_mm, pixel)
 
 
 def _first_ray(

@@ -221,17 +221,39 @@ def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tup
     xn, yn = cx * iz, cy * iz
     xn_b, yn_b = (cx_b - xn * cz_b) * iz, (cy_b - yn * cz_b) * iz
     xn_p, yn_p = (cx_p - xn * cz_p) * iz, (cy_p - yn * cz_p) * iz
-    # lens
-    k1, k2, p1, p2_, k3 = parameter[17:22]
-    r2 = xn * xn + yn * yn
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    radial_r2 = k1 + r2 * (2 * k2 + 3 * r2 * k3)
-    u = xn * radial + 2 * p1 * xn * yn + p2_ * (r2 + 2 * xn * xn)
-    v = yn * radial + p1 * (r2 + 2 * yn * yn) + 2 * p2_ * xn * yn
-    u_x = radial + 2 * xn * xn * radial_r2 + 2 * p1 * yn + 6 * p2_ * xn
-    u_y = 2 * xn * yn * radial_r2 + 2 * p1 * xn + 2 * p2_ * yn
-    v_y = radial + 2 * yn * yn * radial_r2 + 6 * p1 * yn + 2 * p2_ * xn
+    (u, v), (u_x, u_y, v_y), valid = distort(parameter, xn, yn)
     fx, fy, px0, py0 = parameter[13:17]
     u_b, u_p = fx * (u_x * xn_b + u_y * yn_b), fx * (u_x * xn_p + u_y * yn_p)
     v_b, v_p = fy * (u_y * xn_b + v_y * yn_b), fy * (u_y * xn_p + v_y * yn_p)
-    return fx * u + px0, fy * v + py0, (cz > 0) & (r2 < parameter[23]), (u_b, u_p, v_b, v_p)
+    return fx * u + px0, fy * v + py0, (cz > 0) & valid, (u_b, u_p, v_b, v_p)
+
+
+def distort(parameter: list[Float], xn: Float, yn: Float) -> tuple[tuple[Float, Float], tuple[Float, Float, Float], Bool]:
+    """Apply the lens distortion to normalised coordinates.
+
+    Parameters
+    ----------
+    parameter : list of mi.Float
+        Kernel parameters of a view, as packed by `projection.ViewBank`.
+    xn, yn : mi.Float
+        Undistorted coordinates in the plane at depth 1 in front of the camera.
+
+    Returns
+    -------
+    (u, v) : tuple of mi.Float
+        Distorted coordinates.
+    (u_x, u_y, v_y) : tuple of mi.Float
+        Derivatives du/dx, du/dy = dv/dx, and dv/dy.
+    valid : mi.Bool
+        Whether the distortion is valid at these coordinates (`scenes.lens.fold_r2`).
+    """
+    k1, k2, p1, p2, k3 = parameter[17:22]
+    r2 = xn * xn + yn * yn
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    radial_r2 = k1 + r2 * (2 * k2 + 3 * r2 * k3)
+    u = xn * radial + 2 * p1 * xn * yn + p2 * (r2 + 2 * xn * xn)
+    v = yn * radial + p1 * (r2 + 2 * yn * yn) + 2 * p2 * xn * yn
+    u_x = radial + 2 * xn * xn * radial_r2 + 2 * p1 * yn + 6 * p2 * xn
+    u_y = 2 * xn * yn * radial_r2 + 2 * p1 * xn + 2 * p2 * yn
+    v_y = radial + 2 * yn * yn * radial_r2 + 6 * p1 * yn + 2 * p2 * xn
+    return (u, v), (u_x, u_y, v_y), r2 < parameter[23]
