@@ -31,8 +31,8 @@ Mask = NDArray[np.bool_]
 _STEP = 4
 """Spacing of the sampled pixels in both directions, px."""
 _DARKEST = 1.0 / 255.0
-"""Lower limit of the panel's brightness, relative to the other pictures of the station. It is one level of 8 bits, and
-is reached by pictures that are half black."""
+"""Lower limit of the panel's brightness, relative to the other pictures of the ring. It is one level of 8 bits, and is
+reached by pictures that are half black."""
 _MARGIN_MM = 2.0
 """Distance from the canister and the net pot within which the panel is not sampled, mm."""
 _LIT, _BRIGHT = 0.5, 0.9
@@ -117,8 +117,8 @@ class Sides:
     columns: tuple[float, float]
     """Mean column of the panel pixels to the left of the canister, and of those to the right."""
     share: Array
-    """(2, R) brightness of the panel on the left and on the right, relative to the station's median picture, and
-    divided by the picture's gain."""
+    """(2, R) brightness of the panel on the left and on the right, relative to the same pixels in the station's median
+    picture, and divided by the picture's median over all pixels."""
 
     def over(self, image_wh: tuple[int, int]) -> NDArray[np.float32]:
         """Return the relative brightness (H, W) of all pixels.
@@ -167,11 +167,12 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
             continue
         light = light[:, usable]
         ratio = light / np.median(light, axis=0)
-        gain[own] = np.maximum(np.median(ratio, axis=1).astype(np.float64), _DARKEST)
+        gain[own] = np.median(ratio, axis=1)
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
-            sides[k], uneven[k] = _measure_unevenness(one / gain[k], row, column, images[k].shape[1])
+            sides[k], uneven[k] = _measure_unevenness(one / np.maximum(gain[k], _DARKEST), row, column, images[k].shape[1])
     _relate_placements(gain, level, stations)
+    gain = np.maximum(gain, _DARKEST)
     return Exposures(gain=gain, measured=measured, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
 
 

@@ -56,6 +56,15 @@ def test_placements_of_a_ring_have_their_exposures_in_common() -> None:
     assert found.wander > measured(images).wander
 
 
+def test_a_black_picture_is_dark_in_a_bright_placement_too() -> None:
+    images = pictures()
+    dimmer = [np.rint(0.5 * image).astype(np.uint16) for image in images]
+    images[0] = np.zeros_like(images[0])
+    placements = [(0, 0)] * len(images) + [(0, 1)] * len(images)
+    found = exposure.measure([*images, *dimmer], views(2 * len(images)), placements, Optics.from_scene(SCENE), SCENE)
+    np.testing.assert_array_equal(np.flatnonzero(found.dark), [0])
+
+
 def test_a_clipped_panel_is_told_and_one_no_wider_than_the_canister_tells_nothing() -> None:
     assert measured(pictures(level=1.0)).clipped.max() > 0.1
     narrow = measured(pictures(width=0.6))
