@@ -4,7 +4,7 @@ They cover motion of the roots, dirt, and agreement of the views.
 """
 
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, classify, judge, make_check, make_unknown, worst
+from rhizotwin.recon.uncertainty.checks import Check, judge, make_check, make_unknown, worst
 
 
 def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
@@ -43,7 +43,8 @@ def check_dirt(share: float | None, spread: float | None = None, trust: TrustSet
 def check_agreement(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that the views agree, that the shape explains them, and that roots are not too dense.
 
-    The worst of the three results is returned.
+    The worst of the three results is returned; of several in the same state, the one that is largest relative to its
+    limit.
 
     Parameters
     ----------
@@ -61,8 +62,9 @@ def check_agreement(*, missed: float, unexplained: float, fill: float, trust: Tr
         (unexplained, trust.unexplained, f"the shape does not explain {100.0 * unexplained:.1f} % of the coverage in the pictures", agree),
         (fill, trust.fill, f"thin roots cover {100.0 * fill:.0f} % of the root zone's picture", crowded),
     ]
-    value, limits, found, advice = max(rows, key=lambda row: (row[0] > row[1][1], row[0] > row[1][0], row[0] / row[1][1]))
-    if classify(value, *limits) == "good":
-        found = f"the views agree: the hull of all views excludes {100.0 * missed:.1f} % of their coverage"
-        return make_check("sight", "good", missed, "share", trust.missed, found)
-    return judge("sight", value, "share", limits, found, advice)
+    rows.sort(key=lambda row: row[0] / row[1][1], reverse=True)
+    found = worst(*(judge("sight", value, "share", limits, finding, advice) for value, limits, finding, advice in rows))
+    if found.state != "good":
+        return found
+    agreement = f"the views agree: the hull of all views excludes {100.0 * missed:.1f} % of their coverage"
+    return make_check("sight", "good", missed, "share", trust.missed, agreement)

@@ -56,6 +56,8 @@ CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {
     "sight, crowded": (lambda: check_agreement(missed=0.01, unexplained=0.0, fill=0.6), "bad", "60 %"),
     "sight, unexplained": (lambda: check_agreement(missed=0.01, unexplained=0.3, fill=0.1), "bad", "30.0 %"),
     "sight, much missed": (lambda: check_agreement(missed=0.35, unexplained=0.0, fill=0.1), "bad", "35.0 %"),
+    "sight, not a number": (lambda: check_agreement(missed=0.01, unexplained=0.0, fill=math.nan), "bad", "nan %"),
+    "sight, fair twice": (lambda: check_agreement(missed=0.01, unexplained=0.09, fill=0.39), "fair", "39 %"),
     "sharpness, alike": (lambda: check_sharpness(0.4, 0.1), "good", ""),
     "sharpness, apart": (lambda: check_sharpness(0.9, 1.4), "bad", "1.40 px more than others"),
     "motion, no roots": (lambda: check_motion(None), "unknown", ""),
