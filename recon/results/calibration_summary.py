@@ -54,7 +54,8 @@ def _summarize_markers(found: MarkerCalibration) -> Json:
         "table_from_canister": None if found.table_from_canister is None else found.table_from_canister.tolist(),
         "table_from_canister_sigma": None if found.table_sigma is None else found.table_sigma.tolist(),
         "marker_inset_px": found.inset_px,
-        **dict.fromkeys(("focal_scale", "focal_scale_markers"), found.focal_scale),
+        "focal_scale": found.focal_scale,  # multiplied by the roots' factor in `_summarize_roots`
+        "focal_scale_markers": found.focal_scale,
         "focal_scale_found": found.focal_found,
         "focal_scale_sigma": found.focal_sigma,
         "rings": [

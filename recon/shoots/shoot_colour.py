@@ -83,7 +83,7 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
             continue
         if light is None:
             continue
-        if light.full > _MOST_FULL:
+        if light.saturated > _MOST_FULL:
             saturated[frame.band] += 1
         elif _LEAST_LIGHT <= light.paper <= _FULL:
             of_band[k] = light.leaves / light.paper
@@ -138,7 +138,7 @@ class _Light:
 
     leaves: float
     """Mean brightness of the leaves."""
-    full: float
+    saturated: float
     """Fraction of the leaves' pixels that are saturated."""
     paper: float
     """Median brightness of the strip's paper."""
@@ -153,8 +153,9 @@ def _measure_light(pictures: Pictures, frame: Frame, silhouette: Silhouette, vie
     paper = _paper_pixels(view, pictures.dataset.scene, image.shape)
     if not leaves.any() or not len(paper):
         return None
-    green, white = image[leaves], image[paper[:, 1], paper[:, 0]]
-    return _Light(leaves=float(green.mean()), full=float((green > _FULL).mean()), paper=float(np.median(white)))
+    on_leaves, on_paper = image[leaves], image[paper[:, 1], paper[:, 0]]
+    saturated = float((on_leaves > _FULL).mean())
+    return _Light(leaves=float(on_leaves.mean()), saturated=saturated, paper=float(np.median(on_paper)))
 
 
 def _interior_mask(silhouette: Silhouette) -> Mask:

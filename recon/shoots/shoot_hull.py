@@ -111,12 +111,10 @@ def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> W
     """
     top_mm = scene.net_pot.top_mm
     slopes = [(view, _outer_slopes(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
-    wide_mm = 0.0
-    for view, slope in slopes:
-        # an object at distance r from the axis appears at most as wide as r / (distance - r)
-        aside = float(np.abs(slope[:, 0]).max(initial=0.0))
-        wide_mm = max(wide_mm, min(_ROOM, aside / (1.0 - min(aside, 0.5))) * view.rho_mm)
-    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * min(view.rho_mm for view in views)))
+    # an object at distance r from the axis appears at most as wide as r / (distance - r)
+    asides = [(view.rho_mm, float(np.abs(slope[:, 0]).max(initial=0.0))) for view, slope in slopes]
+    wide_mm = max(aside / (1.0 - min(aside, 0.5)) * rho_mm for rho_mm, aside in asides)
+    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * min(rho_mm for rho_mm, _ in asides)))
     high_mm = top_mm
     for view, slope in slopes:
         climb = float(slope[:, 1].max(initial=-np.inf))

@@ -122,7 +122,7 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     """
     pairs = list(zip(views, views if true_views is None else true_views, strict=True))
     around = np.argsort([np.arctan2(view.centre_mm[1], view.centre_mm[0]) for view in views])
-    some = [pairs[around[int(place)]] for place in np.linspace(0, len(pairs), min(VIEWS, len(pairs)), endpoint=False)]
+    some = [pairs[k] for k in around[np.linspace(0, len(pairs), min(VIEWS, len(pairs)), endpoint=False).astype(int)]]
     corners = np.concatenate([points_mm + 0.5 * side * CUBE_MM * np.eye(3)[axis] for axis in range(3) for side in (-1.0, 1.0)])
     found = corners + _shifts(some, believed, true, corners)
     ends = found.reshape(3, 2, len(points_mm), 3)
