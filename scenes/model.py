@@ -188,15 +188,18 @@ class Camera:
             principal_px=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5 + margin_y),
         )
 
-    def as_pinhole(self) -> "Camera":
-        """Return the camera itself, or the pinhole camera at `FAR_MM` that approximates a telecentric camera."""
+    def as_pinhole(self, depth_mm: float = FAR_MM) -> "Camera":
+        """Return the camera itself, or the pinhole camera that shows objects at a depth as large as a telecentric one.
+
+        By default, the depth is so large that the pinhole camera approximates the telecentric camera.
+        """
         if self.kind == "pinhole":
             return self
-        focal = FAR_MM / self.mm_per_px
+        focal = depth_mm / self.mm_per_px
         return replace(self, kind="pinhole", focal_px=(focal, focal), distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def pinhole_pose(self, cam_from_canister: "Array") -> "Array":
-        """Return the pose (4, 4) of the camera that `as_pinhole` returns.
+        """Return the pose (4, 4) of the camera that `as_pinhole` returns by default.
 
         A telecentric camera is moved back along its optical axis, which does not change the picture.
         """

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.model import Scene
 from rhizotwin.sim import hanging, lights, optics, sensor, tank
 from rhizotwin.sim.backlit import Backlit, Way
 from rhizotwin.sim.specimen import SpecimenSolid, sleeve
@@ -111,7 +111,7 @@ class Renderer:
             self.lit_scene = optics.build(scene, world, solid, hairs)
             self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})
         farthest_mm = max(np.hypot(ring.distance_mm, ring.height_mm) for ring in scene.plan.rings) + scene.canister.outer_radius_mm
-        self.fine = optics.fine_things(world, solid, hairs, slack_mm=farthest_mm / min(_focal_px(scene.camera, farthest_mm)))
+        self.fine = optics.fine_things(world, solid, hairs, slack_mm=farthest_mm / min(scene.camera.as_pinhole(farthest_mm).focal_px))
         margin_mm = ROOM_MARGIN_MM + SWAYS * wrong.sway_mm + wrong.root_hair_mm
         room = optics.fine_things_room(world, solid, margin_mm=margin_mm) if self.fine is not None else None
         self.lamps = lights.Lamps(scene, world)
@@ -124,7 +124,7 @@ class Renderer:
         self.blur_px = _blur_px(scene)
         self.near_dirt: Backlit | None = None
         if wrong.dust_specks or wrong.scratches:  # smaller than pixels
-            reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(_focal_px(scene.camera, farthest_mm))
+            reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(scene.camera.as_pinhole(farthest_mm).focal_px)
             empty = optics.build(scene, world, None, lamps=False, dirt_reach_mm=reach_mm)
             self.near_dirt = Backlit(empty, self.lamps, media=False, parallel=parallel)
             self.near_dirt.aim(optics.OUTER_DIRT)
@@ -315,14 +315,9 @@ def _blur_px(scene: Scene) -> float:
         focus_mm = ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)) + wrong.focus_error_mm
         near_mm, far_mm = ring.distance_mm - scene.canister.outer_radius_mm, ring.distance_mm + scene.lights.backlight_distance_mm
         for depth_mm in (near_mm, far_mm):
-            focal_px = max(_focal_px(scene.camera, depth_mm))
+            focal_px = max(scene.camera.as_pinhole(depth_mm).focal_px)
             half = max(half, 0.5 * wrong.aperture_mm * focal_px * abs(1.0 / depth_mm - 1.0 / focus_mm))
     return half
-
-
-def _focal_px(camera: Camera, depth_mm: float) -> tuple[float, float]:
-    """Return the focal lengths of the pinhole camera whose pixels are as large as those of the camera at a depth."""
-    return camera.focal_px if camera.kind == "pinhole" else (depth_mm / camera.mm_per_px,) * 2
 
 
 def _combine_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
