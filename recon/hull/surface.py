@@ -74,6 +74,8 @@ def _bricks(
 
     Adjacent blocks overlap by one layer, and an empty layer surrounds all leaves.
     """
+    if not len(index):
+        return
     low = index.min(axis=0) - 1
     # A leaf, smaller than a brick, overlaps one or two bricks per axis.
     first, last = -((low - index) // _BRICK) - 1, (index + size[:, None] - 1 - low) // _BRICK

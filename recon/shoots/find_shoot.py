@@ -26,6 +26,9 @@ FINEST_MM = 0.27
 MUCH_ENCLOSED = 0.05
 """Maximum fraction of the hull's volume in spaces enclosed by leaves for the leaf area to be computed. A ball with this
 fraction of the volume has a twenty-fifth of the blades' surface area if the hulls of the blades are 0.7 mm thick."""
+_ALONG = 0.0175
+"""Cosine of the tilt below which a camera looks along the canister's axis, and its optical axis does not determine a
+distance to it. It is that of 89 degrees, the maximum tilt of a ring."""
 MUCH_HIDDEN = 0.05
 """Maximum fraction of the shoot's pixels that are not in front of the panel (`Shoot.hidden_share`) without a warning.
 With a larger fraction, the missing leaf area exceeds the uncertainty of the leaf area (docs/shoots.md)."""
@@ -79,7 +82,7 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
         leaf_thickness_mm=settings.shoot.leaf_thickness_mm or None,
         pot_top_mm=dataset.scene.net_pot.top_mm,
         covered_px={pictures.frames[k].file: float(one.coverage.sum()) for k, one in drawn.items()},
-        mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k]) for k in drawn},
+        mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k], dataset.scene.net_pot.top_mm) for k in drawn},
         hidden_share=hidden,
         enclosed_share=enclosed,
         colour=colour.values,
@@ -113,8 +116,12 @@ def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
     return drawn
 
 
-def _mm2_per_px(view: View) -> float:
-    """Return the area of a pixel at the canister's axis, perpendicular to the optical axis, mm2."""
+def _mm2_per_px(view: View, top_mm: float) -> float:
+    """Return the area of a pixel at the canister's axis, perpendicular to the optical axis, mm2.
+
+    If the camera looks along the canister's axis, it is the area at the height of the net pot's top ``top_mm``.
+    """
     fx, fy = view.camera.focal_px
     level = float(np.hypot(*view.cam_from_canister[2, :2]))  # cosine of the tilt
-    return (view.rho_mm / level) ** 2 / (fx * fy)
+    depth_mm = view.rho_mm / level if level > _ALONG else float(view.cam_from_canister[2] @ [0.0, 0.0, top_mm, 1.0])
+    return depth_mm**2 / (fx * fy)

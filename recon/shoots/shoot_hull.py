@@ -61,7 +61,7 @@ def carve_shoot(
     Raises
     ------
     UserError
-        If the silhouettes have no volume in common.
+        If the silhouettes have no volume in common, or one without a surface.
     """
     order = carve.spread(len(views))
     drawn, views = [drawn[k] for k in order], [views[k] for k in order]
@@ -80,13 +80,10 @@ def carve_shoot(
     )
     grid = room.grid(finest_mm)
     hull = carve.carve(ViewBank.pack(views, optics), maps, grid, room, slack_px=SLACK_PX)
-    no_shoot = UserError("the shoot's silhouettes have no volume in common. The cameras do not match the pictures, or there is no shoot.")
-    if hull.leaves.volume_mm3() == 0.0:
-        raise no_shoot
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)
     mesh = surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
     if not len(mesh.faces):
-        raise no_shoot
+        raise UserError("the shoot's silhouettes have no volume in common. The cameras do not match the pictures, or there is no shoot.")
     return hull, mesh
 
 
@@ -110,15 +107,17 @@ def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> W
     The space contains everything that the silhouettes show, up to the maximum radius of a shoot, and the rays to it.
     """
     top_mm = scene.net_pot.top_mm
-    slopes = [(view, _outer_slopes(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
+    found = [(view, _outer_slopes(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
+    slopes = [(view, slope) for view, slope in found if len(slope)]
     # an object at distance r from the axis appears at most as wide as r / (distance - r)
-    asides = [(view.rho_mm, float(np.abs(slope[:, 0]).max(initial=0.0))) for view, slope in slopes]
-    wide_mm = max(aside / (1.0 - min(aside, 0.5)) * rho_mm for rho_mm, aside in asides)
-    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * min(rho_mm for rho_mm, _ in asides)))
+    asides = [(view.rho_mm, float(np.abs(slope[:, 0]).max())) for view, slope in slopes]
+    wide_mm = max((aside / (1.0 - min(aside, 0.5)) * rho_mm for rho_mm, aside in asides), default=0.0)
+    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * min(view.rho_mm for view in views)))
     high_mm = top_mm
     for view, slope in slopes:
-        climb = float(slope[:, 1].max(initial=-np.inf))
-        high_mm = max(high_mm, float(view.centre_mm[2]) + max(climb * (view.rho_mm + side * reach_mm) for side in (-1.0, 1.0)))
+        climb = float(slope[:, 1].max())
+        ends_mm = max(0.0, view.rho_mm - reach_mm), view.rho_mm + reach_mm  # of the rays inside, from the camera
+        high_mm = max(high_mm, float(view.centre_mm[2]) + max(climb * end_mm for end_mm in ends_mm))
     return Water(reach_mm, high_mm + 2.0, top_mm)
 
 

@@ -72,7 +72,28 @@ def test_the_area_of_a_pixel_is_that_of_a_square_across_the_optical_axis(tilt_de
     right, down = pose[0, :3], pose[1, :3]
     square = middle + np.array([a * right + b * down for a, b in ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))])
     px = cam_pixels(view.camera, frames.apply(pose, square))
-    assert find_shoot._mm2_per_px(view) == pytest.approx(100.0 / cv2.contourArea(px.astype(np.float32)), rel=1e-5)
+    assert find_shoot._mm2_per_px(view, SCENE.net_pot.top_mm) == pytest.approx(100.0 / cv2.contourArea(px.astype(np.float32)), rel=1e-5)
+
+
+def overhead(rho_mm: float) -> View:
+    """Return a camera that looks straight down from a height of 450 mm."""
+    down = np.array([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -rho_mm], [0.0, 0.0, -1.0, 450.0], [0.0, 0.0, 0.0, 1.0]])
+    return View(camera=SCENE.camera, cam_from_canister=down)
+
+
+@pytest.mark.parametrize("rho_mm", [0.0, 0.5, 40.0])
+def test_a_pixel_of_a_camera_that_looks_straight_down_has_its_area_at_the_net_pot(rho_mm: float) -> None:
+    mm_per_px = (450.0 - SCENE.net_pot.top_mm) / SCENE.camera.focal_px[0]
+    assert find_shoot._mm2_per_px(overhead(rho_mm), SCENE.net_pot.top_mm) == pytest.approx(mm_per_px**2)
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_the_room_under_a_camera_that_looks_straight_down_ends_at_the_camera(shown: bool) -> None:
+    coverage = np.zeros((300, 400), np.float32)
+    coverage[140:160, 190:210] = float(shown)
+    room = shoot_hull._room([Silhouette(coverage, np.ones((300, 400), bool))], [overhead(0.5)], SCENE)
+    assert room.radius_mm == SCENE.net_pot.outer_radius_mm
+    assert room.top_mm == pytest.approx(2.0 + (450.0 if shown else SCENE.net_pot.top_mm))
 
 
 def test_a_ball_in_the_air_has_its_size_and_place() -> None:
@@ -153,6 +174,13 @@ def test_a_hull_too_faint_for_a_surface_is_no_shoot(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(shoot_hull.carve, "carve", carve_faint)
     with pytest.raises(UserError, match="no volume in common"):
         shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=2.0, monitor=monitor)
+
+
+def test_empty_silhouettes_are_no_shoot() -> None:
+    every = views()[::4]
+    empty = [Silhouette(np.zeros((300, 400), np.float32), np.ones((300, 400), bool)) for _ in every]
+    with pytest.raises(UserError, match="no volume in common"):
+        shoot_hull.carve_shoot(empty, every, SCENE, finest_mm=2.0, monitor=Monitor.of(None))
 
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
