@@ -101,11 +101,13 @@ def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
     """
     reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}
     for plant, place in enumerate(at_mm):
-        shift = [root.points_mm - place for root in tree.roots]
-        allowed = [(one[:, 2] > -crown.HIDDEN_MM) & (np.linalg.norm(one[:, :2], axis=1) < reach_mm) for one in shift]
-        away = [np.where(may, np.linalg.norm(one, axis=1), np.inf) for may, one in zip(allowed, shift, strict=True)]
+        away = []
+        for root in tree.roots:
+            shift = root.points_mm - place
+            allowed = (shift[:, 2] > -crown.HIDDEN_MM) & (np.linalg.norm(shift[:, :2], axis=1) < reach_mm)
+            away.append(np.where(allowed, np.linalg.norm(shift, axis=1), np.inf))
         number = int(np.argmin([one.min() for one in away]))
-        if allowed[number].any():
+        if away[number].min() < np.inf:
             found[plant] = (number, int(np.argmin(away[number])))
     return found
 
