@@ -112,15 +112,30 @@ def colour_key(key: Key) -> str:
 
 
 def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
-    """Return the table of traits with their 90 % intervals. The intervals are not known after corrections."""
+    """Return the table of traits with their 90 % intervals.
+
+    After corrections, the intervals are not known. A trait that was not reliable remains so.
+
+    Parameters
+    ----------
+    found : Traits
+        Traits after corrections.
+    edited : bool
+        Whether there are corrections.
+    summary : dict
+        Content of the ``result.json`` without these corrections.
+    """
     rows = []
     assessed = assessments.assess(summary, found)
     for definition in DEFINITIONS:
         value = getattr(found, definition.field)
         if value is None:
             continue
-        name, shown, interval, meaning = words.trait_text(definition, value, assessed[definition.field])
-        below = f"<br><small>{html.escape('not assessed after corrections' if edited else interval)}</small>"
+        assessment = assessed[definition.field]
+        name, shown, reliability, meaning = words.trait_text(definition, value, assessment)
+        if edited:
+            reliability = "not reliable" if assessment.verdict == "not reliable" else "not assessed after corrections"
+        below = f"<br><small>{html.escape(reliability)}</small>"
         rows.append(
             f"<tr title='{html.escape(meaning)}'><td style='padding-right:0.8em'>{html.escape(name)}</td>"
             f"<td>{html.escape(shown)}{below}</td></tr>"

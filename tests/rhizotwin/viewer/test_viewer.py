@@ -225,6 +225,17 @@ def test_traits_follow_corrections(viewer: Viewer):
     viewer.undo()
 
 
+def test_traits_that_were_not_reliable_are_not_called_unassessed_after_corrections(viewer: Viewer):
+    found, summary = viewer.shown.traits(), viewer.shown.session.summary
+    length = found.total_length_mm
+    estimate = {"name": "total_length_mm", "value": length, "interval": [0.9 * length, 2.0 * length], "trusted": False, "verdict": "too thin"}
+    table = words.traits(found, edited=True, summary=summary | {"estimates": [estimate]})
+    assert table.count("<small>not reliable</small>") == 1
+    assert table.count("not assessed after corrections") > 5
+    refused = words.traits(found, edited=True, summary=summary | {"volume_trusted": False})
+    assert "not assessed" not in refused
+
+
 def test_the_outline_is_that_of_the_union(viewer: Viewer):
     pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
     assert pictures is not None
