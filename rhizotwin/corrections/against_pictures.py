@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin import engine
 from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.session import Session
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.budget import Term
 from rhizotwin.recon.uncertainty.checks import Check, judge, worst
@@ -24,6 +25,8 @@ if TYPE_CHECKING:  # imported at run time only after the engine has been started
 
 Array = NDArray[np.float64]
 
+_NAME: Literal["corrections"] = "corrections"
+"""Name of the check, and of the term in the error budget."""
 _VIEWS = 8
 """Number of views that are compared. They are spread over one revolution of the turntable, as in the reconstruction."""
 
@@ -38,14 +41,18 @@ class Comparison:
     surplus: float
     """Increase of the fraction of the shape's volume that lies where the pictures show no roots."""
 
+    def __add__(self, later: Comparison) -> Comparison:
+        """Return the disagreement due to these and later corrections, which is at most the sum of both."""
+        return Comparison(missed=min(1.0, self.missed + later.missed), surplus=min(1.0, self.surplus + later.surplus))
+
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
         """Check that the missing and surplus fractions do not exceed the limit ``trust.missed``."""
         lacking = f"because of the corrections, the shape no longer explains {100.0 * self.missed:.1f} % of the roots in a picture"
         beyond = f"because of the corrections, another {100.0 * self.surplus:.1f} % of the shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
         return worst(
-            judge("corrections", self.missed, "share", trust.missed, lacking, advice),
-            judge("corrections", self.surplus, "share", trust.missed, beyond, advice),
+            judge(_NAME, self.missed, "share", trust.missed, lacking, advice),
+            judge(_NAME, self.surplus, "share", trust.missed, beyond, advice),
         )
 
     def term(self, before_mm3: float, after_mm3: float) -> Term:
@@ -56,10 +63,24 @@ class Comparison:
         Parameters
         ----------
         before_mm3, after_mm3 : float
-            Volume before and after the corrections, mm3.
+            Volume before the first and after the last correction, mm3.
         """
         why = "some corrections contradict the pictures"
-        return Term(name="corrections", less_mm3=self.surplus * after_mm3, more_mm3=self.missed * before_mm3, why=why)
+        return Term(name=_NAME, less_mm3=self.surplus * after_mm3, more_mm3=self.missed * before_mm3, why=why)
+
+
+def recorded(summary: Json) -> Comparison:
+    """Return the disagreement that a corrected result records in its error budget, see `Comparison.term`.
+
+    It is zero if the result was not corrected.
+    """
+    terms = [term for term in summary["volume_budget"] if term.get("name") == _NAME]
+    after_mm3 = float(summary["volume_mm3"])
+    before_mm3 = float((summary.get("edits") or {}).get("volume_before_mm3", after_mm3))
+    return Comparison(
+        missed=sum(term["more_mm3"] for term in terms) / before_mm3 if before_mm3 > 0.0 else 0.0,
+        surplus=sum(term["less_mm3"] for term in terms) / after_mm3 if after_mm3 > 0.0 else 0.0,
+    )
 
 
 def compare(session: Session, dataset_folder: Path | None) -> Comparison:

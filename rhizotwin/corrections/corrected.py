@@ -5,30 +5,27 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
-from rhizotwin.corrections import against_pictures, surface
 from rhizotwin.corrections import log as logs
+from rhizotwin.corrections import reliability, surface
 from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.corrections.state import State
 from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
-from rhizotwin.recon.uncertainty.budget import Budget, Term
+from rhizotwin.recon.uncertainty.budget import Term
 from rhizotwin.recon.uncertainty.calibration import Calibration
-from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failure_reasons, verdict
 from rhizotwin.scenes import atomic, rsml, subject
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
-from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
@@ -72,11 +69,13 @@ def write(
     """
     state, measured = session.state, session.measure()
     mesh, roots = _corrected_mesh(session, state, measured), state.roots()
-    summary = summarise(session, Mesh.of(mesh)) | _trust(session, measured.volume_mm3, dataset)
+    surface_mesh, voxels = Mesh.of(mesh), _voxels(measured)
+    summary = summarise(session, surface_mesh)
+    summary |= reliability.judge_volume(session, summary, dataset)
     if summary.get("plants"):
-        roots, summary["plants"] = _by_plant(session, summary, Mesh.of(mesh), _voxels(measured))
-    traits = stored_traits.of_summary(summary, Mesh.of(mesh), roots)
-    summary["estimates"] = _unreliable_estimates(session.summary, traits)
+        roots, summary["plants"] = _by_plant(session, summary, surface_mesh, voxels)
+    traits = stored_traits.of_summary(summary, surface_mesh, roots)
+    summary["estimates"] = reliability.unreliable_estimates(session.summary, traits)
     with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
@@ -84,7 +83,7 @@ def write(
         if (session.folder / "shoot.ply").is_file():
             shutil.copyfile(session.folder / "shoot.ply", building / "shoot.ply")
         hull = result_files.read_leaves(session.folder, hull=True)  # corrections do not change the hull
-        atomic.write_bytes(building / "shape.npz", shape_npz(_voxels(measured), hull))
+        atomic.write_bytes(building / "shape.npz", shape_npz(voxels, hull))
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
@@ -134,58 +133,6 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
     }
     kept = {key: value for key, value in old.items() if key not in ("traits", "estimates")}
     return dict(json.loads(json.dumps({**kept, **changed})))
-
-
-def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str, Any]:
-    """Return the interval, error budget, verdict and checks of the corrected volume as entries of ``result.json``."""
-    old, before_mm3 = session.summary, float(session.summary["volume_mm3"])
-    ratio = after_mm3 / before_mm3 if before_mm3 > 0.0 else 1.0
-    terms = [
-        Term(name=str(t.get("name", "")), less_mm3=ratio * t["less_mm3"], more_mm3=ratio * t["more_mm3"], why=t["why"])
-        for t in old["volume_budget"]
-    ]
-    checked, lost = list(old.get("checks") or []), [] if old["volume_trusted"] else [str(old["volume_verdict"]).removeprefix(NO_VOLUME)]
-    if session.log.edits:
-        try:
-            found = against_pictures.compare(session, dataset)
-        except UserError as error:
-            lost.append(f"the corrections were not compared with the pictures: {error}")
-        else:
-            terms.append(found.term(before_mm3, after_mm3))
-            check = found.check()
-            checked.append(asdict(check))
-            lost += failure_reasons([check])
-    budget = Budget(
-        volume_mm3=after_mm3,
-        terms=tuple(terms),
-        views=sum(view["used"] for view in old["views"]),
-        calibration=Calibration.from_plain(old.get("calibration")),
-    )
-    if old["volume_trusted"]:
-        lost += budget.objections
-    verdict_now = f"{budget.verdict}, provided that the corrections are right" if session.log.edits else budget.verdict
-    return {
-        "volume_interval_mm3": list(budget.interval_mm3),
-        "volume_budget": [asdict(term) for term in terms],
-        "volume_trusted": not lost,
-        "volume_verdict": verdict(lost) if lost else verdict_now,
-        "checks": checked,
-    }
-
-
-def _unreliable_estimates(old: Json, traits: Traits) -> list[Json]:
-    """Return the estimates of a result that are not reliable, with their corrected values.
-
-    A trait that was not reliable is not reliable after corrections either. Its interval is extended to the corrected
-    value. Reliable estimates are omitted, because their intervals are only valid for the uncorrected roots.
-    """
-    found = []
-    for one in old.get("estimates") or ():
-        value = getattr(traits, one["name"], None)
-        if not one["trusted"] and value is not None:
-            low, high = one["interval"]
-            found.append({**one, "value": float(value), "interval": [min(low, float(value)), max(high, float(value))]})
-    return found
 
 
 def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tuple[tuple[Root, ...], list[Json]]:

@@ -228,7 +228,13 @@ def test_traits_follow_corrections(viewer: Viewer):
 def test_traits_that_were_not_reliable_are_not_called_unassessed_after_corrections(viewer: Viewer):
     found, summary = viewer.shown.traits(), viewer.shown.session.summary
     length = found.total_length_mm
-    estimate = {"name": "total_length_mm", "value": length, "interval": [0.9 * length, 2.0 * length], "trusted": False, "verdict": "too thin"}
+    estimate = {
+        "name": "total_length_mm",
+        "value": length,
+        "interval": [0.9 * length, 2.0 * length],
+        "trusted": False,
+        "verdict": "too thin",
+    }
     table = words.traits(found, edited=True, summary=summary | {"estimates": [estimate]})
     assert table.count("<small>not reliable</small>") == 1
     assert table.count("not assessed after corrections") > 5
