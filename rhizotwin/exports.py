@@ -23,14 +23,14 @@ from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.hull.surface import paint
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
-from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.stored import result_files, stored_traits
-from rhizotwin.through_water import Pictures
+from rhizotwin.stored.stored_cameras import Cameras
 from rhizotwin.undistorted import VirtualCamera, best_distance_mm
 
 REFRACTION = (
@@ -105,10 +105,10 @@ def export(
         raise UserError(f"{output}: the export of cameras needs the lens, which is stored in the dataset; add --dataset DATASET")
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
-    pictures = Pictures.of(dataset, summary)
-    if not pictures.views:
+    cameras = Cameras.of(dataset, summary)
+    if not cameras.views:
         raise UserError(f"{output}: the result contains no calibrated picture, so there are no cameras to export; choose another result")
-    return _undistorted(output, pictures, monitor or Monitor()) if undistorted else _cameras(output, pictures)
+    return _undistorted(output, dataset, cameras, monitor or Monitor()) if undistorted else _cameras(output, cameras)
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -193,11 +193,11 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
     return [output]
 
 
-def _cameras(output: Path, pictures: Pictures) -> list[Path]:
+def _cameras(output: Path, cameras: Cameras) -> list[Path]:
     """Write the calibrated cameras in air for nerfstudio (.json) or COLMAP (folder)."""
-    posed = [(file, view.cam_from_canister) for file, view in zip(pictures.files, pictures.views, strict=True)]
+    posed = [(file, view.cam_from_canister) for file, view in zip(cameras.files, cameras.views, strict=True)]
     write = write_nerfstudio if output.suffix else write_colmap
-    return write(output, pictures.views[0].camera, posed)
+    return write(output, cameras.views[0].camera, posed)
 
 
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
@@ -278,9 +278,9 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
     return [output / name for name in written]
 
 
-def _undistorted(output: Path, pictures: Pictures, monitor: Monitor) -> list[Path]:
+def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, monitor: Monitor) -> list[Path]:
     """Write pictures with refraction removed, and their pinhole cameras for nerfstudio and COLMAP."""
-    dataset, scene = pictures.dataset, pictures.dataset.scene
+    scene = dataset.scene
     if scene.tank is not None:
         raise UserError(
             f"{output}: pictures of a canister in a tank cannot be undistorted, because a pinhole camera cannot approximate "
@@ -291,13 +291,13 @@ def _undistorted(output: Path, pictures: Pictures, monitor: Monitor) -> list[Pat
     places: dict[tuple[int, int], tuple[float, float]] = {}
     lens: Camera | None = None  # lens of the first picture, because both formats have one lens for all pictures
     posed = list[tuple[str, NDArray[np.float64]]]()
-    with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(pictures.views), "picture") as step:
+    with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(cameras.views), "picture") as step:
         (building / "images").mkdir()
-        for file, view in zip(pictures.files, pictures.views, strict=True):
+        for file, view in zip(cameras.files, cameras.views, strict=True):
             place = round(float(np.hypot(*view.centre_mm[:2])) / _SAME_PLACE_MM), round(float(view.centre_mm[2]) / _SAME_PLACE_MM)
             if place not in places:
-                places[place] = best_distance_mm(view, pictures.optics, heights_mm)
-            camera = VirtualCamera(view, pictures.optics, places[place][0], heights_mm, None if lens is None else lens.focal_px[0])
+                places[place] = best_distance_mm(view, cameras.optics, heights_mm)
+            camera = VirtualCamera(view, cameras.optics, places[place][0], heights_mm, None if lens is None else lens.focal_px[0])
             lens, name = camera.lens, f"{Path(file).stem}.png"
             atomic.write_image(building / "images" / name, camera.undistort(np.asarray(read_image(dataset, known[file]))))
             posed.append((name, camera.cam_from_canister))

@@ -1,4 +1,4 @@
-"""Overlay of the reconstruction's outline, projected with refraction, on the pictures of a scan."""
+"""Pictures of a result with their calibrated cameras: projection with refraction, and overlay of the outline."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.stored.stored_cameras import Cameras
 
 Array = NDArray[np.float64]
 Colour = NDArray[np.uint8]
@@ -44,12 +44,8 @@ class Pictures(Cameras):
 
     @classmethod
     def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Pictures:
-        """Create an instance from a dataset and a summary of its result.
-
-        The summary contains the calibrated optics.
-        """
-        found = Cameras.of(dataset, summary)
-        return cls(found.files, found.views, found.table_deg, found.optics, dataset)
+        """Read the cameras of a result, see `Cameras.of`."""
+        return cls(**vars(Cameras.of(dataset, summary)), dataset=dataset)
 
     def picture(self, place: int) -> Colour:
         """Return a picture (H, W, 3) in sRGB, in which the brightness is scaled to the full range."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin import engine
-from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.settings import TrustSettings
@@ -19,6 +18,7 @@ from rhizotwin.recon.uncertainty.checks import Check, judge, worst
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files
+from rhizotwin.stored.stored_cameras import Cameras
 
 if TYPE_CHECKING:  # imported at run time only after the engine has been started
     from rhizotwin.recon.hull.agreement import Agreement

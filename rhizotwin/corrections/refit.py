@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin import engine
-from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.lines import Lines
 from rhizotwin.corrections.state import Refit, Refitted
 from rhizotwin.recon.results import result_traits
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files
+from rhizotwin.stored.stored_cameras import Cameras
 
 if TYPE_CHECKING:  # imported at run time only after the engine has been started
     from rhizotwin.recon.tubes.tubes import Tubes

@@ -17,7 +17,7 @@ from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
-from rhizotwin.through_water import Pictures
+from rhizotwin.stored.stored_cameras import Cameras
 
 Floats = NDArray[np.float64]
 
@@ -121,12 +121,12 @@ def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Jso
     """
     axes.set_xticks([])
     axes.set_yticks([])
-    pictures, toward = Pictures.of(dataset, summary), side.axes[2]
-    if not pictures.views:
+    cameras, toward = Cameras.of(dataset, summary), side.axes[2]
+    if not cameras.views:
         axes.set_title("no picture", fontsize=9)
         return
-    near = int(np.argmax([view.centre_mm @ toward / np.linalg.norm(view.centre_mm) for view in pictures.views]))
-    file, view = pictures.files[near], pictures.views[near]
+    near = int(np.argmax([view.centre_mm @ toward / np.linalg.norm(view.centre_mm) for view in cameras.views]))
+    file, view = cameras.files[near], cameras.views[near]
     picture = figures.for_screen(dataset, file)
     if picture is None:
         axes.set_title(f"{file} could not be read", fontsize=9)
