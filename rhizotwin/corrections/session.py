@@ -54,6 +54,8 @@ class Session:
         Corrections to apply. None: the corrections that are saved in the folder, if any.
     refit : Refit or None
         Function that fits roots to the pictures. None: refitting is not available.
+    temporary : bool
+        Whether the folder will be removed, so that corrections cannot be saved in it.
 
     Raises
     ------
@@ -61,7 +63,7 @@ class Session:
         If a file of the result cannot be read, or a correction cannot be applied.
     """
 
-    def __init__(self, result_folder: Path, *, log: Log | None = None, refit: Refit | None = None) -> None:
+    def __init__(self, result_folder: Path, *, log: Log | None = None, refit: Refit | None = None, temporary: bool = False) -> None:
         self.folder = Path(result_folder)
         self.summary: dict[str, Any] = result_files.read_summary(self.folder)
         self.roots: tuple[Root, ...] = result_files.read_roots(self.folder)
@@ -73,20 +75,17 @@ class Session:
         self._dividing = threading.Lock()
         self.log: Log = logs.new(self.folder)
         self.lock = threading.RLock()
-        self.refit = refit
-        """Function that fits roots to the pictures. It is None if refitting is not available."""
-        self.is_temporary = False
-        """Whether the folder will be removed, so that corrections cannot be saved in it."""
+        self._refit, self._temporary = refit, temporary
         self._states = [states.start(self._undivided, self.roots)]
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
         self._measured: tuple[State, Measured] | None = None
         self._path = self.folder / logs.LOG_NAME
-        self._known = self._file_hash()
-        if log is None and self._known:
+        self._known = self._file_hash()  # of the saved log that this session knows
+        if log is not None:
+            self._replay(log)
+        elif self._known is not None:
             self._resume()
-        for edit in () if log is None else log.edits:
-            self._apply(edit)
 
     @property
     def state(self) -> State:
@@ -171,7 +170,7 @@ class Session:
             If another session has saved corrections since this session was opened, or the folder is temporary.
         """
         with self.lock:
-            if self.is_temporary:
+            if self._temporary:
                 raise UserError(
                     "the result exists only in memory; save it first with result.save(folder), then correct it in rt.view(folder)"
                 )
@@ -188,16 +187,19 @@ class Session:
     def _resume(self) -> None:
         """Apply the saved corrections."""
         try:
-            for edit in logs.read(self._path, self.folder).edits:
-                self._apply(edit)
+            self._replay(logs.read(self._path, self.folder))
         except UserError as error:
             raise UserError(
                 f"the saved corrections cannot be applied ({error}); move {self._path} to open the result without them"
             ) from None
         self._saved = self.log.edits
 
+    def _replay(self, log: Log) -> None:
+        for edit in log.edits:
+            self._apply(edit)
+
     def _apply(self, edit: Edit) -> None:
         solid = self.solid  # without the tubes of corrections that were undone, which a replayed log does not contain
-        self._states.append(states.apply(self.state, edit, solid, refit=self.refit))
+        self._states.append(states.apply(self.state, edit, solid, refit=self._refit))
         self._divided = solid
         self.log = replace(self.log, edits=(*self.log.edits, edit))

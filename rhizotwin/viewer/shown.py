@@ -31,8 +31,7 @@ class Shown:
 
     def __init__(self, folder: Path, dataset_folder: Path | None, *, temporary: bool = False) -> None:
         self._folder, self._given = folder, dataset_folder
-        self.session = Session(folder, refit=self._refit)
-        self.session.is_temporary = temporary
+        self.session = Session(folder, refit=self._refit, temporary=temporary)
         self._loading = threading.Lock()
         self._mesh: tuple[object, Mesh] | None = None
         self._surface: tuple[object, Mesh] | None = None
@@ -49,6 +48,7 @@ class Shown:
 
         Return None if the recorded dataset no longer exists or has changed.
         """
+        # does not use the session, because saved refits need the dataset while the session is opened
         return result_files.find_dataset(self._folder, result_files.read_summary(self._folder), self._given)
 
     @cached_property
