@@ -19,7 +19,7 @@ class Deletion:
     after: Lines
     """Changed and new roots after the deletion, keyed by number."""
     removed: Lines
-    """Deleted roots, keyed by number. They include a part that was cut off and deleted."""
+    """Deleted roots that were not restored, keyed by number. They include a part that was cut off and deleted."""
     rows: NDArray[np.int64]
     """Rows of the deleted voxels."""
 
@@ -41,18 +41,18 @@ def restore(lines: Lines, removed: Lines, deletion: Deletion) -> dict[int, Line]
     Parameters
     ----------
     lines, removed : Lines
-        Existing roots, and all deleted roots that were not restored.
+        Existing roots, and all deleted roots of this and earlier deletions that were not restored.
     deletion : Deletion
         Deletion to restore.
     """
-    found, edited, merged = dict(lines), find_edited(lines, deletion), dict[int, int]()
+    edited = find_edited(lines, deletion)
+    found, merged = dict(lines), dict[int, int]()  # numbers of parts that become a part of their root again, and of this root
     for number, parts in deletion.cut.items():
         if number not in edited:
             found[number] = replace(deletion.before[number], parent=lines[number].parent, plant=lines[number].plant)
             merged |= dict.fromkeys(parts[1:], number)
     found = {k: replace(line, parent=merged.get(line.parent, line.parent)) for k, line in found.items() if k not in merged}
-    tips = [k for k, line in deletion.removed.items() if k not in deletion.before and line.parent not in edited]  # are part of a root again
-    back = {k: line for k, line in deletion.removed.items() if k in removed and k not in tips}
+    back = {k: line for k, line in deletion.removed.items() if k in deletion.before or line.parent in edited}  # but no tip of a whole root
     found |= back
     for k, line in back.items():
         parent = line.parent

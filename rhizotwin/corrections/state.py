@@ -52,8 +52,6 @@ class State:
     """Remaining roots, keyed by number."""
     gone: Mask
     """Mask (N,) of the deleted voxels. N includes the voxels that corrections added."""
-    removed: Lines
-    """Deleted roots as they were before the deletion, keyed by number."""
     next_number: int
     """Number that will be assigned to the next new root."""
     sources: int
@@ -62,6 +60,11 @@ class State:
     """Base of the plant in the canister frame, mm. It is None if it was not corrected."""
     deletions: tuple[Deletion, ...] = ()
     """Deletions that were not restored, oldest first."""
+
+    @property
+    def removed(self) -> dict[int, Line]:
+        """Return the deleted roots as they were before the deletion, keyed by number."""
+        return {k: line for deletion in self.deletions for k, line in deletion.removed.items()}
 
     @property
     def pieces(self) -> list[Piece]:
@@ -81,7 +84,7 @@ class State:
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
     """Return the state of a result before corrections. Root k consists of source k of ``solid``."""
     lines = roots_of.as_lines(roots)
-    return State(lines, np.zeros(len(solid.size), bool), {}, len(lines), len(solid.sources))
+    return State(lines, np.zeros(len(solid.size), bool), len(lines), len(solid.sources))
 
 
 def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None) -> State:
@@ -106,13 +109,13 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
     if edit.do == "delete roots":
         chosen = _check_roots(state, edit)
         numbers = [k for root in chosen for k in (roots_of.descendants(state.lines, root) if edit.laterals else [root])]
-        return _record(state, _delete_roots(state, numbers))
+        return _record(state, replace(state, lines=roots_of.remove(state.lines, numbers)), {k: state.lines[k] for k in numbers})
     if edit.do == "restore roots":
         return _restore_roots(state, edit)
     if edit.do == "restore deletion":
         return _restore_deletion(state)
     if edit.do in ("delete voxels", "delete box"):
-        return _record(state, _delete_voxels(state, _rows(edit, solid), edit, solid))
+        return _delete_voxels(state, _rows(edit, solid), edit, solid)
     if edit.do == "restore voxels":
         gone = state.gone.copy()
         gone[_rows(edit, solid)] = False
@@ -167,51 +170,44 @@ def _inner_arc_length(line: Line, edit: Edit) -> float:
     return at
 
 
-def _delete_roots(state: State, numbers: list[int]) -> State:
-    removed = {**state.removed, **{k: state.lines[k] for k in numbers if k in state.lines}}
-    return replace(state, lines=roots_of.remove(state.lines, numbers), removed=removed)
-
-
 def _restore_roots(state: State, edit: Edit) -> State:
     """Restore deleted roots. Roots whose parents do not exist become roots without a parent."""
-    lost = [root for root in edit.roots if root not in state.removed]
+    removed = state.removed
+    lost = [root for root in edit.roots if root not in removed]
     if lost:
         raise UserError(f"correction '{edit.do}': root {lost[0]} cannot be restored, because it was not deleted")
-    lines = {**state.lines, **{k: state.removed[k] for k in edit.roots}}
+    lines = {**state.lines, **{k: removed[k] for k in edit.roots}}
     for k in edit.roots:
         if lines[k].parent not in lines:
             lines[k] = replace(lines[k], parent=-1)
-    left = {k: line for k, line in state.removed.items() if k not in edit.roots}
+    waiting = list[Deletion]()
     for deletion in state.deletions:
-        if deletion.removed.keys() & edit.roots:
+        left = {k: line for k, line in deletion.removed.items() if k not in edit.roots}
+        if len(left) < len(deletion.removed):
             lines = deletions.reattach(lines, deletion)
-    waiting = tuple(one for one in state.deletions if len(one.rows) or not one.removed or one.removed.keys() & left)
-    return replace(state, lines=lines, removed=left, deletions=waiting)
+        if left or len(deletion.rows) or not deletion.removed:
+            waiting.append(replace(deletion, removed=left))
+    return replace(state, lines=lines, deletions=tuple(waiting))
 
 
-def _record(before: State, after: State) -> State:
+def _record(before: State, after: State, removed: Lines) -> State:
     """Add a deletion to the state after it, so that it can be restored."""
     made = Deletion(
         before={k: line for k, line in before.lines.items() if after.lines.get(k) is not line},
         after={k: line for k, line in after.lines.items() if before.lines.get(k) is not line},
-        removed={k: line for k, line in after.removed.items() if k not in before.removed},
+        removed=removed,
         rows=np.flatnonzero(after.gone & ~before.gone),
     )
     return replace(after, deletions=(*after.deletions, made)) if made.before or len(made.rows) else after
 
 
 def _restore_deletion(state: State) -> State:
+    """Restore the last deletion that was not restored."""
     if not state.deletions:
         raise UserError("there are no deleted roots or voxels to restore")
     last, gone = state.deletions[-1], state.gone.copy()
     gone[last.rows] = False
-    return replace(
-        state,
-        lines=deletions.restore(state.lines, state.removed, last),
-        gone=gone,
-        removed={k: line for k, line in state.removed.items() if k not in last.removed},
-        deletions=state.deletions[:-1],
-    )
+    return replace(state, lines=deletions.restore(state.lines, state.removed, last), gone=gone, deletions=state.deletions[:-1])
 
 
 def _rows(edit: Edit, solid: Solid) -> NDArray[np.int64]:
@@ -248,8 +244,8 @@ def _delete_voxels(state: State, rows: NDArray[np.int64], edit: Edit, solid: Sol
         return now[solid.find(points_mm)]
 
     lines, lost = roots_of.remove_inside(state.lines, inside, state.next_number)
-    removed = {**state.removed, **{k: state.lines[k] for k in lost}}
-    return replace(state, gone=gone, lines=lines, removed=removed, next_number=max([state.next_number, *(k + 1 for k in lines)]))
+    after = replace(state, gone=gone, lines=lines, next_number=max([state.next_number, *(k + 1 for k in lines)]))
+    return _record(state, after, {k: state.lines[k] for k in lost})
 
 
 def _set_tip(state: State, number: int, edit: Edit) -> State:
@@ -259,9 +255,11 @@ def _set_tip(state: State, number: int, edit: Edit) -> State:
     if at >= line.length_mm - 1e-6:
         return replace(state, lines={**state.lines, number: replace(line, tip_seen=True)})
     at = _inner_arc_length(line, edit)
-    lines = roots_of.divide(state.lines, number, at, state.next_number)
-    cut = _delete_roots(replace(state, lines=lines, next_number=state.next_number + 1), roots_of.descendants(lines, state.next_number))
-    return _record(state, replace(cut, lines={**cut.lines, number: replace(cut.lines[number], tip_seen=True)}))
+    divided = roots_of.divide(state.lines, number, at, state.next_number)
+    beyond = {k: divided[k] for k in roots_of.descendants(divided, state.next_number)}
+    kept = {k: line for k, line in divided.items() if k not in beyond}
+    kept[number] = replace(kept[number], tip_seen=True)
+    return _record(state, replace(state, lines=kept, next_number=state.next_number + 1), beyond)
 
 
 def _join(state: State, one: int, other: int, solid: Solid) -> State:
