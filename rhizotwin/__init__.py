@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 if _TYPE_CHECKING:
-    from rhizotwin.api import batch, biomass, export, growth, import_pictures, plot, scan, view
+    from rhizotwin.api import batch, biomass, export, growth, import_pictures, scan
     from rhizotwin.arguments import Placing
+    from rhizotwin.display import plot, view
     from rhizotwin.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.settings import Settings
@@ -75,13 +76,13 @@ _PLACES = {
     "load_dataset": "scenes.dataset",
     "load_result": "front_door",
     "load_scene": "front_door",
-    "plot": "api",
+    "plot": "display",
     "reconstruct": "front_door",
     "scan": "api",
     "score": "front_door",
     "score_file": "front_door",
     "simulate": "front_door",
-    "view": "api",
+    "view": "display",
 }
 """Name of the submodule of ``rhizotwin`` in which each public name is defined. The key is the public name."""
 

@@ -1,128 +1,31 @@
-"""Python interface for display, picture import, batches, growth curves, biomass, export and scans.
+"""Python interface for picture import, batches, growth curves, biomass, export and scans.
 
-`import rhizotwin as rt` provides these functions as ``rt.plot``, ``rt.view``, ``rt.import_pictures``, ``rt.batch``,
-``rt.growth``, ``rt.biomass``, ``rt.export`` and ``rt.scan``. Text that the command of the same name prints is logged.
+`import rhizotwin as rt` provides these functions as ``rt.import_pictures``, ``rt.batch``, ``rt.growth``,
+``rt.biomass``, ``rt.export`` and ``rt.scan``. Text that the command of the same name prints is logged.
 """
 
 from __future__ import annotations
 
 import io
 import logging
-import tempfile
-import webbrowser
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rhizotwin.calls import Progress, require, watch
-from rhizotwin.front_door import Device, load_result, load_scene
+from rhizotwin.calls import Progress, dataset_folder, require, require_each, result_folder, watch
+from rhizotwin.front_door import Device, load_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from rhizotwin.experiment.biomass import Model
     from rhizotwin.recon.results.result import Result
     from rhizotwin.scenes.dataset import Dataset
-    from rhizotwin.viewer.app import Viewer
 
 log = logging.getLogger("rhizotwin")
 
 Paths = str | Path | Sequence[str | Path]
-
-
-def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
-    """Draw the reconstructed surface from the front and from the side.
-
-    Parameters
-    ----------
-    result : Result or path
-        Result, or folder of a saved result.
-    by : {"order", "diameter", "depth", "uncertainty", "tip visibility"}
-        Root property that determines the colour of the surface around each root.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Figure with both drawings; notebooks display it, and its method ``savefig`` writes it to a file.
-    """
-    from rhizotwin import root_colours
-    from rhizotwin.report import figures
-    from rhizotwin.scenes.figures import png
-
-    require("result", result, "Result", "path")
-    if by not in root_colours.CHOICES:
-        raise UserError(f"by must be one of {', '.join(root_colours.CHOICES)}, not {by!r}")
-    found = load_result(result) if isinstance(result, str | Path) else result
-    if not len(found.solid.surface.faces):
-        raise UserError(f"the result of {found.scene} has no surface to plot")
-    drawn: Any = figures.shape_close_up(found.solid.surface, found.roots, by=by)
-    drawn.suptitle(found.scene, fontsize=11)
-    drawn._repr_png_ = lambda: png(drawn, dpi=90)  # notebooks need this method for figures that pyplot did not create
-    return drawn
-
-
-class View:
-    """Viewer that is running, with its address and a method to stop it."""
-
-    def __init__(self, viewer: Viewer, temporary: ExitStack) -> None:
-        self._viewer, self._temporary = viewer, temporary
-        self.address: str = viewer.served.address
-
-    def close(self) -> None:
-        """Stop the viewer. Unsaved corrections are lost."""
-        self._viewer.served.stop()
-        self._temporary.close()
-
-    def __repr__(self) -> str:
-        """Return a short description that contains the address of the viewer."""
-        return f"View at {self.address}"
-
-    def _repr_html_(self) -> str:
-        """Return the address as an HTML link, for notebooks."""
-        return f'<a href="{self.address}" target="_blank">{self.address}</a>'
-
-
-def view(
-    result: Result | str | Path | Sequence[Result | str | Path],
-    dataset: Dataset | str | Path | None = None,
-    *,
-    port: int = 8080,
-    open_browser: bool = True,
-) -> View:
-    """Show results with their pictures in a browser, where they can be corrected manually.
-
-    Parameters
-    ----------
-    result : Result, path, or sequence of these
-        One or more results or result folders; the page shows one result at a time. Corrections can be saved only in
-        result folders.
-    dataset : Dataset or path, optional
-        Dataset with the pictures; default: the dataset recorded in the result.
-    port : int
-        Port of the page; if the port is in use, the next free port is used.
-    open_browser : bool
-        Open the page in a browser.
-
-    Returns
-    -------
-    View
-        Running viewer; keep a reference to it while the page is in use.
-    """
-    from rhizotwin.viewer import app
-
-    require("port", port, "whole number")
-    require("dataset", dataset, "Dataset", "path", "None")
-    with ExitStack() as stack:
-        given = _several("result", result, "Result", "path")
-        folders = [stack.enter_context(_saved(one)) for one in given]
-        temporary = [folder for folder, one in zip(folders, given, strict=True) if not isinstance(one, str | Path)]
-        shown = View(app.start(folders, _folder_of(dataset), temporary=temporary, port=port), stack.pop_all())
-    if open_browser:
-        webbrowser.open(shown.address)
-    return shown
 
 
 def import_pictures(
@@ -329,9 +232,9 @@ def export(
     require("result", result, "Result", "path")
     require("output", output, "path")
     require("dataset", dataset, "Dataset", "path", "None")
-    folder = _folder_of(dataset)
-    with watch(monitor, {"pictures": 1.0}) as bar, _saved(result) as source:
-        return exports.export(source, Path(output), dataset_folder=folder, roots=roots, undistorted=undistorted, monitor=bar)
+    pictures = dataset_folder(dataset)
+    with watch(monitor, {"pictures": 1.0}) as bar, result_folder(result) as source:
+        return exports.export(source, Path(output), dataset_folder=pictures, roots=roots, undistorted=undistorted, monitor=bar)
 
 
 def scan(
@@ -393,41 +296,8 @@ def scan(
     return load_dataset(output)
 
 
-def _several(name: str, given: Any, *kinds: str) -> list[Any]:
-    """Return the given values as a list.
-
-    A single value becomes a list of length 1. The type of each value is checked with `calls.require`.
-    """
-    several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
-    for one in several:
-        require(name, one, *kinds)
-    if not several:
-        raise UserError(f"{name} is an empty list; it must have at least one item")
-    return several
-
-
 def _paths(name: str, given: Any) -> list[Path]:
-    return [Path(path) for path in _several(name, given, "path")]
-
-
-def _folder_of(dataset: Dataset | str | Path | None) -> Path | None:
-    if dataset is None:
-        return None
-    return Path(dataset) if isinstance(dataset, str | Path) else dataset.folder
-
-
-@contextmanager
-def _saved(result: Result | str | Path) -> Iterator[Path]:
-    """Yield the folder of a result.
-
-    A result in memory is first saved to a temporary folder, which is removed afterwards.
-    """
-    if isinstance(result, str | Path):
-        yield Path(result)
-        return
-    with tempfile.TemporaryDirectory(prefix="rhizotwin-result-") as folder:
-        result.save(folder)
-        yield Path(folder)
+    return [Path(path) for path in require_each(name, given, "path")]
 
 
 @contextmanager

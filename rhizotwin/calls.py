@@ -1,16 +1,22 @@
-"""Type checks and progress reporting for the functions of the Python interface."""
+"""Arguments of the functions of the Python interface: type checks, folders of results and datasets, and progress."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.terminal import OneBar
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.results.result import Result
+    from rhizotwin.scenes.dataset import Dataset
 
 Progress = Monitor | type[Any] | Listener | None
 """Argument of a function that receives its progress: a monitor, a tqdm class, a function ``(stage, done, total)``, or
@@ -86,6 +92,45 @@ def require(name: str, value: Any, *kinds: str) -> None:
         shown = "None" if value is None else f"{str(value)[:40]!r} ({type(value).__name__})"
         *first, last = (kind if kind == "None" else f"a {kind}" for kind in kinds)
         raise UserError(f"{name} must be {' or '.join(filter(None, [', '.join(first), last]))}, not {shown}")
+
+
+def require_each(name: str, given: Any, *kinds: str) -> list[Any]:
+    """Return the given values as a list, after their types were checked with `require`.
+
+    A single value becomes a list of length 1.
+
+    Raises
+    ------
+    UserError
+        If a value has none of the allowed types, or there is no value.
+    """
+    several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    for one in several:
+        require(name, one, *kinds)
+    if not several:
+        raise UserError(f"{name} is an empty list; it must have at least one item")
+    return several
+
+
+def dataset_folder(dataset: Dataset | str | Path | None) -> Path | None:
+    """Return the folder of a dataset. None: no dataset."""
+    if dataset is None:
+        return None
+    return Path(dataset) if isinstance(dataset, str | Path) else dataset.folder
+
+
+@contextmanager
+def result_folder(result: Result | str | Path) -> Iterator[Path]:
+    """Yield the folder of a result.
+
+    A result in memory is first saved to a temporary folder, which is removed afterwards.
+    """
+    if isinstance(result, str | Path):
+        yield Path(result)
+        return
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-result-") as folder:
+        result.save(folder)
+        yield Path(folder)
 
 
 _KINDS: dict[str, Callable[[Any], bool]] = {
