@@ -1,6 +1,5 @@
 """Find and copy the datasets and results to be published."""
 
-import html
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from typing import Any
 
 from rhizotwin.batches.jobs import named
 from rhizotwin.recon.results.result_traits import PlantTraits, traits_by_plant
+from rhizotwin.report import tables
 from rhizotwin.scenes import atomic, folders
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -135,7 +135,7 @@ def _dataset_cells(path: str) -> bytes:
 
     Other parts of the report, such as encoded pictures, may contain the same letters as the path.
     """
-    return f"<td>dataset</td><td>{html.escape(path)}</td>".encode("utf-8", "backslashreplace")
+    return tables.cells(("dataset", path)).encode("utf-8", "backslashreplace")
 
 
 def _copy_folder(source: Path, goal: Path) -> None:

@@ -17,8 +17,12 @@ def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: S
     Columns with an index in ``numbers`` are right-aligned.
     """
     top = f"<tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr>" if head else ""
-    body = ("".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row)) for row in rows)
-    return f"<table>{top}{''.join(f'<tr>{row}</tr>' for row in body)}</table>"
+    return f"<table>{top}{''.join(f'<tr>{cells(row, numbers=numbers)}</tr>' for row in rows)}</table>"
+
+
+def cells(row: Sequence[str], *, numbers: Sequence[int] = ()) -> str:
+    """Return the escaped HTML cells of a row of `table`."""
+    return "".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row))
 
 
 def verdict_cells(summary: Json) -> str:
