@@ -154,7 +154,7 @@ def camera(
     shown = drawn.board_of(board or _board_beside(pictures, drawn))
     with progress.bar(boards=1.0) as bar:
         made = fit(paths, shown, monitor=bar)
-    calibrated = None if given is None else _with_camera(given, made.camera)
+    calibrated = None if given is None else _with_lens(given, made.camera)
     with new_folder(output) as building:
         written = [*write_calibration(made, building), write_report(made, building)]
         if calibrated is not None:
@@ -289,7 +289,7 @@ def simulate(
     print(f"next: rhizotwin calibrate camera {output} -o my_lens")
 
 
-def _with_camera(scene: Scene, found: Camera) -> Scene:
+def _with_lens(scene: Scene, found: Camera) -> Scene:
     """Return a copy of the scene with the calibrated lens.
 
     The bit depth, response curve and bands of the scene's camera are retained.
