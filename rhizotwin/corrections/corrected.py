@@ -15,7 +15,6 @@ import trimesh
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections import reliability, surface
 from rhizotwin.corrections.session import Measured, Session
-from rhizotwin.corrections.state import State
 from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
@@ -67,9 +66,8 @@ def write(
     UserError
         If the output folder contains files other than a result, or a file of the result is missing.
     """
-    state, measured = session.state, session.measure()
-    mesh, roots = _corrected_mesh(session, state, measured), state.roots()
-    surface_mesh, voxels = Mesh.of(mesh), _voxels(measured)
+    mesh, roots = _corrected_mesh(session), session.state.roots()
+    surface_mesh, voxels = Mesh.of(mesh), _voxels(session.measure())
     summary = summarise(session, surface_mesh)
     summary |= reliability.judge_volume(session, summary, dataset)
     if summary.get("plants"):
@@ -175,8 +173,9 @@ def _voxels(measured: Measured) -> Leaves:
 
 def read_mesh(session: Session) -> Mesh:
     """Return the surface mesh after the corrections."""
-    return Mesh.of(_corrected_mesh(session, session.state, session.measure()))
+    return Mesh.of(_corrected_mesh(session))
 
 
-def _corrected_mesh(session: Session, state: State, measured: Measured) -> trimesh.Trimesh:
-    return surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, state, measured.volumes_mm3)
+def _corrected_mesh(session: Session) -> trimesh.Trimesh:
+    measured = session.measure()
+    return surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, session.state, measured.volumes_mm3)

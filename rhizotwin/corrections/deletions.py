@@ -56,7 +56,7 @@ def restore(lines: Lines, removed: Lines, deletion: Deletion) -> dict[int, Line]
     found |= back
     for k, line in back.items():
         parent = line.parent
-        while parent >= 0 and parent not in found:
+        while parent >= 0 and parent not in found:  # until the nearest ancestor that exists
             parent = removed[parent].parent if parent in removed else -1
         found[k] = replace(line, parent=parent)
     return reattach(found, deletion)
