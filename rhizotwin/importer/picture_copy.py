@@ -5,6 +5,7 @@ from typing import TypeAlias
 
 from rhizotwin import raw_pictures
 from rhizotwin.importer.camera_file import pose_of
+from rhizotwin.importer.damaged_rows import DamageCheck
 from rhizotwin.importer.silhouettes import encode_silhouette
 from rhizotwin.nerfstudio import GivenCameras
 from rhizotwin.picture_files import read_picture
@@ -14,7 +15,6 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.picture_codec import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.picture_damage import is_sealed
-from rhizotwin.unlike_rows import Turns
 
 MOST_CLIPPED = 0.05
 """Maximum fraction of saturated pixels in a picture. A picture with more saturated pixels is reported as overexposed,
@@ -45,7 +45,7 @@ class PictureCopier:
         self._scene, self._folder = scene, folder
         self._raw, self._white, self._given = raw, white, given
         self._gains: tuple[float, float] | None = None
-        self._turns = Turns()
+        self._damage = DamageCheck()
         self._count = 0
         self.clipped: dict[str, float] = {}
         """Fraction of saturated pixels in each overexposed picture, keyed by file name."""
@@ -60,7 +60,7 @@ class PictureCopier:
             for path, placed in zip(paths, table, strict=True):
                 found.append(self._copy_picture(path, placed))
                 step()
-        self._turns.refuse_damaged()
+        self._damage.refuse_damaged()
         self._count = len(found)
         return tuple(found)
 
@@ -76,7 +76,7 @@ class PictureCopier:
         write_bytes(self._folder / name, data)
         if self._white is None:
             grey = decode_grey(data, where=str(path))
-            self._turns.add(path, (ring, band), grey, sealed=self._raw or is_sealed(data))
+            self._damage.add(path, (ring, band), grey, sealed=self._raw or is_sealed(data))
             if (share := _clipped(grey)) > MOST_CLIPPED:
                 self.clipped[name] = round(share, 4)
         pose = None if self._given is None else pose_of(path, self._given)
@@ -94,10 +94,10 @@ class PictureCopier:
     def notes(self) -> list[str]:
         """Return notes about overexposed pictures and about pictures that could not be checked for damage."""
         if not self.clipped:
-            return self._turns.notes()
+            return self._damage.notes()
         worst = max(self.clipped, key=lambda name: self.clipped[name])
         return [
-            *self._turns.notes(),
+            *self._damage.notes(),
             f"warning: {len(self.clipped)} of {self._count} pictures are overexposed; the worst is {worst} with "
             f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale, where the light absorbed by roots cannot be measured. "
             "Reduce the exposure so that the panel is at 80 % of full scale",

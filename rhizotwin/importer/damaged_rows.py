@@ -35,39 +35,39 @@ WHOLE = 0.95
 """Maximum fraction of damaged rows in a damaged picture. A larger fraction indicates that the illumination has changed,
 which the checks of the reconstruction detect."""
 
-Alike: TypeAlias = tuple[int, str]
+RingBand: TypeAlias = tuple[int, str]
 """Ring and band of a picture. Pictures that have the same ring and band are similar, and are compared with each
 other."""
 
 
 @dataclass(frozen=True)
-class Unlike:
-    """Picture in which some rows differ from those of all other pictures of the ring."""
+class DamagedRows:
+    """Rows of a picture that differ from those of all other pictures of the ring."""
 
-    name: str
-    """File name of the picture."""
+    path: Path
+    """Picture file."""
     first: int
     """Index of the first deviating row."""
     last: int
     """Index of the last deviating row."""
 
 
-class Turn:
-    """Compares the pictures of one ring.
+class RingPictures:
+    """Pictures of one ring and band, which are compared with each other.
 
     Only a subset of the columns of each picture is stored.
     """
 
     def __init__(self) -> None:
-        self._names: list[str] = []
+        self._paths: list[Path] = []
         self._rows: list[Grey] = []
 
-    def add(self, name: str, grey: Grey) -> None:
+    def add(self, path: Path, grey: Grey) -> None:
         """Add a picture (H, W).
 
         All pictures must have the same size and bit depth.
         """
-        self._names.append(name)
+        self._paths.append(path)
         self._rows.append(np.ascontiguousarray(grey[:, :: max(1, grey.shape[1] // COLUMNS)]))
 
     @property
@@ -91,68 +91,72 @@ class Turn:
         most = np.where(near == order[-1], order[-2], order[-1])  # maximum over the other pictures
         return np.asarray(other - most)
 
-    def unlike(self) -> list[Unlike]:
-        """Return the pictures in which some rows differ from those of all other pictures."""
+    def find_damaged(self) -> list[DamagedRows]:
+        """Return the deviating rows of each picture that has any. The result is empty if there are too few pictures."""
         if not self.enough:
             return []
         found = []
-        for name, excess in zip(self._names, self.excess(), strict=True):
+        for path, excess in zip(self._paths, self.excess(), strict=True):
             rows = np.flatnonzero(excess > MORE)
             if rows.size and (excess > MORE).mean() < WHOLE:
-                found.append(Unlike(name, int(rows[0]), int(rows[-1])))
+                found.append(DamagedRows(path, int(rows[0]), int(rows[-1])))
         return found
 
 
-class Turns:
+class DamageCheck:
     """Detects damage in pictures whose file format has no checksum.
 
-    Each picture is compared with the other pictures of the same ring.
+    Each picture is compared with the other pictures of the same ring and band.
     """
 
     def __init__(self) -> None:
-        self._turns: dict[Alike, Turn] = {}
-        self._open: dict[str, Alike] = {}  # pictures without a checksum, with their ring and band
-        self._folder = Path()
+        self._rings: dict[RingBand, RingPictures] = {}
+        self._unsealed: dict[Path, RingBand] = {}  # pictures without a checksum
 
-    def add(self, path: Path, ring: Alike, grey: Grey, *, sealed: bool) -> None:
+    def add(self, path: Path, ring: RingBand, grey: Grey, *, sealed: bool) -> None:
         """Add a picture to the pictures of its ring.
 
         Parameters
         ----------
         path : Path
             Picture file.
-        ring : Alike
+        ring : RingBand
             Ring and band of the picture.
         grey : (H, W) uint8 or uint16 array
             Decoded picture.
         sealed : bool
             Whether the file format has a checksum, so that damage would already have been detected.
         """
-        self._folder = path.parent
-        self._turns.setdefault(ring, Turn()).add(path.name, grey)
+        self._rings.setdefault(ring, RingPictures()).add(path, grey)
         if not sealed:
-            self._open[path.name] = ring
+            self._unsealed[path] = ring
 
     def refuse_damaged(self) -> None:
-        """Raise UserError if rows of a picture without a checksum differ from those of all other pictures."""
-        for ring in sorted(set(self._open.values())):
-            for found in self._turns[ring].unlike():
-                if found.name in self._open:
+        """Raise an error if a picture without a checksum is damaged.
+
+        Raises
+        ------
+        UserError
+            If rows of the picture differ from those of all other pictures.
+        """
+        for ring in sorted(set(self._unsealed.values())):
+            for found in self._rings[ring].find_damaged():
+                if found.path in self._unsealed:
                     raise UserError(
-                        f"{self._folder / found.name}: rows {found.first} to {found.last} differ from all other pictures, which "
+                        f"{found.path}: rows {found.first} to {found.last} differ from all other pictures, which "
                         "indicates damage. Copy or take the picture again, or remove it; if the picture is correct, convert it to "
                         "PNG, whose checksum replaces this test"
                     )
 
     def notes(self) -> list[str]:
         """Return notes about pictures that could not be checked for damage."""
-        if not self._open:
+        if not self._unsealed:
             return []
-        apart = sum(not self._turns[ring].enough for ring in self._open.values())
+        apart = sum(not self._rings[ring].enough for ring in self._unsealed.values())
         but = "damage of less than a fifth of a row cannot be detected"
         if apart:
             but += f", and {apart} of them could not be compared, because their ring has fewer than {LEAST} pictures"
         return [
-            f"{len(self._open)} pictures have a format without a checksum (JPEG, TIFF with LZW, PackBits or no compression), so {but}. "
+            f"{len(self._unsealed)} pictures have a format without a checksum (JPEG, TIFF with LZW, PackBits or no compression), so {but}. "
             "In PNG, and in TIFF with Deflate, any damage is detected"
         ]
