@@ -23,7 +23,22 @@ def pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
 def read_camera_file(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
     """Read a camera file.
 
-    The result is a copy of the scene with the lens of the file, and the cameras.
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the canister, and with the properties of the camera that the format does not include.
+    cameras : Path
+        File in nerfstudio's format (see `rhizotwin.nerfstudio`).
+
+    Returns
+    -------
+    Scene, GivenCameras
+        Copy of the scene with the lens of the file, and the cameras in the canister frame, mm.
+
+    Raises
+    ------
+    UserError
+        If the file is unreadable or invalid, or a camera is inside the canister.
     """
     given = read_cameras(cameras, scene.camera)
     changed = replace(scene, camera=given.camera)
