@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 
@@ -51,10 +50,25 @@ def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list
     return paths
 
 
-def read_picture(path: Path, scene: Scene) -> tuple[bytes, Grey]:
-    """Return the content of a picture file, and the decoded grey picture.
+def read_picture(path: Path, *, image_wh: tuple[int, int]) -> tuple[bytes, Grey]:
+    """Read and decode a picture file.
 
-    A UserError is raised if the picture is incomplete, or if its size is not that of the camera.
+    Parameters
+    ----------
+    path : Path
+        Picture file (PNG, JPEG or TIFF).
+    image_wh : tuple of int
+        Required width and height, px.
+
+    Returns
+    -------
+    bytes, (H, W) uint8 or uint16 array
+        Content of the file, and its grey values.
+
+    Raises
+    ------
+    UserError
+        If the file is unreadable, too large or incomplete, or the picture has another size.
     """
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
-    return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)
+    return data, decode_grey(data, where=str(path), image_wh=image_wh)

@@ -9,19 +9,16 @@ from rhizotwin.importer.damaged_rows import DamageCheck
 from rhizotwin.importer.silhouettes import encode_silhouette
 from rhizotwin.nerfstudio import GivenCameras
 from rhizotwin.picture_files import read_picture
+from rhizotwin.rig.scanning.preflight import MOST_SATURATED
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Frame, file_sha256
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.picture_codec import Grey, decode_grey, encode_light_png
+from rhizotwin.scenes.picture_codec import Grey, encode_light_png
 from rhizotwin.scenes.picture_damage import is_sealed
 
-MOST_CLIPPED = 0.05
-"""Maximum fraction of saturated pixels in a picture. A picture with more saturated pixels is reported as overexposed,
-as in `rig.scanning.preflight`."""
-
 Placed: TypeAlias = tuple[int, str, int, float | None]
-"""View, band, ring and table angle of a picture."""
+"""View, band, ring and table angle (deg, or None if it is unknown) of a picture."""
 
 
 class PictureCopier:
@@ -51,9 +48,26 @@ class PictureCopier:
         """Fraction of saturated pixels in each overexposed picture, keyed by file name."""
 
     def copy(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
-        """Copy all pictures to the dataset, and raise UserError if a picture is damaged.
+        """Copy all pictures to the dataset. Photographs are stored unchanged, and all other pictures as PNG.
 
-        ``table`` contains the view, band, ring and table angle of each picture.
+        Parameters
+        ----------
+        paths : list of Path
+            Picture files.
+        table : list of Placed
+            View, band, ring and table angle of each picture.
+        monitor : Monitor
+            Receiver of the progress.
+
+        Returns
+        -------
+        tuple of Frame
+            Frames of the pictures, in the same order.
+
+        Raises
+        ------
+        UserError
+            If a picture is unreadable, damaged or of another size, or is not a silhouette although it should be.
         """
         found = []
         with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
@@ -68,16 +82,17 @@ class PictureCopier:
         """Write one picture to the dataset, and check its exposure."""
         view, band, ring, table_deg = placed
         if self._raw:
-            light, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
-            data = encode_light_png(light)
+            grey, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
+            data = encode_light_png(grey)
         else:
-            data = _data_of(path, self._scene, white=self._white)
+            data, grey = read_picture(path, image_wh=self._scene.camera.image_wh)
+            if self._white is not None:
+                data = encode_silhouette(grey, self._white, path)
         name = f"images/{path.stem}{'.png' if self._raw or self._white is not None else path.suffix.lower()}"
         write_bytes(self._folder / name, data)
         if self._white is None:
-            grey = decode_grey(data, where=str(path))
             self._damage.add(path, (ring, band), grey, sealed=self._raw or is_sealed(data))
-            if (share := _clipped(grey)) > MOST_CLIPPED:
+            if (share := _clipped(grey)) > MOST_SATURATED:
                 self.clipped[name] = round(share, 4)
         pose = None if self._given is None else pose_of(path, self._given)
         return Frame(
@@ -102,15 +117,6 @@ class PictureCopier:
             f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale, where the light absorbed by roots cannot be measured. "
             "Reduce the exposure so that the panel is at 80 % of full scale",
         ]
-
-
-def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
-    """Return the file content to be stored for a picture.
-
-    Photographs are stored unchanged. Silhouettes are scaled to 0..255 and stored as PNG.
-    """
-    data, grey = read_picture(path, scene)
-    return data if white is None else encode_silhouette(grey, white, path)
 
 
 def _clipped(grey: Grey) -> float:

@@ -79,7 +79,7 @@ def import_pictures(
     bands = _bands_of(paths, scene)
     angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
     table = [(view, band, *angles[view]) for view, band in bands]
-    white = white_level(paths, scene) if masks else None
+    white = white_level(paths, image_wh=scene.camera.image_wh) if masks else None
     notes += [_curve_note(paths, scene, raw=raw)] if white is None else []
     origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
     with new_folder(out) as building:

@@ -23,6 +23,7 @@ DIMMEST = 0.2
 FULL = 0.99
 """Brightness above which a pixel counts as saturated, as a fraction of full scale."""
 MOST_SATURATED = 0.05
+"""Maximum fraction of saturated pixels in a picture."""
 SPARE_BYTES = 64 * 2**20
 
 

@@ -134,7 +134,7 @@ def test_full_disk_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Pa
 IMPORT_MOMENTS = [
     *writes(1, 2, 8, 21, 22),
     Moment(picture_import, "list_pictures"),
-    Moment(picture_copy, "decode_grey", 2),
+    Moment(picture_copy, "read_picture", 2),
     Moment(picture_copy, "write_bytes", 5),
     Moment(picture_import, "save_dataset"),
     Moment(Path, "mkdir"),
