@@ -154,16 +154,12 @@ class ScanTurntable:
             Measurement of the strip at the target angle; None if the strip cannot be read.
         """
         references = self._read(earlier)
-        if self._is_kept(seen, references):
+        given = seen is None and self._given_deg is not None
+        if not given and self._is_kept(seen, references, most_deg=DISAGREE_DEG):
             references = []  # the camera may have moved since
         else:
             self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
-        if seen is None:
-            return None
-        if references:
-            return self._refine(references, near_deg)
-        here = Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister)
-        return self._refine([here], near_deg, most_deg=DISAGREE_DEG)  # which includes any backlash
+        return None if seen is None else self._approach(seen, references, near_deg)
 
     def angle_deg(self) -> float:
         """Return the measured table angle, deg."""
@@ -243,18 +239,13 @@ class ScanTurntable:
         self._reconnect(fault.cause)
         shot, seen = self._camera.look()
         references = [*self._looks, *self._read(self.pictures)]
-        kept_deg = self._kept_deg()
-        if kept_deg is not None:
-            shown_deg = angle_against(seen.cam_from_canister, references, self._scene) if seen is not None and references else kept_deg
-            if abs(wrap_angle(shown_deg - kept_deg)) <= self.slip_deg:
-                self._note("angle", f"turntable: the board is connected again, and the angle is still known, {kept_deg:.2f} deg")
-                self.lost = False
-                return False
-        self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
-        if seen is not None:
-            self._refine(references, near_deg)
+        kept = self._is_kept(seen, references, most_deg=self.slip_deg)
+        if not kept:
+            self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
+            if seen is not None:
+                self._approach(seen, references, near_deg)
         self.lost = False
-        return True
+        return not kept
 
     def find_slipped(self, pictures: list[Taken]) -> list[Path]:
         """Return the pictures whose measured table angle differs from the commanded angle.
@@ -274,12 +265,16 @@ class ScanTurntable:
             found.append(path)
         return found[::-1]
 
-    def _is_kept(self, seen: Sighting | None, references: list[Reference]) -> bool:
-        """Return whether the board still knows the table angle, and the markers do not contradict it."""
+    def _is_kept(self, seen: Sighting | None, references: list[Reference], *, most_deg: float) -> bool:
+        """Return whether the board still knows the table angle, and the markers do not contradict it.
+
+        They contradict it if they differ from the references by more than ``most_deg``. Without references, only the
+        side of the strip that faces the camera is compared.
+        """
         kept_deg = self._kept_deg()
-        if kept_deg is None or (seen is None and self._given_deg is not None):
+        if kept_deg is None:
             return False
-        shown_deg, most_deg = kept_deg, DISAGREE_DEG
+        shown_deg = kept_deg
         if seen is not None and references:
             shown_deg = angle_against(seen.cam_from_canister, references, self._scene)
         elif seen is not None:
@@ -295,21 +290,40 @@ class ScanTurntable:
         )
         return False
 
-    def _refine(self, references: list[Reference], angle_deg: float, *, most_deg: float = FINE_DEG) -> Sighting | None:
-        """Approach a table angle from the usual side, measure the strip again, and return the measurement.
+    def _approach(self, seen: Sighting, references: list[Reference], angle_deg: float) -> Sighting | None:
+        """Approach a table angle from the usual side, and correct the angle of the board with a new measurement.
 
         At the start, and after the connection to the board was lost, it is unknown on which side of the backlash the
-        table is. If the measured angle differs from that of the board by more than ``most_deg``, it is declared.
+        table is.
+
+        Parameters
+        ----------
+        seen : Sighting
+            Measurement of the strip before the move.
+        references : list of Reference
+            Measurements at known angles. If there are none, the new measurement is compared with that before the move.
+            The difference then includes the backlash, so that only large differences are corrected.
+        angle_deg : float
+            Target angle, deg.
+
+        Returns
+        -------
+        Sighting or None
+            New measurement of the strip; None if the strip cannot be read.
         """
+        most_deg = FINE_DEG
+        if not references:
+            references = [Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister)]
+            most_deg = DISAGREE_DEG
         read_deg = self.turn(angle_deg)
         self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
-        _, seen = self._camera.look()
-        if seen is not None and references:
-            off_deg = wrap_angle(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
+        _, after = self._camera.look()
+        if after is not None:
+            off_deg = wrap_angle(angle_against(after.cam_from_canister, references, self._scene) - read_deg)
             if abs(off_deg) > most_deg:
                 shown_deg = nearest_turn(read_deg + off_deg, angle_deg)
-                self._declare(Angle(table_deg=shown_deg, source=f"{seen.markers} markers, without backlash"))
-        return seen
+                self._declare(Angle(table_deg=shown_deg, source=f"{after.markers} markers, without backlash"))
+        return after
 
     def _kept_deg(self) -> float | None:
         """Return the table angle that the board reports, deg, or None if the board has lost it."""
