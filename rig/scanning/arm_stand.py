@@ -72,6 +72,7 @@ class ArmStand:
         self._scene = scene
         self._camera = camera
         self._note = note
+        self._ring = scene.plan.rings[0]
         self._placed: ArmPlacement | None = None
         self._health_due_s = -np.inf
         self.failed = False
@@ -88,19 +89,20 @@ class ArmStand:
 
     def place(self, ring: Ring) -> None:
         """Move the camera to the position of a ring, computed from the joint angles alone."""
+        self._ring = ring
         goal = compute_joints(self._rig, planned_camera_pose(ring))
         with self._note_failure():
             start = self._arm.read_joints()
         self._move(plan_path(self._rig, self._scene, start, goal))
 
-    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
+    def search(self) -> tuple[Shot, Sighting | None]:
         """Take a picture, and search for the strip if it is not visible although it should be.
 
         In the search, the camera is tilted up and down. Return the last picture and the measurement of the strip, which
         is None if the strip was not found.
         """
         shot, seen = self._camera.look()
-        expected = visible_markers(self._scene, planned_camera_pose(ring))
+        expected = visible_markers(self._scene, planned_camera_pose(self._ring))
         if seen is not None or self._placed is None or not self._part.correct or expected < LEAST_EXPECTED:
             return shot, seen
         placed = self._placed
@@ -113,13 +115,11 @@ class ArmStand:
         self._move_if_clear(placed.joints_deg)
         return self._camera.look()
 
-    def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the camera's position using the measured pose of the marker strip.
+    def correct(self, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
+        """Correct the camera's position for the placed ring, using the measured pose of the marker strip.
 
         Parameters
         ----------
-        ring : Ring
-            Ring with the target position.
         seen : Sighting or None
             Present measurement of the strip; None if the strip cannot be read.
         angle_deg : callable
@@ -135,7 +135,7 @@ class ArmStand:
         UnsafeError
             If measured and computed camera poses differ so much that the rig file must be wrong.
         """
-        wanted = planned_camera_pose(ring)
+        wanted = planned_camera_pose(self._ring)
         done = 0
         while seen is not None:
             measured = seen.cam_from_rig(angle_deg(), direction=self._scene.turntable.direction)
@@ -158,7 +158,7 @@ class ArmStand:
                 )
                 return seen
             done += 1
-            _, seen = self.search(ring)
+            _, seen = self.search()
         self._note("placed", "arm: the camera's position was not corrected, because the strip cannot be read from there")
         return None
 

@@ -54,7 +54,7 @@ def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Gre
             preflight.check_arm(devices.arm)
         preflight.check_camera(devices.camera)
         stand.place(ring)
-        shot, _ = stand.search(ring)
+        shot, _ = stand.search()
         preflight.check_picture(shot.image, scene.camera)
         return shot.image
     finally:

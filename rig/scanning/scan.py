@@ -246,7 +246,7 @@ class _Scan:
 
     def _look_about(self, index: int, near_deg: float) -> None:
         """Check the first picture of a ring, determine the table angle, and correct the camera's position."""
-        shot, seen = self._stand.search(self._scene.plan.rings[index])
+        shot, seen = self._stand.search()
         self._turntable.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._views.bright = preflight.measure_exposure(shot.image).bright
@@ -256,7 +256,7 @@ class _Scan:
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
             seen = self._turntable.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
             self._homed = True
-        seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turntable.angle_deg)
+        seen = self._stand.correct(seen, self._turntable.angle_deg)
         self._turntable.add_sighting(seen)
         self._report(
             "markers", "cannot be read from this position" if seen is None else f"{seen.markers} read, error {seen.reprojection_px:.2f} px"

@@ -28,18 +28,14 @@ class Stand(Protocol):
     def place(self, ring: Ring) -> None:
         """Move the camera to the position of a ring."""
 
-    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
+    def search(self) -> tuple[Shot, Sighting | None]:
         """Take a picture and read the strip in it, searching for the strip if necessary."""
 
-    def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the camera's position using the measured pose of the strip.
-
-        Return the final measurement of the strip.
+    def correct(self, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
+        """Correct the camera's position for the placed ring, using the measured pose of the strip.
 
         Parameters
         ----------
-        ring : Ring
-            Ring with the target position.
         seen : Sighting or None
             Present measurement of the strip; None if the strip cannot be read.
         angle_deg : callable
@@ -66,6 +62,7 @@ class Tripod:
         self._camera = camera
         self._ask = ask
         self._note = note
+        self._ring = scene.plan.rings[0]
         self.failed = False
 
     def refuse(self, rings: Sequence[Ring]) -> None:
@@ -78,6 +75,7 @@ class Tripod:
 
     def place(self, ring: Ring) -> None:
         """Ask the user to move the camera. For the first ring it is already in position."""
+        self._ring = ring
         if ring == self._scene.plan.rings[0]:
             return
         if self._ask is None:
@@ -85,17 +83,15 @@ class Tripod:
             return
         self._ask(f"Move the camera: {describe_ring(ring)}. Press Enter when done: ")
 
-    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002 - for a stand with an arm
+    def search(self) -> tuple[Shot, Sighting | None]:
         """Take a picture, and read the strip in it. The measurement is None if the strip cannot be read."""
         return self._camera.look()
 
-    def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
+    def correct(self, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
         """Report the camera's position, and ask the user to move it again if it is far from the plan.
 
         Parameters
         ----------
-        ring : Ring
-            Ring with the target position.
         seen : Sighting or None
             Present measurement of the strip; None if the strip cannot be read.
         angle_deg : callable
@@ -106,6 +102,7 @@ class Tripod:
         Sighting or None
             Final measurement of the strip; None if the strip cannot be read.
         """
+        ring = self._ring
         while True:
             if seen is None:
                 self._note("placed", "camera: the position is unknown, because the strip cannot be read from there")

@@ -173,9 +173,9 @@ def test_late_scan_has_the_date_and_age_at_its_start(make_experiment, hours: flo
 class Interruption(Observer):
     """Ctrl-C after the first picture."""
 
-    def on_look(self, look: Look) -> None:  # noqa: ARG002 - any picture
+    def on_look(self, look: Look) -> None:
         """Interrupt the scan."""
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(look.frame.file)
 
 
 def test_carousel(make_experiment):
