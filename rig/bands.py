@@ -1,6 +1,6 @@
 """Lamp and filter settings for the spectral bands of the camera."""
 
-from rhizotwin.rig.devices import Lights
+from rhizotwin.rig.devices import Arm, Lights
 from rhizotwin.rig.rig_file import BandPart, RigFile
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -36,6 +36,28 @@ def light(lights: Lights, rig: RigFile, band: str) -> None:
     part = band_part(rig, band)
     panel, front = band_levels(rig, part)
     lights.set(panel=panel, front=front, band=part)
+
+
+def turn_filter(arm: Arm | None, rig: RigFile, band: str) -> None:
+    """Turn the filter wheel to the filter of a band, if it has one.
+
+    Parameters
+    ----------
+    arm : Arm or None
+        Arm with the filter wheel, which must be prepared; None for a rig without an arm.
+    rig : RigFile
+        Rig file with the filter of the band.
+    band : str
+        Name of the band; empty for white light.
+
+    Raises
+    ------
+    RigError
+        If the wheel does not reach its target.
+    """
+    part = band_part(rig, band)
+    if part is not None and part.filter_deg is not None and arm is not None:
+        arm.turn_filter(part.filter_deg)
 
 
 def check_bands(rig: RigFile, scene: Scene) -> None:

@@ -39,7 +39,7 @@ def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Gre
     def note(_: str, text: str) -> None:
         observers.say(text)
 
-    ring = scene.plan.rings[0]
+    ring, main = scene.plan.rings[0], plan.main_band(scene, 0)
     camera = ScanCamera(devices.camera, devices.clock, scene, note=note)
     stand: Stand = Tripod(scene, camera, ask=observers.ask, note=note)
     if devices.arm is not None and devices.rig.arm is not None:
@@ -48,10 +48,11 @@ def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Gre
     used = False
     try:
         preflight.check_table(devices.table)
-        bands.light(devices.lights, devices.rig, plan.main_band(scene, 0))
+        bands.light(devices.lights, devices.rig, main)
         if devices.arm is not None:
             used = True
             preflight.check_arm(devices.arm)
+            bands.turn_filter(devices.arm, devices.rig, main)
         preflight.check_camera(devices.camera)
         stand.place(ring)
         shot, _ = stand.search()

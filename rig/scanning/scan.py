@@ -118,9 +118,7 @@ class _Scan:
         if devices.arm is not None and devices.rig.arm is not None:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._camera, note=self._note)
         self._board_used = self._arm_used = self._homed = False
-        self._views = ViewPictures(
-            devices, scene, self._camera, self._turntable, self._stand, self._observer, note=self._note, now_s=self._now_s
-        )
+        self._views = ViewPictures(devices, self._camera, self._turntable, self._stand, note=self._note, now_s=self._now_s)
         self._rest_known = devices.rig.turntable.rest == "given"
 
     def run(self, planned: list[View]) -> Dataset:
@@ -178,17 +176,18 @@ class _Scan:
         self._report("camera", preflight.check_camera(devices.camera))
 
     def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
-        ring = self._scene.plan.rings[index]
-        self._views.begin_ring(index)
+        main = plan.main_band(self._scene, index)
+        self._views.begin_ring(main, [band for band in plan.ring_bands(self._scene, index) if band != main])
         self._turntable.forget_references()
-        self._stand.place(ring)
+        self._stand.place(self._scene.plan.rings[index])
         self._run_with_recovery(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
         self._run_with_recovery(lambda: self._measure_rest(views), near_deg=views[0].table_deg)
         self._views.placement = self._session.next_placement(index)
         self._watch.begin_ring()
         for view in views:
             self._wait()
-            (frame, image), others, again = self._run_with_recovery(partial(self._views.take, view), near_deg=view.table_deg)
+            take = partial(self._views.take, view, twice=self._observer.watches_motion)
+            (frame, image), others, again = self._run_with_recovery(take, near_deg=view.table_deg)
             self._refuse_still()
             for one in ((frame, image), *others):
                 self._session.record(*one)

@@ -4,7 +4,7 @@ Before each picture the lamps and the filter are set for its band. After it, the
 panel are verified.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -12,15 +12,12 @@ from rhizotwin.rig import bands
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
-from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.preflight import measure_exposure
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
 from rhizotwin.rig.scanning.session import picture_file
 from rhizotwin.rig.scanning.stand import Stand
-from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Frame
-from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import View
 
@@ -37,25 +34,20 @@ class ViewPictures:
     def __init__(
         self,
         devices: Devices,
-        scene: Scene,
         camera: ScanCamera,
         turntable: ScanTurntable,
         stand: Stand,
-        observer: Observer,
         *,
         note: Callable[[str, str], None],
         now_s: Callable[[], float],
     ) -> None:
         self._devices = devices
-        self._scene = scene
         self._camera = camera
         self._turntable = turntable
         self._stand = stand
-        self._observer = observer
         self._note = note
         self._now_s = now_s
-        self._main = ""
-        """Name of the band in which the markers are visible in this ring."""
+        self._main, self._others = "", tuple[str, ...]()
         self._selected: str | None = ""
         """Name of the band to which the lamps and the filter are set. It is None after a fault."""
         self.placement = 0
@@ -65,21 +57,47 @@ class ViewPictures:
         self.bright = 0.0
         """Brightness of the panel in the ring's first picture, as a fraction of full scale."""
 
-    def begin_ring(self, index: int) -> None:
-        """Set lamps and filter for the band in which the markers are visible in a ring."""
-        self._main = plan.main_band(self._scene, index)
-        self._select(self._main)
+    def begin_ring(self, main: str, others: Sequence[str]) -> None:
+        """Set lamps and filter for a ring.
+
+        Parameters
+        ----------
+        main : str
+            Name of the band in which the markers are visible. It is set now, and taken first in every view.
+        others : sequence of str
+            Names of the other bands of the ring, in the order in which they are taken.
+        """
+        self._main, self._others = main, tuple(others)
+        self._select(main)
 
     def reset_band(self) -> None:
         """Set the filter for the band of the markers, regardless of the band in which the board failed."""
         self._turntable.band, self._selected = self._main, None
-        self._turn_filter(self._main)
+        bands.turn_filter(self._devices.arm, self._devices.rig, self._main)
 
-    def take(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
+    def take(self, view: View, *, twice: bool) -> tuple[Picture, list[Picture], Grey | None]:
         """Rotate the table, wait, take the picture, and verify that the table has not moved.
 
-        The same view is then taken in all other bands. If the observer measures motion, another picture is taken and
-        compared.
+        The same view is then taken in all other bands.
+
+        Parameters
+        ----------
+        view : View
+            View with its table angle.
+        twice : bool
+            Whether to take a second picture in the band of the markers, from which motion is measured.
+
+        Returns
+        -------
+        Picture, list of Picture, (H, W) uint8 or uint16 array or None
+            Frame and picture in the band of the markers; those in the other bands; second picture, or None.
+
+        Raises
+        ------
+        BoardFaultError
+            If the board of the table and the lights fails. The view can be taken again after its recovery.
+        RigError
+            If another device fails, or the panel has become darker or brighter.
         """
         main, clock = self._main, self._devices.clock
         self._select(main)
@@ -104,23 +122,20 @@ class ViewPictures:
             gain=shot.gain,
             time_s=round(self._now_s(), 6),
         )
-        again = self._camera.picture(table_deg=view.table_deg, band=main).image if self._observer.watches_motion else None
+        again = self._camera.picture(table_deg=view.table_deg, band=main).image if twice else None
         return (frame, shot.image), self._other_bands(view, frame), again
 
     def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
         """Take the same view in all other bands of the camera, and restore the first band."""
         taken: list[Picture] = []
-        for band in plan.ring_bands(self._scene, view.ring):
-            if band == frame.band:
-                continue
+        for band in self._others:
             self._select(band)
             shot = self._camera.picture(table_deg=view.table_deg, band=band)
             self._turntable.verify(view.table_deg)
             now_s = round(self._now_s(), 6)
             own = replace(frame, file=picture_file(view, band), band=band, exposure_s=shot.exposure_s, gain=shot.gain, time_s=now_s)
             taken.append((own, shot.image))
-        if taken:
-            self._select(frame.band)
+        self._select(frame.band)
         return taken
 
     def _lit_picture(self, angle_deg: float) -> Shot:
@@ -153,10 +168,5 @@ class ViewPictures:
             return
         self._selected = None
         self._turntable.light(band)
-        self._turn_filter(band)
+        bands.turn_filter(self._devices.arm, self._devices.rig, band)
         self._selected = band
-
-    def _turn_filter(self, band: str) -> None:
-        part = bands.band_part(self._devices.rig, band)
-        if part is not None and part.filter_deg is not None and self._devices.arm is not None:
-            self._devices.arm.turn_filter(part.filter_deg)

@@ -11,6 +11,7 @@ from rhizotwin.rig import bands
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
+from rhizotwin.rig.scanning.first_look import take_first_look
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.faults import Fault
@@ -134,6 +135,14 @@ def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
     devices.lights.off()
     assert not twin.world.outputs_on
     devices.close()
+
+
+def test_first_look_turns_the_filter_to_the_band_that_shows_the_markers() -> None:
+    twin = Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG)
+    devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
+    image = take_first_look(devices, twin.calibrated_scene(), Observers(say=lambda _: None))
+    devices.close()
+    assert twin.record.shot_of(image).sight.band == "white"
 
 
 def test_each_band_of_the_default_twin_can_be_set() -> None:
