@@ -13,8 +13,8 @@ from rhizotwin.rig.rig_file import BandPart
 from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_DEG = -90.0
-"""Minimum table angle, deg. Far smaller angles show that a board was reset, even after the overshoot of an approach.
-There is no maximum, because no cable turns with the table."""
+"""Minimum table angle, deg. A Marlin board that was reset reports -360 deg; the distance leaves room for the overshoot
+before an approach. There is no maximum, because no cable turns with the table."""
 
 
 @dataclass(frozen=True, kw_only=True)

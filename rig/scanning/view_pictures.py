@@ -48,6 +48,7 @@ class ViewPictures:
         self._note = note
         self._now_s = now_s
         self._main, self._others = "", tuple[str, ...]()
+        """Name of the band in which the markers are visible in this ring, and names of its other bands."""
         self._selected: str | None = ""
         """Name of the band to which the lamps and the filter are set. It is None after a fault."""
         self.placement = 0
@@ -71,7 +72,10 @@ class ViewPictures:
         self._select(main)
 
     def reset_band(self) -> None:
-        """Set the filter for the band of the markers, regardless of the band in which the board failed."""
+        """Return to the band of the markers after a fault of the board, regardless of the band in which it failed.
+
+        The filter is set now, and the lamps when the board is recovered.
+        """
         self._turntable.band, self._selected = self._main, None
         bands.turn_filter(self._devices.arm, self._devices.rig, self._main)
 
