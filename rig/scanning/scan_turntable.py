@@ -239,7 +239,8 @@ class ScanTurntable:
         self._reconnect(fault.cause)
         shot, seen = self._camera.look()
         references = [*self._looks, *self._read(self.pictures)]
-        kept = self._is_kept(seen, references, most_deg=self.slip_deg)
+        # without references, the angle is not compared: it was verified at the start, maybe from another azimuth
+        kept = self._is_kept(seen if references else None, references, most_deg=self.slip_deg)
         if not kept:
             self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
             if seen is not None:
