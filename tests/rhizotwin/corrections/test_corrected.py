@@ -45,6 +45,7 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(own: Path, tmp
     assert summary["volume_mm3"] == pytest.approx(session.measure().volume_mm3, rel=1e-9)
     assert volume_of(tmp_path / "new") == pytest.approx(summary["volume_mm3"], rel=1e-5)
     loaded = load_result(tmp_path / "new")
+    assert loaded.summary()["edits"] == summary["edits"]
     assert loaded.solid.length_mm == pytest.approx(session.measure().length_mm)
     assert loaded.measured.total_length_mm == pytest.approx(session.measure().length_mm)
     assert loaded.measured.volume_mm3 == summary["volume_mm3"]
