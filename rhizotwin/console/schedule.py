@@ -91,12 +91,12 @@ class _Person(PersonChanger):
         self._table = table
         self._to_person, self._answer = ask, ""
 
-    def change(self, member: Member, *, reason: str = "") -> None:
+    def change(self, member: Member, reason: str, /) -> None:
         """Ask the person to place the canister of a plant.
 
         On the emulated rig, place the canister whose number was answered.
         """
-        super().change(member, reason=reason)
+        super().change(member, reason)
         table = self._table()
         if isinstance(table, EmulatedTable):
             table.put(int(self._answer) if self._answer.isdecimal() else member.canister)

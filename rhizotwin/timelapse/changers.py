@@ -16,7 +16,7 @@ class NobodyError(UserError):
 class Changer(Protocol):
     """Interface of a device or person that places canisters on the turntable."""
 
-    def change(self, member: Member, *, reason: str = "") -> None:
+    def change(self, member: Member, reason: str, /) -> None:
         """Place the canister of a plant on the turntable, and return when it is in place.
 
         Parameters
@@ -24,7 +24,8 @@ class Changer(Protocol):
         member : Member
             Plant to be scanned next.
         reason : str
-            Message of the previous failed attempt, for example because of a wrong plant on the turntable.
+            Message of the previous failed attempt, for example because of a wrong plant on the turntable. It is empty
+            at the first attempt.
 
         Raises
         ------
@@ -47,7 +48,7 @@ class PersonChanger:
     def __init__(self, ask: Ask | None) -> None:
         self._ask = ask
 
-    def change(self, member: Member, *, reason: str = "") -> None:
+    def change(self, member: Member, reason: str, /) -> None:
         """Ask a person to place the canister on the turntable, and wait for confirmation."""
         if self._ask is None:
             raise NobodyError(
@@ -73,7 +74,7 @@ class CarouselChanger:
         self._carousel = carousel
         self._is_ready = False
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
+    def change(self, member: Member, _reason: str, /) -> None:
         """Load the canister from the carousel."""
         if not self._is_ready:
             self._carousel.prepare()
@@ -93,6 +94,6 @@ class EmulatedHand:
     def __init__(self, put: Callable[[int], object]) -> None:
         self._put = put
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
+    def change(self, member: Member, _reason: str, /) -> None:
         """Place the canister on the emulated turntable."""
         self._put(member.canister)

@@ -57,12 +57,13 @@ class VirtualCalendar:
         """Return the virtual time, UTC."""
         return self._now
 
-    def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:  # noqa: ARG002 - the wait is over at once
+    def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:
         """Set the virtual time to ``then`` without waiting.
 
-        The time is not changed if it is already later.
+        The time is not changed if it is already later, or if ``stop`` returns True.
         """
-        self._now = max(self._now, then)
+        if not stop():
+            self._now = max(self._now, then)
 
     def advance(self, seconds: float) -> None:
         """Advance the virtual time by the given number of seconds."""

@@ -177,13 +177,15 @@ class Runner:
 
     def _attempt(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
         """Place the canister and scan the plant, again if the rig fails or the plant is another one."""
+        if self._changer is None:
+            raise RuntimeError("the run has not started")
         reason = ""
         for attempt in range(1, self.experiment.schedule.tries + 1):
             if self._miss_if_late(catalogue, visit, folder, reason=reason):
                 return
             visit = self._change(catalogue, visit, state="scanning", note=reason)
             try:
-                self._place(member, reason=reason)
+                self._changer.change(member, reason)
                 if self._miss_if_late(catalogue, visit, folder, reason=reason):
                     return
                 self._scan(catalogue, visit, member, folder)
@@ -210,12 +212,6 @@ class Runner:
         note = reason or visit.note or f"the scan was {'interrupted and not continued' if begun else 'not started'} in time"
         self._change(catalogue, visit, state="missed", note=note)
         return True
-
-    def _place(self, member: Member, *, reason: str) -> None:
-        """Place the canister on the turntable."""
-        if self._changer is None:
-            raise RuntimeError("the run has not started")
-        self._changer.change(member, reason=reason)
 
     def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
         """Check the identity of the plant in the first picture, and scan it.

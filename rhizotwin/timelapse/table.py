@@ -27,7 +27,7 @@ class RealTable:
         path = experiment.folder / experiment.rig
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
-    def bench(self, scene: Scene, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
+    def bench(self, scene: Scene, _number: int, /) -> tuple[rigs.Bench, None]:
         """Return the rig with the scene of a scan.
 
         The second value is None, because options for simulated pictures do not apply to a real rig.
@@ -36,7 +36,7 @@ class RealTable:
         ----------
         scene : Scene
             Nominal scene of the scan.
-        number : int
+        _number : int
             Number of the scan, which a real rig ignores.
         """
         return replace(self._bench, scene=scene), None
@@ -59,7 +59,7 @@ class EmulatedTable:
         """Place a canister on the turntable."""
         self.canister = canister
 
-    def bench(self, scene: Scene, number: int) -> tuple[rigs.Bench, rigs.TwinPictures]:
+    def bench(self, scene: Scene, number: int, /) -> tuple[rigs.Bench, rigs.TwinPictures]:
         """Return the emulated rig for a scan, with its calibrated lens, and the options for its pictures.
 
         Parameters

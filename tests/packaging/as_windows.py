@@ -57,7 +57,7 @@ def hide_posix() -> None:
     # this library chooses by the platform at every call
     own = types.ModuleType("sys")
     own.__dict__.update(sys.__dict__)
-    importlib.import_module("threadpoolctl").sys = own  # type: ignore[attr-defined]
+    vars(importlib.import_module("threadpoolctl"))["sys"] = own
     sys.platform = "win32"
 
 

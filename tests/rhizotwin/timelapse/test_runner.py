@@ -128,7 +128,7 @@ class SlowHand:
         self._calendar, self._hours = calendar, hours
         self.runner: Runner | None = None
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
+    def change(self, member: Member, _reason: str, /) -> None:
         """Put the canister on the table after some hours."""
         self._calendar.advance(3600.0 * self._hours)
         assert self.runner is not None
