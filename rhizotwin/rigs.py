@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
-PLANT_FIELDS = ("species", "treatment", "replicate")
-"""Fields of a scan's subject that the catalogue also contains."""
 SHOTS_FILE = "truth/shots.jsonl"
 """File with the true state of the emulated rig at the time of each picture. The ground truth of a scan is computed from
 it."""
@@ -176,7 +174,7 @@ def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
         If a value in the scene differs from the catalogue.
     """
     strip, subject = scene.strip, scene.subject
-    for name in PLANT_FIELDS:
+    for name in ("species", "treatment", "replicate"):
         given, known = getattr(subject, name), getattr(plant, name)
         if given in ("", None):
             subject = replace(subject, **{name: known})

@@ -59,6 +59,11 @@ def ring_bands(scene: Scene, ring: int) -> tuple[str, ...]:
     return scene.plan.rings[ring].bands or tuple(band.name for band in scene.camera.bands) or ("",)
 
 
+def count_pictures(scene: Scene) -> int:
+    """Return the number of pictures of a scan: one per view and band."""
+    return sum(ring.views * len(ring_bands(scene, number)) for number, ring in enumerate(scene.plan.rings))
+
+
 def main_band(scene: Scene, ring: int) -> str:
     """Return the name of the band of a ring in which outlines and markers are visible.
 

@@ -56,7 +56,7 @@ class Questions:
         finally:
             with self._lock:
                 self.text = ""
-                while not self._answers.empty():  # discard the answer of a second client
+                while not self._answers.empty():  # discard an answer that arrived after the cancellation
                     self._answers.get()
             self._on_change()
 

@@ -27,7 +27,7 @@ from rhizotwin.scenes.formatting import error_sentence, is_expected, printable
 from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.subject import Subject, from_summary
 from rhizotwin.stored.result_files import read_summary
-from rhizotwin.timelapse.reconstruction import GROWTH
+from rhizotwin.timelapse.reconstruction import GROWTH, growth_page
 
 NAME = re.compile(r"\w[\w.-]{0,99}")
 MOST_BYTES = 200
@@ -146,7 +146,7 @@ class ScanFolders:
 
     def growth(self) -> Path | None:
         """Return the path of the HTML page with the growth curves. It is None if the page does not exist."""
-        path = self.results / GROWTH / "growth.html"
+        path = growth_page(self.results)
         return path if path.is_file() and not path.is_symlink() else None
 
     def list_scans(self) -> list[ScanEntry]:

@@ -23,7 +23,8 @@ EVERY_H = (0.25, 10000.0)
 """Minimum and maximum interval between two scans of a plant, in hours. The names of datasets contain the day with two
 decimals. Below 0.24 h, two scans could have the same name."""
 MOST_DELAY = timedelta(hours=12)
-"""Delay of a scan from which its age is no longer that at the planned time."""
+"""Delay from which a scan has the age at its start instead of that at its planned time, unless half an interval is
+shorter."""
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -239,8 +240,8 @@ class Experiment:
     def known_scene(self, member: Member, due_utc: str, begin: datetime | None = None) -> Scene:
         """Return the scene of a planned scan with nominal values.
 
-        The age is that at the planned time, which is common to all plants of a round, unless the scan begins half an
-        interval or `MOST_DELAY` later.
+        The age is that at the planned time, so that all plants of a round have the same age in the growth curves. From
+        a delay of half an interval or `MOST_DELAY`, whichever is shorter, it is the age at the start of the scan.
 
         Parameters
         ----------
@@ -253,8 +254,9 @@ class Experiment:
         """
         due = datetime.fromisoformat(due_utc)
         begin = begin or due
-        is_late = begin - due >= min(timedelta(hours=member.every_h or self.schedule.every_h) / 2, MOST_DELAY)
-        return self.scene_at(member, day=self.day(member, begin if is_late else due), date=begin.astimezone(self.zone).date().isoformat())
+        half = timedelta(hours=member.every_h or self.schedule.every_h) / 2
+        day = self.day(member, due if begin - due < min(half, MOST_DELAY) else begin)
+        return self.scene_at(member, day=day, date=begin.astimezone(self.zone).date().isoformat())
 
     def scene_at(self, member: Member, *, day: float | None, date: str) -> Scene:
         """Return the nominal scene of a plant at a given age and date.

@@ -16,6 +16,11 @@ GROWTH = "growth"
 """Name of the subfolder of growth curves in the folder of the results."""
 
 
+def growth_page(results: Path) -> Path:
+    """Return the path of the page with the growth curves in a folder of results."""
+    return results / GROWTH / growth_files.PAGE
+
+
 class Reconstructor:
     """Reconstructs the finished scans of an experiment, and updates its growth curves.
 
@@ -30,7 +35,7 @@ class Reconstructor:
     def __init__(self, experiment: Experiment, *, say: Callable[[str], object]) -> None:
         self._experiment, self._say = experiment, say
         self._longest_s = 0.0
-        """Longest duration of a reconstruction so far."""
+        """Longest duration of a reconstruction so far, also if it was stopped. It predicts the next one."""
         self._tried: set[Path] = set()
         """Datasets whose reconstruction ended, also if it failed, or that show no roots."""
         self._charted: list[Path] = []
@@ -95,10 +100,10 @@ class Reconstructor:
             self._tried.update(one.path for one in scans)
 
     def _update_growth(self, catalogue: Catalogue) -> bool:
-        """Update the growth curves if they are older than a result, and return whether they are."""
+        """Update the growth curves if they are older than a result, and return whether they were."""
         phantoms = {one.name for one in self._experiment.plants if one.phantom}
         results = [one.path for one in catalogue.chosen_results() if not phantoms.intersection(one.plants)]
-        page = self._experiment.results_folder / GROWTH / growth_files.PAGE
+        page = growth_page(self._experiment.results_folder)
         written = page.stat().st_mtime_ns if page.is_file() else 0
         heads = [path / "result.json" for path in results]
         if results == self._charted or not any(head.is_file() and head.stat().st_mtime_ns > written for head in heads):

@@ -27,11 +27,11 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.plan import ring_bands
+from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.timelapse.changers import Changer, NobodyError
 from rhizotwin.timelapse.clocks import Calendar, SystemCalendar, VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member
-from rhizotwin.timelapse.reconstruction import GROWTH, Reconstructor
+from rhizotwin.timelapse.reconstruction import Reconstructor, growth_page
 from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
 
 
@@ -171,8 +171,7 @@ class Runner:
             if isinstance(error.__cause__, OSError | sqlite3.Error):
                 raise
             scene = self.experiment.base_scene()
-            pictures = sum(ring.views * len(ring_bands(scene, number)) for number, ring in enumerate(scene.plan.rings))
-            check_disk(folder, pictures, scene.camera)
+            check_disk(folder, count_pictures(scene), scene.camera)  # a full disk must not make all scans missed
             self._change(catalogue, visit, state="missed", note=str(error))
 
     def _attempt(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
@@ -292,7 +291,7 @@ class Runner:
 def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
     """Return the current state of an experiment from its catalogue."""
     visits = list_visits(catalogue)
-    page = experiment.results_folder / GROWTH / "growth.html"
+    page = growth_page(experiment.results_folder)
     return Outcome(
         scanned=sum(one.state == "scanned" for one in visits),
         missed=tuple(one for one in visits if one.state == "missed"),
