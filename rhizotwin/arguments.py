@@ -237,6 +237,7 @@ def read_shift_mm(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+Replicate: TypeAlias = Annotated[int, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")]
 SolutionName = Annotated[Solution, option(read_solution, "SOLUTION")]
 
 
@@ -255,7 +256,7 @@ class SubjectOptions:
     """Age of the plant, in days since sowing."""
     date: Annotated[str | None, option(read_date, "DATE")] = None
     """Date of the scan, such as 2022-10-06."""
-    replicate: Annotated[int | None, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
+    replicate: Replicate | None = None
     """Number of the replicate within its treatment."""
     notes: Annotated[str | None, with_metavar("TEXT")] = None
     """Free text, copied to all tables of traits."""

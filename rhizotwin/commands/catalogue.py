@@ -26,6 +26,7 @@ from cyclopts import Parameter
 from rhizotwin.arguments import (
     Flag,
     OutputFolder,
+    Replicate,
     SceneName,
     check_new_file,
     list_of,
@@ -61,7 +62,7 @@ class PlantOptions:
     """Treatment of the plant, such as 'low N'."""
     sown: Annotated[str, option(read_date, "DATE")] = ""
     """Sowing date, such as 2026-11-26."""
-    replicate: Annotated[int | None, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
+    replicate: Replicate | None = None
     """Number of the replicate within its treatment."""
 
 
