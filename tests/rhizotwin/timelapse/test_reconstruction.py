@@ -1,0 +1,109 @@
+"""Reconstruction of the scans between and after other scans, and update of the growth curves."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.batches.jobs import Job
+from rhizotwin.batches.run import Batch
+from rhizotwin.catalogue import adding
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.verify import check
+from rhizotwin.scenes import files
+from rhizotwin.scenes.model import CapturePlan, Ring
+from rhizotwin.timelapse.clocks import VirtualCalendar
+from rhizotwin.timelapse.experiment import load_experiment
+from rhizotwin.timelapse.reconstruction import Reconstructor
+from rhizotwin.timelapse.runner import Listener, Runner
+
+
+def test_growth_curves_are_written_if_an_earlier_run_was_killed_before(make_experiment, ball_result):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    Runner(experiment).prepare()
+    page = experiment.results_folder / "growth" / "growth.html"
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        for day in (0.0, 1.0):
+            result = ball_result(f"results/P1_{day:g}", subject={"plant": "P1", "treatment": "low N", "day": day})
+            adding.add_result(catalogue, result)
+        step = partial(Reconstructor(experiment, say=print).step, catalogue, stop=lambda: False)
+        assert step()
+        written = page.stat().st_mtime_ns
+        assert not step()
+        assert page.stat().st_mtime_ns == written
+        (result / "result.json").touch()
+        assert Reconstructor(experiment, say=print).step(catalogue, stop=lambda: False)
+        assert page.stat().st_mtime_ns > written
+
+
+class SlowBatch:
+    """Reconstructions that take two hours of virtual time, unless they are stopped."""
+
+    def __init__(self, calendar: VirtualCalendar) -> None:
+        self._calendar = calendar
+        self.began = list[str]()
+        self.stopped = list[str]()
+
+    def run(self, jobs: Sequence[Job], _: str, *, stop: Callable[[], bool], **__: object) -> Batch:
+        """Let time pass minute by minute."""
+        self.began += [job.name for job in jobs]
+        for _minute in range(120):
+            if stop():
+                self.stopped += [job.name for job in jobs]
+                return Batch(kept=(), done=(), failed=())
+            self._calendar.advance(60.0)
+        return Batch(kept=(), done=(), failed=tuple((job, "no roots") for job in jobs))
+
+
+def test_reconstruction_does_not_delay_the_next_scan(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    experiment = load_experiment(make_experiment(plants=2, rounds=2, schedule="every_h = 1\nlate_h = 0.5"))
+    calendar = VirtualCalendar(experiment.start_utc)
+    batch = SlowBatch(calendar)
+    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
+    monkeypatch.setattr("rhizotwin.batches.run.run", batch.run)
+    outcome = Runner(experiment, calendar=calendar).run()
+    assert (outcome.scanned, outcome.missed) == (4, ())
+    assert batch.stopped == ["P1_day_000.00"]
+    assert sorted(batch.began[1:]) == ["P1_day_000.00", "P1_day_000.04", "P2_day_000.00", "P2_day_000.04"]
+
+
+def test_reconstruction_that_would_take_too_long_is_not_begun(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    batch = SlowBatch(VirtualCalendar(experiment.start_utc))
+    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
+    monkeypatch.setattr("rhizotwin.batches.run.run", batch.run)
+    done = list[str]()
+    Runner(experiment, listener=Listener(on_visit=lambda visit: done.append(visit.state), stop=lambda: "scanned" in done)).run()
+    reconstructor = Reconstructor(experiment, say=print)
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        stops = iter([False, True, True])
+        assert reconstructor.step(catalogue, stop=lambda: next(stops), left_s=60.0)
+        assert not reconstructor.step(catalogue, stop=lambda: False, left_s=1e-9)
+        assert reconstructor.step(catalogue, stop=lambda: False, left_s=60.0)
+    assert batch.began == ["P1_day_000.00"] * 2
+
+
+@pytest.mark.slow
+def test_rendered_scans_are_reconstructed(tmp_path: Path):
+    """A radish on two days: results and the rig's numbers are in the catalogue, and each day has more root."""
+    scene = files.load_scene("radish_day05b")
+    plan = CapturePlan(rings=(Ring(views=16),))
+    files.save_scene(replace(scene, camera=scene.camera.resized((400, 300)), plan=plan), tmp_path / "scene.toml")
+    text = (
+        'name = "radish"\nrig = "twin"\nscene = "scene.toml"\n[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 2\nevery_h = 72\n'
+    )
+    text += '[twin]\nfidelity = "render"\n[[plants]]\nname = "P1"\ncanister = 1\nsown = "2026-11-26"\n'
+    (tmp_path / "e.toml").write_text(text)
+    experiment = load_experiment(tmp_path / "e.toml")
+    assert Runner(experiment).run().scanned == 2
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        first, second = catalogue.results()
+        assert (first.plants, first.day, second.day) == (("P1",), 5.0, 8.0)
+        assert {"focal_scale", "panel_level", "canister_tilt_deg"} <= set(first.rig_numbers)
+        lengths = dict(
+            catalogue.rows("SELECT x.day, t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'total_length'")
+        )
+        assert lengths[8.0] > lengths[5.0] > 0.0
+        assert check(catalogue) == []
