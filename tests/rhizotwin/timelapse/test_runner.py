@@ -3,7 +3,6 @@
 import errno
 import os
 import random
-import shutil
 import signal
 import sqlite3
 import subprocess
@@ -11,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -192,7 +192,7 @@ def fail(cause: Exception) -> Callable[..., None]:
     [
         ("rhizotwin.rigs.take_scan", fail(OSError(errno.ENOSPC, "full"))),
         ("rhizotwin.rigs.take_scan", fail(sqlite3.OperationalError("database is locked"))),
-        ("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2**40, 2**40, 2**24)),
+        ("shutil.disk_usage", lambda _: SimpleNamespace(total=2**40, free=2**24)),
     ],
     ids=["disk full", "catalogue locked", "too little space for the pictures"],
 )
