@@ -86,8 +86,13 @@ class Reconstructor:
 
         folder, voxel_mm = str(self._experiment.results_folder), self._experiment.reconstruction.voxel_mm
         begin_s = time.monotonic()
-        jobs = collect.reconstructions([str(one.path) for one in scans], folder, voxel_mm=voxel_mm, settings=None, device="auto")
-        made = run(jobs, folder, workers=1 if len(jobs) == 1 else None, stop=stop)
+        try:
+            jobs = collect.reconstructions([str(one.path) for one in scans], folder, voxel_mm=voxel_mm, settings=None, device="auto")
+            made = run(jobs, folder, workers=1 if len(jobs) == 1 else None, stop=stop)
+        except UserError as error:  # for example, another batch uses the folder
+            self._say(f"the reconstruction of {count(len(scans), 'scan')} failed: {error}")
+            self._tried.update(one.path for one in scans)
+            return
         self._longest_s = max(self._longest_s, time.monotonic() - begin_s)
         for job in (*made.kept, *made.done):
             try:

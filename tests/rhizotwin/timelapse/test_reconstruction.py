@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from rhizotwin.batches.jobs import Job
-from rhizotwin.batches.run import Batch
+from rhizotwin.batches.run import LOCK, Batch
 from rhizotwin.catalogue import adding
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.scenes import files
+from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.model import CapturePlan, Ring
 from rhizotwin.timelapse.clocks import VirtualCalendar
 from rhizotwin.timelapse.experiment import load_experiment
@@ -67,6 +68,17 @@ def test_reconstruction_does_not_delay_the_next_scan(make_experiment, monkeypatc
     assert (outcome.scanned, outcome.missed) == (4, ())
     assert batch.stopped == ["P1_day_000.00"]
     assert sorted(batch.began[1:]) == ["P1_day_000.00", "P1_day_000.04", "P2_day_000.00", "P2_day_000.04"]
+
+
+def test_results_folder_in_use_does_not_end_the_run(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    experiment, lines = load_experiment(make_experiment(plants=1, rounds=2)), list[str]()
+    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
+    experiment.results_folder.mkdir()
+    with lock_file(experiment.results_folder / LOCK, what="results"):
+        assert Runner(experiment, listener=Listener(say=lines.append)).run().scanned == 2
+    failed = [line for line in lines if line.startswith("the reconstruction of 1 scan failed: ")]
+    assert len(failed) == 2
+    assert all("is using it" in line for line in failed)
 
 
 def test_reconstruction_that_would_take_too_long_is_not_begun(make_experiment, monkeypatch: pytest.MonkeyPatch):
