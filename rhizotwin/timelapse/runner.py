@@ -165,10 +165,8 @@ class Runner:
                 self._finish(catalogue, visit, folder)
             else:
                 self._attempt(catalogue, visit, member, folder)
-        except NobodyError:
-            raise
         except UserError as error:
-            if isinstance(error.__cause__, OSError | sqlite3.Error):
+            if isinstance(error, NobodyError) or isinstance(error.__cause__, OSError | sqlite3.Error):
                 raise
             scene = self.experiment.base_scene()
             check_disk(folder, count_pictures(scene), scene.camera)  # a full disk must not make all scans missed
