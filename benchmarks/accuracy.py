@@ -12,9 +12,7 @@ from benchmarks.cases import Case
 from benchmarks.metric import Direction, Metric
 from benchmarks.run import Run, Say
 from rhizotwin import sources
-from rhizotwin.recon.uncertainty import calibration
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.provenance import versions
 
 _SOURCES = {
@@ -115,13 +113,10 @@ def _kept_path(case: Case, *, device: str, change: str) -> Path:
         "device": device,
         "change": change,
         "versions": versions(_VERSIONED),
-        "calibration": file_sha256(calibration.TABLE) if case.method == "coverage" else None,
     }
-    return (
-        cache.folder()
-        / "scores"
-        / f"{cache.key(settings, sources=sources.digest((*_SOURCES[case.method], *(() if change == UNCHANGED else (_CHANGES,)))))}.json"
-    )
+    entries = _SOURCES[case.method] if change == UNCHANGED else (*_SOURCES[case.method], _CHANGES)
+    code = (sources.digest_of_results if case.method == "coverage" else sources.digest)(entries)
+    return cache.folder() / "scores" / f"{cache.key(settings, sources=code)}.json"
 
 
 def compute_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record:

@@ -18,11 +18,9 @@ import numpy as np
 
 from rhizotwin import plan_report, sources
 from rhizotwin.plans import Row, Variant
-from rhizotwin.recon.uncertainty import calibration
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
@@ -90,8 +88,7 @@ def run_plans(
         "scene": files.scene_to_dict(scene),
         "profile": profile_name,
         "versions": versions(_VERSIONED),
-        "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),
-        "calibration": file_sha256(calibration.TABLE),
+        "code": sources.digest_of_results(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),
     }
     with lock_folder(folder):
         return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, monitor or Monitor())

@@ -10,6 +10,9 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
+from rhizotwin.recon.uncertainty import calibration
+from rhizotwin.scenes.dataset import file_sha256
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = (
     "rhizotwin.scenes",
@@ -60,8 +63,8 @@ def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str
 def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> str:
     """Return a SHA-256 of the code of all modules in a closure, and of the data files in their packages.
 
-    Comments and docstrings are ignored. JSON files are ignored too: the calibration of the intervals is measured with
-    this code, and is a part of the keys of results. The parameters are those of `closure`.
+    Comments and docstrings are ignored. JSON files are ignored too, because the calibration of the intervals is
+    measured with this code; for results, use `digest_of_results`. The parameters are those of `closure`.
     """
     total = hashlib.sha256()
     modules = closure(entries, root=root, without=without)
@@ -74,6 +77,22 @@ def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str]
             if path.is_file() and path.suffix not in (".py", ".pyc", ".json") and not place.startswith(DATA_OF_SCENES):
                 total.update(f"{place}\0".encode() + path.read_bytes())
     return total.hexdigest()
+
+
+def digest_of_results(entries: Iterable[str]) -> str:
+    """Return a digest of the code that computes results and of the calibration of their intervals.
+
+    Parameters
+    ----------
+    entries : iterable of str
+        Names of the modules that compute the results, see `closure`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If an entry is not a module of the project.
+    """
+    return f"{digest(entries)}-{file_sha256(calibration.TABLE)}"
 
 
 def _file(module: str, root: Path) -> Path | None:

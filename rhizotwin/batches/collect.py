@@ -10,8 +10,6 @@ from typing import Any
 from rhizotwin import sources
 from rhizotwin.batches import places
 from rhizotwin.batches.jobs import Job, key_of, named
-from rhizotwin.recon.uncertainty import calibration
-from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
@@ -49,12 +47,11 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
     """
     found = list(dict.fromkeys(_resolved(dataset) for scan in scans for dataset in places.find_datasets(scan)))
     options: dict[str, Any] = {"voxel_mm": voxel_mm, "settings": None if settings is None else _checked(settings), "device": device}
-    code = sources.digest(("rhizotwin.recon.reconstruct",))
-    shared = {key: value for key, value in options.items() if key != "device"} | {"calibration": file_sha256(calibration.TABLE)}
+    code = sources.digest_of_results(("rhizotwin.recon.reconstruct",))
     jobs = []
     for name, dataset in zip(named(found), found, strict=True):
         data = _head(dataset)
-        decides = shared | {"dataset": hashlib.sha256(data).hexdigest()}
+        decides = {key: value for key, value in options.items() if key != "device"} | {"dataset": hashlib.sha256(data).hexdigest()}
         key, output = key_of(decides, code=code), places.join(results, name)
         jobs.append(Job(name=name, kind="reconstruct", source=dataset, output=output, key=key, pixels=_pixels(data), options=options))
     return jobs

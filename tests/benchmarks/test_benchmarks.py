@@ -11,6 +11,7 @@ from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
+from rhizotwin.recon.uncertainty import calibration
 
 PLANT = Pictures(scene="radish_day05a", rings=2, views=3, image_wh=(80, 60))
 CASES = [Case(pictures=PLANT), Case(pictures=PLANT, method="thesis")]
@@ -78,7 +79,7 @@ def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypa
     monkeypatch.setattr(accuracy.sources, "digest", lambda *_names, **_given: "changed")
     accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
     (tmp_path / "calibration.json").write_text("{}", encoding="utf-8")
-    monkeypatch.setattr(accuracy.calibration, "TABLE", tmp_path / "calibration.json")
+    monkeypatch.setattr(calibration, "TABLE", tmp_path / "calibration.json")
     accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
     assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"] * 3
 
