@@ -38,10 +38,12 @@ class Comparison:
 
     case: str
     largest: float
-    """Largest difference of a sampled pixel, relative to full scale. It is infinite if there is no reference, and NaN
-    if the reference has another number of pictures."""
+    """Largest difference of a sampled pixel, relative to full scale. It is infinite if there is no reference, or if the
+    reference has another number of pictures."""
     volume: float
     """Relative difference between the true volume and its reference. It is infinite if there is no reference."""
+    has_reference: bool = True
+    """Whether this version of the program has a reference for the case."""
 
     @property
     def same(self) -> bool:
@@ -62,8 +64,8 @@ def compare(folder: Path, case: str, reference: dict[str, Any]) -> Comparison:
     """Compare a rendered case with its reference fingerprint."""
     known, found = reference.get(case), take(folder)
     if known is None:
-        return Comparison(case=case, largest=float("inf"), volume=float("inf"))
-    largest = float("nan")
+        return Comparison(case=case, largest=float("inf"), volume=float("inf"), has_reference=False)
+    largest = float("inf")
     if len(known["pixels"]) == len(found["pixels"]):
         largest = float(np.abs(np.asarray(known["pixels"], np.float64) - np.asarray(found["pixels"], np.float64)).max()) / 65535.0
     return Comparison(case=case, largest=largest, volume=abs(found["volume_mm3"] / known["volume_mm3"] - 1.0))

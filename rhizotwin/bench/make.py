@@ -44,9 +44,9 @@ def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[
 
 def sentence(one: Comparison) -> str:
     """Return a sentence for the user about the result of a comparison."""
-    if one.largest == float("inf"):
+    if not one.has_reference:
         return f"{one.case}: rendered; this version of the program has no reference for this case"
-    if math.isnan(one.largest):
+    if math.isinf(one.largest):
         return f"{one.case}: the number of pictures is DIFFERENT FROM THE REFERENCE"
     amount = f"maximum difference of sampled pixels {one.largest:.1e} of full scale (limit {fingerprints.LIMIT:g})"
     return f"{one.case}: {amount}, {'identical to the reference' if one.same else 'DIFFERENT FROM THE REFERENCE'}"
