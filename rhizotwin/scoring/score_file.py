@@ -317,7 +317,7 @@ class _Known:
 
 
 def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
-    from rhizotwin.scoring.foreign_solids import to_solid
+    from rhizotwin.scoring.mesh_solid import to_solid
 
     found, true = (to_solid(one) for one in (mesh, known.solid))
     volume_mm3: float | None

@@ -1,4 +1,4 @@
-"""Conversion of closed meshes of other methods to solids in which overlaps count once."""
+"""Conversion of closed meshes to solids in which overlaps count once."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import manifold3d
 import numpy as np
-from numpy.typing import NDArray
 
 from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.sim.solids import to_manifold, to_surface
 
 _SMALLEST = 1e-5
 """Relative volume of an overlap that is ignored. Rounding errors of thin parts are below 3e-6."""
 
 
 @dataclass(frozen=True)
-class ForeignSolid:
+class MeshSolid:
     """Solid that a mesh bounds."""
 
     solid: manifold3d.Manifold
@@ -24,19 +24,19 @@ class ForeignSolid:
     """Whether shells of the mesh overlap and were united."""
 
 
-def to_solid(mesh: Mesh) -> ForeignSolid | None:
+def to_solid(mesh: Mesh) -> MeshSolid | None:
     """Convert a mesh to a solid whose overlapping shells are united.
 
     The result is None if no exact solid can be computed: the mesh is not closed, a shell intersects itself, or normals
     point inwards (except those of a cavity).
     """
-    solid = _to_manifold(mesh.vertices_mm, mesh.faces)
+    solid = to_manifold(mesh.vertices_mm, mesh.faces.astype(np.int32))
     if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
         return None
     if not _overlaps(solid):
-        return ForeignSolid(solid, False)
+        return MeshSolid(solid, was_united=False)
     united = _unite_shells(solid.decompose())
-    return None if united is None else ForeignSolid(united, True)
+    return None if united is None else MeshSolid(united, was_united=True)
 
 
 def _unite_shells(shells: list[manifold3d.Manifold]) -> manifold3d.Manifold | None:
@@ -63,10 +63,5 @@ def _overlaps(solid: manifold3d.Manifold) -> bool:
 
 
 def _invert(shell: manifold3d.Manifold) -> manifold3d.Manifold:
-    mesh = shell.to_mesh64()
-    return _to_manifold(np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts)[:, ::-1])
-
-
-def _to_manifold(vertices_mm: NDArray[np.float64], faces: NDArray[np.integer]) -> manifold3d.Manifold:
-    vertices, triangles = np.ascontiguousarray(vertices_mm, np.float64), np.ascontiguousarray(faces, np.uint64)
-    return manifold3d.Manifold(manifold3d.Mesh64(vert_properties=vertices, tri_verts=triangles))
+    vertices_mm, faces = to_surface(shell)
+    return to_manifold(vertices_mm, faces[:, ::-1])
