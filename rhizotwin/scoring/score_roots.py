@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
@@ -79,8 +80,5 @@ def _count_matches(these: Array, others: Array) -> int:
     """Count the pairs of tips (A, 3) and (B, 3) within `TIP_MM`, each tip in at most one pair."""
     if not len(these) or not len(others):
         return 0
-    near = cKDTree(others).query_ball_point(these, TIP_MM)
-    row = np.repeat(np.arange(len(these)), [len(one) for one in near])
-    column = np.concatenate([np.asarray(one, np.int64) for one in near])
-    graph = csr_array((np.ones(len(row), np.int8), (row, column)), shape=(len(these), len(others)))
-    return int((maximum_bipartite_matching(graph, perm_type="column") >= 0).sum())
+    near = csr_array(cdist(these, others) <= TIP_MM)
+    return int((maximum_bipartite_matching(near, perm_type="column") >= 0).sum())
