@@ -156,9 +156,12 @@ def _print_fits(model: "Model", found: "list[Pair]") -> None:
         mark = "*" if one in model.relations else ""
         print(f"{mark:2}{one.name:<46}{one.plants:>7}{100 * one.error:>8.1f}%{100 * one.held:>8.0f}%{one.line.slope:>8.3f}")
     print("error: RMS leave-one-out error; covered: fraction of plants within their 90 % interval; *: selected relation")
-    known = biomass.ratios(found)
-    if known:
-        print(f"fresh root mass per volume: mean {np.mean([ratio for _, ratio in known]):.4g} g/ml of {count(len(known), 'plant')}")
+    own: dict[str, list[float]] = {}
+    for pair, ratio in biomass.ratios(found):
+        own.setdefault(pair.measured.subject.plant, []).append(ratio)
+    if own:
+        mean = np.mean([np.mean(days) for days in own.values()])
+        print(f"fresh root mass per volume: mean {mean:.4g} g/ml of {count(len(own), 'plant')}")
     for one in model.tried:
         if one.kind == "root_fresh" and one.trait == "volume" and one.proportional:
             middle, reach = one.line.intercept, one.line.reach(biomass.SHARE) * one.line.covariance[0][0] ** 0.5

@@ -7,7 +7,6 @@ the volume is a density. The model is selected by leave-one-out cross-validation
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,17 +128,21 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
 
 def _check_days(found: Sequence[Pair]) -> None:
     """Raise an error if a result without a day is paired with masses of two days."""
-    known = [pair for pair in found if pair.measured.subject.day is None and pair.weighed.subject.day is not None]
-    for a, b in combinations(known, 2):
-        if a.measured is b.measured and a.weighed.subject.day != b.weighed.subject.day:
+    first: dict[int, Weighed] = {}
+    for pair in found:
+        own, mass = pair.measured, pair.weighed
+        if own.subject.day is not None or mass.subject.day is None:
+            continue
+        before = first.setdefault(id(own), mass)
+        if before.subject.day != mass.subject.day:
             raise UserError(
-                f"{a.measured.who}: the result {a.measured.name} has no day, but masses of two days, {a.weighed.where} and "
-                f"{b.weighed.where}; set the day of the result, or omit one of the masses"
+                f"{own.who}: the result {own.name} has no day, but masses of two days, {before.where} and {mass.where}; "
+                "set the day of the result, or omit one of the masses"
             )
 
 
 def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, float]]:
-    """Return each plant with its mass per volume, g/ml (thesis, table 4.1)."""
+    """Return each pair that has a mass and a volume, with the mass per volume, g/ml (thesis, table 4.1)."""
     with_both = [(pair, pair.measured.usable("volume")) for pair in found if kind in pair.weighed.grams]
     return [(pair, pair.weighed.grams[kind] / (volume / 1000.0)) for pair, volume in with_both if volume is not None]
 

@@ -71,6 +71,17 @@ def test_the_thesis_table_gives_its_densities_and_their_mean(thesis: tuple[Path,
     assert "fresh root mass per volume: mean 0.03401 g/ml of 16 plants" in told
 
 
+def test_the_mean_density_is_that_of_plants_and_not_of_weighings(tmp_path: Path, command: Command) -> None:
+    volumes, masses = tmp_path / "volumes.csv", tmp_path / "masses.csv"
+    days = [("A", 1, 1.2), *((plant, day, 0.9) for plant in "BCD" for day in (1, 2))]
+    sizes = [f"{plant},{day},{100 * k}\n" for k, (plant, day, _) in enumerate(days, start=1)]
+    weights = [f"{plant},{day},{ratio * k / 10.0}\n" for k, (plant, day, ratio) in enumerate(days, start=1)]
+    volumes.write_text("plant,day,volume_mm3\n" + "".join(sizes), encoding="utf-8")
+    masses.write_text("plant,day,root_fresh_g\n" + "".join(weights), encoding="utf-8")
+    told = command.works("biomass", "fit", volumes, masses, "-o", tmp_path / "model.json").out
+    assert "fresh root mass per volume: mean 0.975 g/ml of 4 plants" in told
+
+
 def test_the_shipped_masses_are_the_thesis_own_water_contents(thesis: tuple[Path, Path]) -> None:
     water = {row.cells["plant"]: float(row.cells["water (%)"]) for row in tables.read_table(thesis[0])}
     for one in read_masses(thesis[1], balance_g=1e-4):
