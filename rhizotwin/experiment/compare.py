@@ -26,9 +26,9 @@ SURE = 0.05
 """Significance level for differences between treatments."""
 ROUNDING = 1e-12
 """Magnitude up to which a difference of logarithms, or its standard error, is regarded as zero."""
-DEPENDENT = 1e-6
-"""Minimum singular value of a design whose columns have unit length. Below it, the effects cannot be separated. It
-exceeds the rounding errors of tables, which contain seven digits."""
+TABLE_ROUNDING = 1e-6
+"""Relative difference up to which numbers are regarded as equal. It exceeds the rounding errors of tables, which
+contain seven digits."""
 LEAST_PLANTS = 2
 """Minimum number of plants per treatment for a comparison."""
 
@@ -163,8 +163,8 @@ def reason_not_comparable(seen: Sequence[Observation]) -> str:
         return f"treatment {few[0]!r} has {len(plants[few[0]])} plant, but a comparison needs at least {LEAST_PLANTS} plants per treatment"
     treatments = list(plants)
     for name in treatments[1:]:
-        if why := reason_not_estimable(*_pair(seen, treatments[0], name), whose=f"the treatments {treatments[0]!r} and {name!r}"):
-            return why
+        if why := reason_not_estimable(*_pair(seen, treatments[0], name)):
+            return f"the treatments {treatments[0]!r} and {name!r} {why}"
     return ""
 
 
@@ -203,8 +203,10 @@ def _difference(seen: Sequence[Observation], columns: Array, *, against: str, tr
     )
 
 
-def reason_not_estimable(seen: Sequence[Observation], columns: Array, *, whose: str) -> str:
+def reason_not_estimable(seen: Sequence[Observation], columns: Array) -> str:
     """Return the reason why the effects of covariates cannot be estimated. It is empty if they can be estimated.
+
+    The reason is a sentence without its subject, which is a plural: the treatments or plants that are compared.
 
     Parameters
     ----------
@@ -212,15 +214,13 @@ def reason_not_estimable(seen: Sequence[Observation], columns: Array, *, whose: 
         Observations of the plants.
     columns : (N, C) array of float
         Covariates of each observation's plant.
-    whose : str
-        Subject of the sentence, a plural, for example "the treatments 'A' and 'B'".
     """
     design = _design(seen, columns)
     length = np.linalg.norm(design, axis=0)
-    if np.linalg.matrix_rank(design / np.where(length > 0.0, length, 1.0), tol=DEPENDENT) < design.shape[1]:
-        return f"{whose} share too few days; scan all treatments on the same days"
+    if np.linalg.matrix_rank(design / np.where(length > 0.0, length, 1.0), tol=TABLE_ROUNDING) < design.shape[1]:
+        return "share too few days; scan all treatments on the same days"
     if _degrees_of_freedom(seen, design, columns) < 1:
-        return f"{whose} have {len(seen)} scans, too few to estimate an uncertainty; scan more plants on each day"
+        return f"have {len(seen)} scans, too few to estimate an uncertainty; scan more plants on each day"
     return ""
 
 
@@ -265,6 +265,7 @@ def _design(seen: Sequence[Observation], columns: Array) -> Array:
 
 
 def _degrees_of_freedom(seen: Sequence[Observation], design: Array, columns: Array) -> int:
+    """Return the smaller number of degrees of freedom: that of the plants, or that of the observations."""
     plants = len({one.plant for one in seen})
     return min(plants - 1 - columns.shape[1], len(design) - design.shape[1])
 

@@ -12,7 +12,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.experiment.compare import DEPENDENT, SURE, Observation, effects, reason_not_estimable
+from rhizotwin.experiment.compare import SURE, TABLE_ROUNDING, Observation, effects, reason_not_estimable
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT
@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 MOST_SHARED = 0.9
 """Maximum squared correlation between the concentrations of two ions whose effects are fitted separately. It is
 equivalent to a variance inflation factor of 10 (Marquardt 1970, Technometrics 12:591)."""
-_SAME = DEPENDENT
-"""Relative difference up to which two concentrations are regarded as equal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +178,8 @@ def reason_not_fitted(seen: Sequence[Observation], doses: Mapping[str, Mapping[s
         return "no two plants with a reliable value have different concentrations; scan plants of several nutrient solutions"
     if not _are_independent(dose):
         return "the concentrations of the ions are collinear; vary the salts independently in more plants"
-    return reason_not_estimable(known, dose, whose="plants with different concentrations")
+    why = reason_not_estimable(known, dose)
+    return f"plants with different concentrations {why}" if why else ""
 
 
 def _concentrations(
@@ -227,7 +226,7 @@ def _curvatures(seen: Sequence[Observation], dose: Array) -> list[float | None]:
     """
     count = dose.shape[1]
     both = np.concatenate([dose, (dose - dose.mean(axis=0)) ** 2], axis=1)
-    if reason_not_estimable(seen, both, whose=""):
+    if reason_not_estimable(seen, both):
         return [None] * count
     return [one.p for one in effects(seen, both)[0][count:]]
 
@@ -235,8 +234,8 @@ def _curvatures(seen: Sequence[Observation], dose: Array) -> list[float | None]:
 def _are_independent(columns: Array) -> bool:
     """Return whether the columns (N, C) and a constant column are linearly independent."""
     scaled = (columns - columns.mean(axis=0)) / columns.std(axis=0)
-    return int(np.linalg.matrix_rank(scaled, tol=_SAME * len(scaled) ** 0.5)) == columns.shape[1]
+    return int(np.linalg.matrix_rank(scaled, tol=TABLE_ROUNDING * len(scaled) ** 0.5)) == columns.shape[1]
 
 
 def _are_equal(a: float, b: float) -> bool:
-    return abs(a - b) <= _SAME * max(abs(a), abs(b))
+    return abs(a - b) <= TABLE_ROUNDING * max(abs(a), abs(b))
