@@ -1,0 +1,56 @@
+"""Output of the benchmarks: lines of progress, tables of numbers, and the description of a run."""
+
+import argparse
+import platform
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from benchmarks import cache
+from benchmarks.metric import Metric
+from benchmarks.targets import TARGETS
+from rhizotwin import sources
+
+
+def say(text: str) -> None:
+    """Write a line of progress."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def about(given: argparse.Namespace) -> dict[str, Any]:
+    """Return the versions, device and command of the measurements."""
+    packages = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
+    versions = {}
+    for package in packages:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return {
+        "command": f"{given.what}{' --quick' if given.quick else ''}",
+        "device": given.device,
+        "reconstruction": sources.digest(("rhizotwin.recon.reconstruct",))[:12],
+        "python": platform.python_version(),
+        **versions,
+    }
+
+
+def results_table(metrics: Sequence[Metric]) -> str:
+    """Return the numbers as text, with their targets."""
+    width = max((len(metric.key) for metric in metrics), default=0)
+    lines = [f"{'metric':<{width}}  {'value':>12} unit  target"]
+    for metric in metrics:
+        target = ""
+        if metric.key in TARGETS:
+            wanted = TARGETS[metric.key]
+            target = f"{wanted.text}: {'reached' if wanted.reached(metric.value) else 'NOT REACHED'}"
+        lines.append(f"{metric.key:<{width}}  {metric.value:>12.5g} {metric.unit:<4}  {target}".rstrip())
+    return "\n".join(lines)
+
+
+def results_folder() -> Path:
+    """Return the folder for the numbers of runs without ``--output``."""
+    return cache.folder() / "results"
