@@ -15,6 +15,7 @@ from rhizotwin.experiment.masses import KINDS, Weighed
 from rhizotwin.experiment.measured import Measured, exclusion_notes, one_species
 from rhizotwin.experiment.york import Line, fit_line
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
 
 Array = NDArray[np.float64]
 
@@ -182,8 +183,9 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
     best = tuple(_best([relation for relation in tried if relation.kind == kind]) for kind in dict.fromkeys(r.kind for r in tried))
     if not best:
         why = remarks or ["check that results and table use the same plant names"]
+        matched = count(len({pair.measured.subject.plant for pair in found}), "plant")
         raise UserError(
-            f"a fit needs {LEAST_PLANTS} plants with a mass and reliable traits, but {len(found)} results match the table: {'; '.join(why)}"
+            f"a fit needs {LEAST_PLANTS} plants with a mass and reliable traits, but the table matches {matched}: {'; '.join(why)}"
         )
     return Model(species=species, relations=best, tried=tuple(tried), notes=tuple(remarks))
 
