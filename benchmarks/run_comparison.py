@@ -66,13 +66,16 @@ class Difference:
     pairs: int
     """Number of cases with the number in both runs."""
     before: float
-    """Mean of A over the pairs; NaN without pairs, as the following numbers."""
+    """Mean of A over the pairs; NaN without pairs."""
     after: float
+    """Mean of B over the pairs; NaN without pairs."""
     mean: float
+    """Mean difference of the pairs; NaN without pairs."""
     low: float
-    """Limit of the 95 % confidence interval of the mean difference (Student's t over the pairs); NaN for a single pair.
-    """
+    """Lower limit of the 95 % confidence interval of the mean difference (Student's t over the pairs); NaN with fewer
+    than two pairs."""
     high: float
+    """Upper limit of this interval; NaN with fewer than two pairs."""
     better: int
     """Number of cases that improved, including those with the number in B only."""
     worse: int

@@ -75,12 +75,11 @@ def measure(found: Sequence[Measured]) -> Growth:
         if unassessed
         else []
     )
-    obstacles = {trait: reason_not_comparable(values) for trait, values in seen.items()}
-    notes += [f"{trait}: the treatments were not compared, because {why}" for trait, why in obstacles.items() if why]
+    uncompared = {trait: reason_not_comparable(values) for trait, values in seen.items()}
+    notes += [f"{trait}: the treatments were not compared, because {why}" for trait, why in uncompared.items() if why]
     doses = read_doses(plants)
-    responses = {trait: fitted for trait, values in seen.items() if (fitted := fit_responses(values, doses))}
+    unfitted = {trait: reason_not_fitted(values, doses) for trait, values in seen.items()}
     if group_ions(doses):
-        unfitted = {trait: reason_not_fitted(values, doses) for trait, values in seen.items()}
         notes += [f"{trait}: the dose response could not be fitted, because {why}" for trait, why in unfitted.items() if why]
     if doses and len(doses) < len(plants):
         notes.append(
@@ -91,9 +90,9 @@ def measure(found: Sequence[Measured]) -> Growth:
         tracked=tracked,
         seen=seen,
         curves={trait: means(values) for trait, values in seen.items()},
-        compared={trait: differences(values) for trait, values in seen.items() if not obstacles[trait]},
+        compared={trait: differences(values) for trait, values in seen.items() if not uncompared[trait]},
         doses=doses,
-        responses=responses,
+        responses={trait: fit_responses(values, doses) for trait, values in seen.items() if not unfitted[trait]},
         notes=tuple(notes),
         drift=_drift(found),
     )

@@ -69,6 +69,11 @@ def read(paths: Sequence[Path]) -> tuple[list[Masses], list[str]]:
 
     Predicted masses that are not reliable are excluded.
 
+    Parameters
+    ----------
+    paths : sequence of Path
+        Tables of weighed masses (g), and tables written by ``biomass predict``.
+
     Returns
     -------
     list of Masses, list of str
@@ -172,10 +177,10 @@ def _is_unreliable(row: tables.Row) -> bool:
 def _notes(rows: Sequence[tables.Row]) -> list[str]:
     """Return sentences about predicted masses that are excluded, because they are not reliable, or extrapolated."""
     reasons = [f"the {row.cells.get('from', 'trait')} is not reliable" for row in rows if _is_unreliable(row)]
-    excluded = assessment.left_out("predicted mass", reasons, total=len(rows))
-    beyond = sum(row.cells.get("extrapolated") == "yes" and not _is_unreliable(row) for row in rows)
-    extrapolated = f"predicted mass: {beyond} of {len(rows)} values are extrapolated; weigh plants of this size for the model"
-    return [*([excluded] if excluded else []), *([extrapolated] if beyond else [])]
+    notes = [assessment.left_out("predicted mass", reasons, total=len(rows))] if reasons else []
+    if beyond := sum(row.cells.get("extrapolated") == "yes" and not _is_unreliable(row) for row in rows):
+        notes.append(f"predicted mass: {beyond} of {len(rows)} values are extrapolated; weigh plants of this size for the model")
+    return notes
 
 
 def _of(where: str, whose: subject.Subject, grams: Mapping[str, float]) -> Masses:
