@@ -18,6 +18,7 @@ from rhizotwin.rig.serial_line.recording import Recorder
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
+from rhizotwin.scenes.plan import count_pictures
 
 AT_REST_DEG = 5.0
 """Maximum deviation of each joint from the parking position, deg, at which the torque of the arm may be switched off.
@@ -85,8 +86,7 @@ def check(
         if arm is not None and rig.arm is not None:
             part, held = rig.arm, arm
             report.quietly("arm", lambda: _leave_arm(held, part, say))
-    pictures = sum(ring.views for ring in scene.plan.rings)
-    report.look("disk", lambda: (None, preflight.check_disk(folder, pictures, scene.camera)))
+    report.look("disk", lambda: (None, preflight.check_disk(folder, count_pictures(scene), scene.camera)))
     return report.failed
 
 

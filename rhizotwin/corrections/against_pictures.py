@@ -46,13 +46,13 @@ class Comparison:
         return Comparison(missed=min(1.0, self.missed + later.missed), surplus=min(1.0, self.surplus + later.surplus))
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
-        """Check that the missing and surplus fractions do not exceed the limit ``trust.missed``."""
+        """Check that the missing and surplus fractions do not exceed the limit ``trust.unexplained``."""
         lacking = f"because of the corrections, the shape no longer explains {100.0 * self.missed:.1f} % of the roots in a picture"
         beyond = f"because of the corrections, another {100.0 * self.surplus:.1f} % of the shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
         return worst(
-            judge(_NAME, self.missed, "share", trust.missed, lacking, advice),
-            judge(_NAME, self.surplus, "share", trust.missed, beyond, advice),
+            judge(_NAME, self.missed, "share", trust.unexplained, lacking, advice),
+            judge(_NAME, self.surplus, "share", trust.unexplained, beyond, advice),
         )
 
     def term(self, before_mm3: float, after_mm3: float) -> Term:
