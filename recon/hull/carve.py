@@ -120,7 +120,7 @@ def carve(
             decided = carving.classify(part, level, by_parent=by_parent)
             if decided is not None:
                 done.append(decided)
-                kept += [] if decided.split is None else [decided.split]
+                kept += [] if decided.split is None or not dr.width(decided.split[0]) else [decided.split]
         nodes = kept[0] if len(kept) == 1 else [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
         if progress:
             progress()

@@ -32,7 +32,7 @@ than 1.5 mm, whereas 45 % of a cup of nine touching leaves is deeper."""
 SLACK_PX = 0.3
 """Assumed error of the outlines' positions, px. It is the same as for roots."""
 _ROOM = 0.8
-"""Maximum radius of a shoot, as a fraction of the distance between the nearest camera and the axis."""
+"""Maximum radius of a shoot, as a fraction of the distance between the nearest camera and the net pot's top."""
 
 
 def carve_shoot(
@@ -67,17 +67,7 @@ def carve_shoot(
     drawn, views = [drawn[k] for k in order], [views[k] for k in order]
     room = _room(drawn, views, scene)
     maps = DistanceMaps.compute(drawn, "shoot", monitor)
-    optics = replace(
-        Optics.from_scene(scene),
-        outer_radius_mm=room.radius_mm,
-        inner_radius_mm=room.radius_mm,
-        n_wall=1.0,
-        n_water=1.0,
-        floor_z_mm=room.bottom_mm,
-        water_z_mm=room.top_mm,
-        bottom_z_mm=room.bottom_mm,
-        tank=None,
-    )
+    optics = replace(Optics.from_scene(scene), n_wall=1.0, n_water=1.0, water_z_mm=room.top_mm, tank=None, unobstructed=True)
     grid = room.grid(finest_mm)
     hull = carve.carve(ViewBank.pack(views, optics), maps, grid, room, slack_px=SLACK_PX)
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)
@@ -104,32 +94,49 @@ def enclosed_share(hull: Hull, blades: Blades) -> float:
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:
     """Return the space in air in which the shoot may lie.
 
-    The space contains everything that the silhouettes show, up to the maximum radius of a shoot, and the rays to it.
+    The space contains everything that the silhouettes show, up to the maximum radius of a shoot.
     """
     top_mm = scene.net_pot.top_mm
-    found = [(view, _outer_slopes(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
-    slopes = [(view, slope) for view, slope in found if len(slope)]
-    # an object at distance r from the axis appears at most as wide as r / (distance - r)
-    asides = [(view.rho_mm, float(np.abs(slope[:, 0]).max())) for view, slope in slopes]
-    wide_mm = max((aside / (1.0 - min(aside, 0.5)) * rho_mm for rho_mm, aside in asides), default=0.0)
-    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * min(view.rho_mm for view in views)))
+    found = [(view, _outer_rays(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
+    near_mm = min(_distance_mm(view, top_mm) for view in views)
+    wide_mm = max((_radius_mm(rays, view, top_mm) for view, rays in found if len(rays)), default=0.0)
+    reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * near_mm))
     high_mm = top_mm
-    for view, slope in slopes:
-        climb = float(slope[:, 1].max())
-        ends_mm = max(0.0, view.rho_mm - reach_mm), view.rho_mm + reach_mm  # of the rays inside, from the camera
+    for view, rays in found:
+        inward = rays[rays[:, 0] < 0.0]
+        climb = float((inward[:, 2] / -inward[:, 0]).max(initial=-np.inf))
+        ends_mm = max(1e-9, view.rho_mm - reach_mm), view.rho_mm + reach_mm  # of the rays inside, from the camera
         high_mm = max(high_mm, float(view.centre_mm[2]) + max(climb * end_mm for end_mm in ends_mm))
     return Water(reach_mm, high_mm + 2.0, top_mm)
 
 
-def _outer_slopes(silhouette: Silhouette, view: View) -> NDArray[np.float64]:
-    """Return the slopes (N, 2) of the rays through the convex hull of the covered pixels that lead towards the axis.
+def _distance_mm(view: View, top_mm: float) -> float:
+    """Return the distance between a camera and the centre of the net pot's top, mm."""
+    return float(np.hypot(view.rho_mm, view.centre_mm[2] - top_mm))
 
-    They are the shift aside and the rise per distance along -x in the azimuth frame. Their extremes are at the hull.
+
+def _radius_mm(rays: NDArray[np.float64], view: View, top_mm: float) -> float:
+    """Return the maximum radius of a shoot whose outer rays (N, 3) in a view are given, mm.
+
+    A camera at distance D from the centre of the net pot's top looks down on it by an angle e. A point above the top at
+    distance r from the axis is at most D + r cos(e) deep in the direction of the centre. Its distance aside is thus at
+    most s (D + r cos(e)), where s is the slope of its ray. At the edge of the shoot, it is r, in the view across.
+    """
+    far_mm = _distance_mm(view, top_mm)
+    depth = rays @ np.array([-view.rho_mm, 0.0, top_mm - view.centre_mm[2]]) / far_mm
+    if (depth <= 0.0).any():
+        return float("inf")
+    aside = float(np.abs(rays[:, 1] / depth).max())
+    return aside * far_mm / (1.0 - min(aside * view.rho_mm / far_mm, 0.5))
+
+
+def _outer_rays(silhouette: Silhouette, view: View) -> NDArray[np.float64]:
+    """Return the directions (N, 3) of the rays through the convex hull of the covered pixels, in the azimuth frame.
+
+    The axis lies in the direction of -x. The extreme directions are at the hull.
     """
     covered = np.argwhere(silhouette.coverage > 0.5)[:, ::-1]
     if not len(covered):
-        return np.empty((0, 2))
+        return np.empty((0, 3))
     hull = cv2.convexHull(covered.astype(np.int32))[:, 0]
-    along = cameras.to_azimuth(view, cameras.camera_directions(view.camera, hull))
-    along = along[along[:, 0] < 0.0]
-    return np.asarray(along[:, 1:] / -along[:, :1])
+    return np.asarray(cameras.to_azimuth(view, cameras.camera_directions(view.camera, hull)))

@@ -51,6 +51,18 @@ def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
     np.testing.assert_allclose((middle * weight[:, None]).sum(axis=0) / weight.sum(), centre_mm, atol=0.12)
 
 
+def test_a_launch_without_nodes_to_divide_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    bank, maps = seen_ball((0.0, 0.0, -50.0))
+    grid = Grid.over(np.array([-40.0, -40.0, -70.0]), np.array([40.0, 40.0, -30.0]), 0.8)
+
+    def carve_again() -> Hull:
+        return carve.carve(bank, maps, grid, Water(40.0, -30.0, -70.0), min_votes=5)
+
+    whole = carve_again()
+    monkeypatch.setattr(carve, "_CHUNK", 256)
+    assert carve_again().leaves.volume_mm3() == pytest.approx(whole.leaves.volume_mm3(), rel=1e-6)
+
+
 def test_a_ball_at_the_wall_survives_blind_directions() -> None:
     """Beyond R_o / n_w from the axis some views are blind; carving there, as the thesis does, loses the sphere."""
     centre_mm = (64.0, 0.0, -50.0)
