@@ -8,9 +8,7 @@ DATASET/  dataset.json   this module's `Dataset`
 import base64
 import hashlib
 import html
-import json
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -19,13 +17,14 @@ import numpy as np
 
 from rhizotwin.scenes.atomic import json_bytes, write_bytes
 from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.errors import UserError, parser_message
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, decode_light
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.transfer import LINEAR, Curve, camera_curve, read_stated_curve
+from rhizotwin.scenes.versioned_json import parse_versioned_json
 
 SCHEMA_VERSION = 1
 
@@ -264,49 +263,6 @@ def file_sha256(path: Path | str) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise UserError(f"{path}: the file cannot be read ({error.strerror})") from error
-
-
-def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
-    """Read a JSON object with a ``schema_version``.
-
-    Raise an error if the file is damaged or the version is not supported.
-    """
-    return parse_versioned_json(read_file(path), path, version)
-
-
-def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:
-    """Parse the bytes of a JSON file with a ``schema_version``; see `read_versioned_json`.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    path : Path
-        Path, used in messages.
-    version : int
-        Supported version.
-
-    Returns
-    -------
-    dict
-        Complete JSON object.
-    """
-    try:
-        mapping = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise UserError(
-            f"{path}: the file is damaged, because it is not valid JSON ({parser_message(error)}); restore it or create it again"
-        ) from error
-    if not isinstance(mapping, Mapping):
-        raise UserError(f"{path}: the file is damaged, because it is not a JSON object; restore it or create it again")
-    found = mapping.get("schema_version")
-    if type(found) is not int or found != version:
-        known = f"has version {found}" if "schema_version" in mapping else "has no schema_version"
-        raise UserError(
-            f"{path.name} {known}, but this program reads version {version}; use the program version that wrote the file, or create it "
-            f"again ({path})"
-        )
-    return dict(mapping)
 
 
 def _check_frame(frame: Frame, rings: int, place: Place) -> None:

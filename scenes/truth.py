@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.scenes.atomic import write_json
-from rhizotwin.scenes.dataset import check_rigid, read_versioned_json
+from rhizotwin.scenes.dataset import check_rigid
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes.versioned_json import read_versioned_json
 
 SCHEMA_VERSION = 1
 

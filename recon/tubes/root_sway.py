@@ -3,7 +3,7 @@
 After each step of the table, the roots keep swinging, and the rotating water drags them along. The displacement of a
 root increases with the depth below the net pot. It has two parameters per view, and a third for rotation about the
 vertical (`recon.optics.cameras.Sway`). Fitted tubes provide the lateral displacement in each view. The positions of the
-nodes are eliminated, as in the calibration of the refractive index (`root_calibration`). The sway is relative to the
+nodes are eliminated, as in the calibration of the refractive index (`rig_equations`). The sway is relative to the
 mean of all views, which cannot be distinguished from the shape.
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.cameras import STILL
-from rhizotwin.recon.tubes import root_calibration, tube_fit
+from rhizotwin.recon.tubes import rig_equations, tube_fit
 from rhizotwin.recon.tubes.rig_derivatives import SWAY
 from rhizotwin.recon.tubes.tubes import Tubes
 
@@ -62,9 +62,9 @@ def follow(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, p
         there are too few roots.
     """
     given, nearest_px = (evidence, cameras, tubes), np.inf
-    columns = root_calibration.Columns.per_view(len(cameras.views), len(SWAY), _LOOSE)
+    columns = rig_equations.Columns.per_view(len(cameras.views), len(SWAY), _LOOSE)
     for _ in range(_ROUNDS):
-        system = root_calibration.build_system(evidence, cameras, tubes, SWAY, columns)
+        system = rig_equations.build_system(evidence, cameras, tubes, SWAY, columns)
         if system is None:
             break
         before = np.array([view.sway for view in cameras.views])

@@ -8,10 +8,10 @@ from rhizotwin.experiment.biomass import Model, Relation, applicable_relations
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes import atomic, solution, subject
 from rhizotwin.scenes.assessment import Assessment
-from rhizotwin.scenes.dataset import read_versioned_json
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.trait_table import csv_text, format_exact
+from rhizotwin.scenes.versioned_json import read_versioned_json
 
 SCHEMA_VERSION = 1
 

@@ -1,0 +1,52 @@
+"""JSON files that state the version of their format."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.scenes.errors import UserError, parser_message
+from rhizotwin.scenes.reading import read_file
+
+
+def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
+    """Read a JSON object with a ``schema_version``.
+
+    Raise an error if the file is damaged or the version is not supported.
+    """
+    return parse_versioned_json(read_file(path), path, version)
+
+
+def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:
+    """Parse the bytes of a JSON file with a ``schema_version``; see `read_versioned_json`.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of the file.
+    path : Path
+        Path, used in messages.
+    version : int
+        Supported version.
+
+    Returns
+    -------
+    dict
+        Complete JSON object.
+    """
+    try:
+        mapping = json.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise UserError(
+            f"{path}: the file is damaged, because it is not valid JSON ({parser_message(error)}); restore it or create it again"
+        ) from error
+    if not isinstance(mapping, Mapping):
+        raise UserError(f"{path}: the file is damaged, because it is not a JSON object; restore it or create it again")
+    found = mapping.get("schema_version")
+    if type(found) is not int or found != version:
+        known = f"has version {found}" if "schema_version" in mapping else "has no schema_version"
+        raise UserError(
+            f"{path.name} {known}, but this program reads version {version}; use the program version that wrote the file, or create it "
+            f"again ({path})"
+        )
+    return dict(mapping)
