@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from rhizotwin.bench.benchmarks import HIGH_RING
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile, load_scene
-from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder, Specimen, SphereSpecimen
 
 PROFILES = ("clean", "bench", "camera", "harsh", "real", "mixture")

@@ -14,8 +14,9 @@ from typing import Any
 from rhizotwin.scenes import key_descriptions
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError, parser_message
-from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen, Specimen

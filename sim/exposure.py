@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from rhizotwin.scenes import transfer
-from rhizotwin.scenes.model import Camera, Disturbances
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Camera
 
 DEFAULT_FULL_WELL_E = 8000.0
 """Full-well capacity for profiles with read noise but without photon noise, electrons. It is similar to that of the

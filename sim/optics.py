@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Scene
 from rhizotwin.sim import dirt, lights, strip, tank
 from rhizotwin.sim.backlit import Room
 from rhizotwin.sim.specimen import Sleeve, SpecimenSolid

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Canister, Disturbances, Scene
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Canister, Scene
 from rhizotwin.sim.dirt import Bubble, Fibre, OuterDirt, Patch, draw_algae, draw_bubbles, draw_fibres, draw_outer_dirt
 from rhizotwin.sim.exposure import stored_camera
 

@@ -18,9 +18,10 @@ from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, save_dataset
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents
-from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, encode_png
 from rhizotwin.scenes.plan import View
 from rhizotwin.scenes.provenance import versions

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks import random_scans
 from benchmarks.random_scans import AGE, PROFILES, SIGNED, TROUBLES, VIEWS, RandomScan
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile, load_scene
-from rhizotwin.scenes.model import Disturbances
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 

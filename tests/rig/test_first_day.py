@@ -13,8 +13,9 @@ from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Camera, Disturbances, Scene, Turntable
+from rhizotwin.scenes.model import Camera, Scene, Turntable
 from tests.rig.fake_devices import STRIP
 
 SCENE = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))

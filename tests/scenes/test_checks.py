@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, MarkerStrip, NetPot, Ring, Scene, Water
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Lights, MarkerStrip, NetPot, Ring, Scene, Water
 from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
 
 MISFITS: list[tuple[str, dict[str, Any], str]] = [

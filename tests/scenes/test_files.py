@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.scenes import files, toml_text
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
 
 MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [

@@ -1,7 +1,7 @@
 """The scenes and profiles that come with the program."""
 
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import library, load_scene
-from rhizotwin.scenes.model import Disturbances
 
 # Wet root masses in g of radish 1 to 18 (thesis, table A.1), three an age: days 5, 10, ... 30; taken as ml at 1.0 g/ml.
 WET_ROOT_G = [

@@ -8,7 +8,8 @@ import pytest
 
 from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.dataset import load_dataset, read_image
-from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.shoots import Shoot
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.scenes.truth import load_truth

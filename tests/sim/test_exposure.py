@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from rhizotwin.scenes.model import Camera, Disturbances
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Camera
 from rhizotwin.sim.exposure import expose, photons
 
 

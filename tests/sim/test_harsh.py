@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim import solids
 from rhizotwin.sim.dirt import Bubble, Fibre, Patch

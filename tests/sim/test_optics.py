@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, NetPot, Ring, Scene, Water
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, NetPot, Ring, Scene, Water
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.world import draw_world

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes import transfer
-from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.sim import dirt
 from rhizotwin.sim.exposure import expose

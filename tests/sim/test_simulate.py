@@ -13,8 +13,9 @@ import trimesh
 import rhizotwin.sim.render
 import rhizotwin.sim.simulate
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import MeshSpecimen, SphereSpecimen
 from rhizotwin.scenes.truth import load_truth
 from rhizotwin.sim.render import Renderer

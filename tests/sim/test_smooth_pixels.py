@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import rhizotwin.sim.render
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.solids import to_surface, unite_roots

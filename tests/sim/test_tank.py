@@ -9,9 +9,10 @@ import pytest
 from rhizotwin.recon.optics.cameras import View, project_through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_from_dict
-from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene, Tank
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene, Tank
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.world import draw_world
 from tests.sim.test_optics import ball, centroid, magnify

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Canister, CapturePlan, Disturbances, NetPot, Ring, Scene
+from rhizotwin.scenes.model import Canister, CapturePlan, NetPot, Ring, Scene
 from rhizotwin.sim.world import World, draw_world
 
 WRONG = replace(load_profile("harsh"), algae_patches=20, algae_opacity=0.5, felt_fibres=30, bubbles=30, backlight_unevenness=0.3)

@@ -19,8 +19,9 @@ from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.scenes.truth import load_truth
 from rhizotwin.sim.render import Renderer

@@ -9,7 +9,8 @@ import serial
 
 from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.rig.twin.twin import Twin
-from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.model import Scene
 
 ASK_ARM = bytes.fromhex("55 55 05 03 1c db")  # position of servo 5
 

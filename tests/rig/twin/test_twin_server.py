@@ -14,8 +14,9 @@ from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.rig.twin.faults import parse_fault
 from rhizotwin.rig.twin.server import TwinServer, rig_text, run_twin
 from rhizotwin.rig.twin.twin import Twin, default_rig
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_scene
-from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.model import Scene
 
 if sys.platform == "win32":
     pytest.skip("needs pseudo-terminals", allow_module_level=True)
