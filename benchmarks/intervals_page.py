@@ -19,7 +19,7 @@ LABELS = {"volume_mm3": "volume", "total_length_mm": "length", "tips": "tips", "
 LEVELS = np.linspace(0.05, 0.95, 19)
 """Nominal levels of the reliability diagram."""
 CAUSES: Mapping[str, tuple[str, ...]] = {
-    "dirty_canister": ("dust", "algae", "floating", "turbidity", "highlight", "seam", "harsh"),
+    "dirty_canister": ("dust", "algae", "floating", "highlight", "seam", "harsh"),
     "inconsistent_views": ("tube", "seat", "sway", "turbidity", "algae", "floating", "seam", "coarse", "harsh"),
     "moving_roots": ("sway",),
     "canister_mismatch": ("tube", "harsh"),
@@ -31,6 +31,7 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "high_translucency": ("glass", "hairs", "harsh"),
     "high_hairs": ("hairs", "harsh"),
     "high_occluded": ("hidden",),
+    "high_scattered_light": ("dust", "algae", "floating", "turbidity", "highlight", "seam", "harsh"),
     "high_area": ("coarse", "turbidity", "dust", "algae", "harsh"),
     "high_merged_roots": ("few", "coarse"),
     "high_trimmed_away": ("few",),

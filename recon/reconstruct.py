@@ -94,7 +94,7 @@ def reconstruct(
     pictures = replace(pictures, images=(), measured={})  # they take as much memory as all later stages
     (hull, tree), roots = _hull_and_tree(pictures, cameras, coverage, settings, stages, monitor), None
     cameras = hull.cameras
-    of_pictures = _checks(pictures, cameras, coverage, settings.trust)
+    of_pictures, scattered = _checks(pictures, cameras, coverage, settings.trust), _scattered_fraction(pictures, cameras, coverage)
     if tree is not None:
         cameras, settled = _finish_roots(tree, hull.water.top_mm, monitor)
         roots = stages.keep("roots", settled, leave=_ON_DEVICE)
@@ -103,13 +103,13 @@ def reconstruct(
             del hull  # later stages use one calibration and one attenuation
             coverage = remeasured
             hull = stages.keep("hull_again", carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
-    solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
+    solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, scattered=scattered, monitor=monitor))
     checked = checks.name_cause((*of_pictures, *solid.checks))
     solid, of_plants, plants_said = _divide_plants(_apply_checks(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures.warnings, *cameras.warnings, *_root_warnings(solid, roots), *plants_said, *shoot_said)
     found = gather(pictures, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
-    return replace(found, mass_g=mass_g, estimates=_estimates(hull, solid, monitor), plants=of_plants, shoot=shoot)
+    return replace(found, mass_g=mass_g, estimates=_estimates(hull, solid, scattered, monitor), plants=of_plants, shoot=shoot)
 
 
 def _finish_roots(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
@@ -164,7 +164,7 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
-def _estimates(carved: carved_hull.CarvedHull, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
+def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | None, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(
@@ -173,6 +173,7 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, monitor: Monitor) -
             carved.silhouettes,
             mu_per_mm=solid.mu_per_mm,
             lost=_volume_objections(solid),
+            scattered=scattered,
             calibration=solid.volume.calibration,
         )
 
@@ -232,9 +233,8 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
         picture_checks.check_views(azimuth_deg, len(cameras.all), trust),
     ]
     if not dataset.masks:
-        spread = scattered_light.scattered_fraction(drawn, [pictures.frames[k].station for k in order])
         exposures = coverage.select_exposures(order)
-        made += [picture_checks.check_exposure(exposures, trust), shape_checks.check_dirt(coverage.dirt, spread, trust)]
+        made += [picture_checks.check_exposure(exposures, trust), shape_checks.check_dirt(coverage.dirt, trust)]
     if found is not None:
         made += [
             picture_checks.check_curve(pictures.curve),
@@ -243,6 +243,13 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
             picture_checks.check_canister(found.canister, dataset.scene, trust),
         ]
     return tuple(made)
+
+
+def _scattered_fraction(pictures: Pictures, cameras: Cameras, coverage: Coverage) -> float | None:
+    """Return the fraction of light that is scattered around roots; None if it is unknown, as in masks."""
+    order = sorted(cameras.order)
+    stations = [pictures.frames[k].station for k in order]
+    return None if pictures.dataset.masks else scattered_light.scattered_fraction([coverage.silhouettes[k] for k in order], stations)
 
 
 def gather(

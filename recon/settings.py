@@ -148,12 +148,6 @@ class TrustSettings:
     size)."""
     dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
     """Fair and bad limits for the fraction of the wall in front of the roots that films, bubbles and glare cover."""
-    spread: tuple[float, float] = bounded((0.02, 0.04), 0.0, 1.0)
-    """Fair and bad limits for the fraction of scattered light. It is the light that is missing in pixels beside the
-    roots, divided by the light that the roots absorb (`recon.uncertainty.scattered_light`). The ratio is 0.000 to 0.007
-    for printed phantoms and plants in the profiles `clean`, `bench` and `camera`. When a quarter of the light was
-    scattered over 20 px, the ratio was 0.19, and the volume of a printed phantom was 5.9 % too large. The limits
-    therefore correspond to volume errors of 0.6 and 1.2 % (`docs/log/2026-11-22-damages.md`)."""
     clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
     """Fair and bad limits for the fraction of the panel's pixels at full scale. Where the panel is clipped, the
     absorption by roots is unknown."""

@@ -55,7 +55,9 @@ def find_roots(
     return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 
-def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
+def make_solid(
+    carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, scattered: float | None, monitor: Monitor
+) -> Solid:
     """Unite the tubes with the trimmed hull of the solids, which no tube explains, and measure the united shape.
 
     Parameters
@@ -68,6 +70,8 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
         Coverage, with the attenuation of the roots.
     settings : Settings
         Voxel size, slack of the outlines, and limits of trust.
+    scattered : float or None
+        Fraction of light that is scattered around roots; None if it is unknown.
     monitor : Monitor
         Receives progress messages.
 
@@ -96,7 +100,7 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
         shape = UnitedShape(
             leaves=leaves, thick=leaves if tubes is None else tubes.thick, solids=solids, part=part, system=system, roots=roots
         )
-        assessed = assess_volume(carved, shape, settings)
+        assessed = assess_volume(carved, shape, settings, scattered=scattered)
     hidden, extrapolate, warnings = assessed.hidden, settings.hull.extrapolate_taproot, _warnings(assessed.budget, solids.kept_mm3)
     if hidden is not None:
         bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * extrapolate

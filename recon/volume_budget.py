@@ -19,6 +19,7 @@ from rhizotwin.recon.uncertainty import (
     hidden_top,
     occlusion,
     root_uncertainty,
+    scattered_light,
     shape_checks,
     solid_uncertainty,
     tube_uncertainty,
@@ -61,7 +62,7 @@ class AssessedVolume:
     """Parts of taproots that the net pot hides; None if there are none."""
 
 
-def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings) -> AssessedVolume:
+def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings, *, scattered: float | None) -> AssessedVolume:
     """Assemble the error budget of a shape, and check the shape against the pictures.
 
     Parameters
@@ -72,6 +73,8 @@ def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings) ->
         The shape.
     settings : Settings
         Slack of the outlines, extrapolation of taproots, and limits of trust.
+    scattered : float or None
+        Fraction of light that is scattered around roots; None if it is unknown.
     """
     system, missed, volume_mm3 = shape.system, missed_share(carved), shape.leaves.volume_mm3()
     tubes = None if system is None else tube_uncertainty.estimate(system)
@@ -79,6 +82,7 @@ def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings) ->
         *(() if tubes is None else tubes.terms),
         *_solid_terms(carved, shape, settings, missed),
         _merged_term(carved, shape.roots, volume_mm3),
+        *(() if scattered is None else (scattered_light.scattered_term(scattered, max(volume_mm3 - shape.thick.volume_mm3(), 0.0)),)),
     )
     budget = Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, trust=settings.trust)
     hidden = _hidden_top(carved, shape.roots)

@@ -42,7 +42,8 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
     """Return the term of the error budget for volume that may be hidden in places that too few views show.
 
     Columns of voxels that end at such a place, in one of the six directions of the axes, are extended until enough
-    views see again, or to the edge of the water. The axis with the largest hidden volume is used.
+    views see again, or to the edge of the water. Roots join upwards: if their cross-section increases towards the top,
+    hidden columns above it are wider. The axis with the largest hidden volume is used.
 
     Parameters
     ----------
@@ -70,7 +71,9 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
             direction = np.zeros(3)
             direction[axis] = side
             end_mm = origin + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
-            hidden[axis, side] = ANYWHERE * float((gaps_mm(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
+            gap_mm = gaps_mm(bank, maps, end_mm, direction, water)
+            wider = _widening(cells[:, 2], full, last, gap_mm / edge_mm) if (axis, side) == (2, 1) else 1.0
+            hidden[axis, side] = ANYWHERE * wider * float((gap_mm * full[last]).sum()) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
     where = _WHERE[side] if axis == 2 else _describe_side(bank)
@@ -80,6 +83,36 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
         more_mm3=hidden[axis, -1] + hidden[axis, 1],
         why=f"the shape may continue where too few views look, {where}",
     )
+
+
+def _widening(height: NDArray[np.int64], full: NDArray[np.float32], last: NDArray[np.int64], gap: Array) -> float:
+    """Return the ratio of the cross-section in a hidden length above a shape to the cross-section below it, with 90 %.
+
+    The cross-section is assumed to increase over the hidden length as it does over an equal visible length below it, by
+    at most a factor of two. The uncertainty of this increase is as large as the increase.
+
+    Parameters
+    ----------
+    height : (N,) int64 array
+        Vertical index of each voxel.
+    full : (N,) float32 array
+        Occupied fraction of each voxel.
+    last : (K,) int64 array
+        Indices of the voxels at the top of their columns.
+    gap : (K,) float64 array
+        Hidden length above them, in voxels.
+    """
+    weight = gap * full[last]
+    if not weight.any():
+        return 1.0
+    low = height.min()
+    section = np.cumsum(np.bincount(height - low, full))
+    count = max(1, round(float(weight @ gap / weight.sum())))
+    top = round(float(weight @ (height[last] - low) / weight.sum()))
+    if top < 2 * count:
+        return 1.0
+    upper, lower = section[top] - section[top - count], section[top - count] - section[top - 2 * count]
+    return 1.0 + 2.0 * min(max(float(upper / max(lower, 1e-9)) - 1.0, 0.0), 1.0)
 
 
 def _describe_side(bank: ViewBank) -> str:

@@ -56,6 +56,7 @@ def estimates(
     *,
     mu_per_mm: float | None,
     lost: Sequence[str],
+    scattered: float | None = None,
     calibration: Calibration = NOT_CALIBRATED,
 ) -> tuple[Estimate, ...]:
     """Compare roots with the pictures.
@@ -70,6 +71,9 @@ def estimates(
         Attenuation of the roots; None for opaque roots.
     lost : sequence of str
         Reasons for which the scan as a whole is not trusted; empty if it is.
+    scattered : float or None
+        Fraction of light that is scattered around roots; None if it is unknown. The cross-sections of thin roots lose
+        this fraction (`scattered_light.scattered_term`), and their diameters half of it.
     calibration : Calibration, optional
         Calibration of the scan's intervals.
 
@@ -83,17 +87,14 @@ def estimates(
     count = min(VIEWS, bank.count)
     places = root_residual.Places.project(roots, bank.select(range(count)))
     drawn = root_residual.render(places, silhouettes[:count], mu_per_mm)
-    thin = places.thin_share(_THIN_PX)
-    if thin > _MUCH_THIN:
-        few = f"{100.0 * thin:.0f} % of the length is thinner than half a pixel, and more may be missing (use a higher resolution)"
-        lost = (*lost, few)
+    lost = (*lost, *_thin_objections(places.thin_share(_THIN_PX)))
     views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
     residuals = [view for view in views if view is not None]
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
-    merged = _merged(places, silhouettes[0].coverage.shape, bank.count)
+    merged, narrower = _merged(places, silhouettes[0].coverage.shape, bank.count), 0.5 * (scattered or 0.0)
     changes = {
         "total_length_mm": (
             length_mm,
@@ -102,12 +103,19 @@ def estimates(
         "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips + merged for view in residuals])),
         "mean_diameter_mm": (
             rsml.mean_diameter_mm(roots),
-            _Change([max(0.0, -_mean_of(width)) + merged], [max(0.0, _mean_of(width))], width),
+            _Change([max(0.0, -_mean_of(width)) + merged + max(0.0, -narrower)], [max(0.0, _mean_of(width)) + max(0.0, narrower)], width),
         ),
     }
     return tuple(
         _estimate(name, value, change, lost, merged=merged, factor=calibration.factor(name)) for name, (value, change) in changes.items()
     )
+
+
+def _thin_objections(thin: float) -> tuple[str, ...]:
+    """Return why roots with a fraction ``thin`` of very thin length are not trusted. The tuple is empty if they are."""
+    if thin <= _MUCH_THIN:
+        return ()
+    return (f"{100.0 * thin:.0f} % of the length is thinner than half a pixel, and more may be missing (use a higher resolution)",)
 
 
 def merged_share(roots: Sequence[Root], bank: ViewBank, shape: tuple[int, ...]) -> float:

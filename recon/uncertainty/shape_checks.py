@@ -15,29 +15,12 @@ def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) 
     return judge("motion", sway_mm, "mm", trust.sway_mm, finding, "wait longer after each step of the table, and rotate it more gently")
 
 
-def check_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the wall of the canister and the water are clear.
-
-    Parameters
-    ----------
-    share : float or None
-        Fraction of the wall that is fouled.
-    spread : float or None
-        Fraction of light that is scattered about roots (`scattered_light.scattered_fraction`).
-    trust : TrustSettings
-        The limits.
-    """
-    made = []
-    if spread is not None:
-        finding = f"beside roots, light is {'increased' if spread < 0 else 'reduced'} by {100.0 * abs(spread):.1f} % of what they absorb"
-        advice = "change the water, clean the lens, and switch off sharpening and tone mapping in the camera"
-        made.append(judge("dirt", abs(spread), "share", trust.spread, finding, advice))
+def check_dirt(share: float | None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the wall of the canister is clear. ``share`` is the fraction of the wall that is fouled."""
     if share is None:
-        made.append(make_unknown("dirt", "too few views to separate dirt on the wall from roots", unit="share"))
-    else:
-        finding = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
-        made.append(judge("dirt", share, "share", trust.dirt, finding, "clean the canister inside and outside, and remove the bubbles"))
-    return worst(*made)
+        return make_unknown("dirt", "too few views to separate dirt on the wall from roots", unit="share")
+    finding = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
+    return judge("dirt", share, "share", trust.dirt, finding, "clean the canister inside and outside, and remove the bubbles")
 
 
 def check_agreement(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:

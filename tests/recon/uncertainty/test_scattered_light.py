@@ -50,3 +50,10 @@ def test_empty_pictures_tell_nothing() -> None:
     empty = np.zeros((100, 100), np.float32)
     assert scattered_light.scattered_fraction([Silhouette(empty, np.ones((100, 100), bool), empty.astype(np.float16))], [(0, 0)]) is None
     assert scattered_light.scattered_fraction([Silhouette(empty, np.ones((100, 100), bool))], [(0, 0)]) is None
+
+
+@pytest.mark.parametrize(("share", "sides"), [(0.2, (0.0, 20.0)), (-0.2, (20.0, 0.0)), (0.0, (0.0, 0.0))])
+def test_thin_roots_lose_the_share_that_is_scattered(share: float, sides: tuple[float, float]) -> None:
+    term = scattered_light.scattered_term(share, 100.0)
+    assert (term.less_mm3, term.more_mm3) == sides
+    assert f"{'increased' if share < 0 else 'reduced'} by {100 * abs(share):.1f} %" in term.why

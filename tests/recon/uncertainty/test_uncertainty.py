@@ -106,6 +106,21 @@ def test_a_shape_may_go_on_wherever_sight_ends(
     assert hidden.more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
 
 
+@pytest.mark.parametrize("per_mm", [-0.01, 0.0, 0.01, 0.03])
+def test_roots_that_join_upwards_are_wider_where_they_are_hidden(per_mm: float) -> None:
+    height = np.arange(40)
+    section = (0.4 + per_mm * (height - 20.0)).astype(np.float32)
+    found = occlusion._widening(height + 7, section, np.array([39]), np.array([10.0]))
+    hidden = float((0.4 + per_mm * (np.arange(40, 50) - 20.0)).mean() / section[30:].mean())  # if the increase continues
+    assert found == pytest.approx(1.0 if per_mm <= 0.0 else 2.0 * hidden - 1.0, rel=0.25)
+    assert found >= max(hidden, 1.0)
+
+
+def test_what_is_visible_to_its_end_is_not_widened() -> None:
+    assert occlusion._widening(np.arange(9), np.ones(9, np.float32), np.array([8]), np.array([0.0])) == 1.0
+    assert occlusion._widening(np.arange(9), np.ones(9, np.float32), np.array([8]), np.array([7.0])) == 1.0
+
+
 @pytest.mark.parametrize(("scene", "bends"), [(Scene(), True), (Scene(tank=Tank()), False)], ids=["round wall", "tank"])
 def test_only_a_round_wall_bends_light_away(monkeypatch: pytest.MonkeyPatch, scene: Scene, bends: bool) -> None:
     grid = Grid(np.array([-2.0, -2.0, -20.0]), 0.2, 1, (10, 10, 10))
