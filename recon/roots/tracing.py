@@ -248,7 +248,15 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
     """
     owned, left = np.zeros(len(centre), bool), length.copy()
     some = np.flatnonzero(left >= 0.0)
-    tree = cKDTree(centre[some])
+    tree, unclaimed = cKDTree(centre[some]), len(some)
+
+    def claim(cell: int) -> int:
+        """Claim the cells around a cell, and return how many were not claimed before."""
+        near = some[tree.query_ball_point(centre[cell], claim_mm[cell])]
+        new = int(np.count_nonzero(left[near] >= 0.0))
+        left[near] = -1.0
+        return new
+
     # Native Python numbers, several times as fast in a scalar loop.
     prior, taken, open_ = before.data, owned.data, left.data
     step = np.linalg.norm(centre - centre[np.maximum(before, 0)], axis=1).data
@@ -263,17 +271,17 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
             fresh += step[way[-1]] if open_[way[-1]] >= 0.0 else 0.0
             way.append(prior[way[-1]])
         if fresh < max(least_mm, claim_mm[tip]):
-            left[some[tree.query_ball_point(centre[tip], claim_mm[tip])]] = -1.0
+            unclaimed -= claim(tip)
             continue
         line = np.array(way[::-1])
         # In taproot and hypocotyl the spheres are large: a few of them cover the path.
         for cell in line[_select_spaced(centre[line], claim_mm[line])]:
-            left[some[tree.query_ball_point(centre[cell], claim_mm[cell])]] = -1.0
+            unclaimed -= claim(cell)
         owned[line] = True
         lines.append(line)
-        unclaimed = some[left[some] >= 0.0]
-        if len(unclaimed) < _STILL_OPEN * len(some):  # the first branches claim most cells
-            some, tree = unclaimed, cKDTree(centre[unclaimed])
+        if unclaimed < _STILL_OPEN * len(some):  # the first branches claim most cells
+            some = some[left[some] >= 0.0]
+            tree = cKDTree(centre[some])
     return lines
 
 

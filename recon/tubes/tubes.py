@@ -223,23 +223,23 @@ def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], pare
     parents : sequence of int
         Node of the tree at which each path begins, or -1 for the nearest node of the preceding new branches.
     """
-    centres, radii, branches, count = [tree.centre_mm], [tree.radius_mm], list(tree.branches), len(tree.radius_mm)
-    tips = {int(nodes[-1]): k for k, nodes in enumerate(branches)}
-    for path, radius, parent in zip(paths, radius_mm, parents, strict=True):
-        points, thickness = _resample(path, radius)
-        if parent < 0:
-            new = np.concatenate(centres[1:])
-            parent = len(tree.radius_mm) + int(cKDTree(new).query(path[0])[1])
-        new_nodes = count + np.arange(len(points) - 1, dtype=np.int64)
+    if not paths:
+        return tree
+    lines, count = [_resample(path, radius) for path, radius in zip(paths, radius_mm, strict=True)], len(tree.radius_mm)
+    centre, thickness = np.concatenate([points[1:] for points, _ in lines]), np.concatenate([radius[1:] for _, radius in lines])
+    first = np.cumsum([0, *(len(points) - 1 for points, _ in lines)])
+    begin, loose = np.array(parents, np.int64), np.flatnonzero(np.array(parents) < 0)
+    if len(loose):
+        begin[loose] = count + _nearest_before(centre, np.array([paths[k][0] for k in loose.tolist()]), first[loose])
+    branches, tips = list(tree.branches), {int(nodes[-1]): k for k, nodes in enumerate(tree.branches)}
+    for k, parent in enumerate(begin.tolist()):
+        new_nodes = count + np.arange(first[k], first[k + 1])
         ended = tips.pop(parent, None)
         if ended is None:
             branches.append(np.concatenate([np.array([parent], np.int64), new_nodes]))
         else:
             branches[ended] = np.concatenate([branches[ended], new_nodes])
-        centres.append(points[1:])
-        radii.append(thickness[1:])
-        count += len(points) - 1
-    return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
+    return Tubes(np.concatenate([tree.centre_mm, centre]), np.concatenate([tree.radius_mm, thickness]), tuple(branches))
 
 
 def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
