@@ -13,7 +13,7 @@ from manifold3d import CrossSection
 
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
-from rhizotwin.building.pot import ring_outer_radius_mm, ring_screws_mm
+from rhizotwin.building.pot import LEAST_WALL_MM, ring_outer_radius_mm, ring_screws_mm
 from rhizotwin.building.shapes import circle, gear, hole, joined, polygon, raised, rectangle, rounded, slot, teardrop, turned, union
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -58,6 +58,8 @@ class Drive:
     """Number of teeth of the ring gear."""
     race_radius_mm: float
     """Radius of the ball track."""
+    foot_xy_mm: tuple[float, float]
+    """Distance of the feet from the axis of the turntable along x and along y."""
 
     @property
     def ratio(self) -> float:
@@ -82,7 +84,10 @@ def drive_of(scene: Scene, measures: Measures) -> Drive:
     """
     needed = 2.0 * (ring_outer_radius_mm(scene, measures) + 1.0 + 1.25 * MODULE_MM) / MODULE_MM
     teeth = PINION_TEETH * int(np.ceil(needed / PINION_TEETH))
-    return Drive(teeth=teeth, race_radius_mm=round(0.7 * scene.canister.outer_radius_mm))
+    race_mm = round(0.7 * scene.canister.outer_radius_mm)
+    screw_mm = race_mm + _groove_mm(measures) + LEAST_WALL_MM + COUNTERSINK_M4_MM / 2.0
+    y_mm = round(0.83 * race_mm)
+    return Drive(teeth=teeth, race_radius_mm=race_mm, foot_xy_mm=(math.ceil(math.sqrt(screw_mm**2 - y_mm**2)), y_mm))
 
 
 def top_mm(scene: Scene) -> float:
@@ -98,10 +103,16 @@ def base_top_mm(scene: Scene) -> float:
 def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
     """Return the positions (x, y) of the feet.
 
-    On each of the two frame profiles, the feet form a row along x.
+    On each of the two frame profiles, the feet form a row along x. The countersinks of their screws are outside the
+    ball groove.
     """
-    reach = round(drive.race_radius_mm * 0.83)
-    return [(x, y) for x in (-reach, reach) for y in (-reach, reach)]
+    reach_x, reach_y = drive.foot_xy_mm
+    return [(x, y) for x in (-reach_x, reach_x) for y in (-reach_y, reach_y)]
+
+
+def _groove_mm(measures: Measures) -> float:
+    """Return the depth of the ball grooves, which equals half their width in the face."""
+    return measures.ball_mm / math.sqrt(2.0) - PLATE_GAP_MM / 2.0
 
 
 def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tuple[float, float]]:
@@ -110,7 +121,7 @@ def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tup
     The face is at height ``z``. ``into`` is the vertical direction into the material: -1 for a face that points up, 1
     for a face that points down.
     """
-    deep = measures.ball_mm / np.sqrt(2.0) - PLATE_GAP_MM / 2.0
+    deep = _groove_mm(measures)
     r, past = drive.race_radius_mm, 0.5
     return [(r - deep - past, z - into * past), (r, z + into * deep), (r + deep + past, z - into * past)]
 
@@ -214,7 +225,8 @@ def table_base(scene: Scene, measures: Measures) -> Part:
     """
     drive = drive_of(scene, measures)
     centre, bearing = drive.centres_mm, measures.bearing_mm
-    disc = circle(drive.race_radius_mm + measures.ball_mm + 8.0)
+    around_screws_mm = math.hypot(*drive.foot_xy_mm) + COUNTERSINK_M4_MM / 2.0 + LEAST_WALL_MM
+    disc = circle(max(drive.race_radius_mm + measures.ball_mm + 8.0, around_screws_mm))
     seat = rounded(measures.motor_face_mm + 2.0 * SLIDE_MM + 4.0, measures.motor_face_mm + 2.0 * SLIDE_MM + 4.0, 4.0).translate(
         (0.0, -centre)
     )

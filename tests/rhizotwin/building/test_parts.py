@@ -155,6 +155,15 @@ def test_gears_mesh_with_their_play(teeth: int) -> None:
         assert shared(float(turn), 1.6 * play_deg) > 1e-2
 
 
+@pytest.mark.parametrize("outer_radius_mm", [40.0, 60.0, 76.2, 110.0])
+def test_screws_of_the_feet_are_in_the_base_and_outside_the_ball_groove(outer_radius_mm: float) -> None:
+    scene = replace(Scene(), canister=replace(Scene().canister, outer_radius_mm=outer_radius_mm))
+    base, drive = table.table_base(scene, MEASURES).solid, table.drive_of(scene, MEASURES)
+    for x, y in table.foot_places_mm(drive):
+        disc = raised(circle(table.COUNTERSINK_M4_MM / 2.0 + 1.0, (x, y)) - circle(table.COUNTERSINK_M4_MM / 2.0 + 0.05, (x, y)), -2.0, 0.0)
+        assert (disc ^ base).volume() == pytest.approx(disc.volume(), rel=1e-3)
+
+
 def test_what_cannot_be_printed_is_refused() -> None:
     for pot, words in ((NetPot(outer_radius_mm=77.0), "would be 0.40 mm thick"), (NetPot(grid_z_mm=-1.0), "cannot be printed")):
         with pytest.raises(UserError, match=words):
