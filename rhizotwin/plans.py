@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
-from rhizotwin.scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Scene
 
 
 @dataclass(frozen=True, order=True)
@@ -45,8 +45,8 @@ class Variant:
     def of(self, scene: Scene) -> Scene:
         """Return a copy of the scene with this capture plan.
 
-        Rings without a distance use the distance of the scene's first ring. The table angles of the rings are
-        interleaved.
+        Rings without a distance use the distance of the scene's first ring. Its angle of rotation, jitter and bands
+        apply to all rings. The table angles of the rings are interleaved.
         """
         first = scene.plan.rings[0]
         aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
@@ -54,8 +54,9 @@ class Variant:
         for k, height in enumerate(self.heights):
             away_mm = height.distance_mm or first.distance_mm
             tilt_deg = math.degrees(math.atan2(height.mm - aim_mm, away_mm)) if height.tilt_deg is None else height.tilt_deg
-            first_deg = first.first_deg + k * 360.0 / self.views / len(self.heights)
-            rings.append(Ring(views=self.views, height_mm=height.mm, distance_mm=away_mm, tilt_deg=tilt_deg, first_deg=first_deg))
+            first_deg = first.first_deg + k * first.span_deg / self.views / len(self.heights)
+            placed = replace(first, height_mm=height.mm, distance_mm=away_mm, tilt_deg=tilt_deg)
+            rings.append(replace(placed, kind="root", views=self.views, first_deg=first_deg))
         return replace(scene, plan=CapturePlan(rings=tuple(rings)), camera=scene.camera.resized(self.image_wh))
 
 

@@ -53,6 +53,16 @@ def test_every_ring_of_a_variant_looks_at_the_same_point():
     assert first == pytest.approx([0.0, 1.0 / 3.0, 2.0 / 3.0])  # no two views have one direction
 
 
+def test_rings_of_a_variant_keep_span_jitter_and_bands_of_the_first_ring():
+    scene = files.load_scene("radish_bands")
+    variant = plans.Variant(heights=(Height(-42.0), Height(10.0)), views=10, image_wh=(400, 300))
+    assert capture.count_pictures(variant.of(scene)) == 20  # the first ring has one band of six
+    first = replace(scene.plan.rings[0], span_deg=120.0, jitter_mm=2.0, jitter_deg=0.5)
+    rings = variant.of(replace(scene, plan=replace(scene.plan, rings=(first,)))).plan.rings
+    assert [(ring.span_deg, ring.jitter_mm, ring.jitter_deg) for ring in rings] == [(120.0, 2.0, 0.5)] * 2
+    assert [ring.first_deg for ring in rings] == pytest.approx([0.0, 6.0])
+
+
 def test_the_second_ring_of_the_ladder_can_be_asked_for():
     words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42", "--heights=-42,10:8"]
     asked = command_line.bind(words)[1].arguments["grid"].heights[1]
