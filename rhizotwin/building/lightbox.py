@@ -17,11 +17,9 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
 
 CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
-CLIP_SCREWS_MM = 10.0
-"""Half the distance between the two screws with which a panel holder is fastened to a clip."""
+SCREW_ROOM_MM = 3.5
+"""Radius of the free space around an M3 screw, for its head or nut (ISO 4032: 6.0 across corners)."""
 HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
-HOLDER_TAB_MM = 40.0
-"""Length of the tab that is screwed to the clip."""
 HOLDER_EVERY_MM = 250.0
 """Maximum distance between two adjacent holders on the upper and lower edge of the panel."""
 WALL_LONG_MM = 200.0
@@ -40,8 +38,17 @@ def _clip_outline(measures: Measures) -> CrossSection:
     body = rounded(2.0 * (gap + wall), 2.0 * (gap + wall), 1.0) - CrossSection.square((2.0 * gap, 2.0 * gap), center=True)
     mouth = CrossSection.square((2.0 * (gap - wall), 4.0 * wall)).translate((-(gap - wall), -gap - 3.0 * wall))
     noses = [polygon([(side * (gap + 0.1), -nose), (side * (gap + 0.1), nose), (side * (gap - lip), 0.0)]) for side in (-1, 1)]
-    back = CrossSection.square((4.0 * CLIP_SCREWS_MM + 4.0, wall + 2.0)).translate((-(2.0 * CLIP_SCREWS_MM + 2.0), gap))
+    end = _clip_screw_mm(measures) + SCREW_ROOM_MM
+    back = rectangle((-end, gap), (end, gap + wall + 2.0))
     return union([body - mouth, *noses, back])
+
+
+def _clip_screw_mm(measures: Measures) -> float:
+    """Return half the distance between the two screws with which a panel holder is fastened to a clip.
+
+    Their heads or nuts are beside the profile and the walls of the clip.
+    """
+    return measures.profile_mm / 2.0 + measures.fit_mm / 2.0 + CLIP_WALL_MM + SCREW_ROOM_MM
 
 
 def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
@@ -59,15 +66,15 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
     The profile is parallel to the z axis of the clip. A panel holder is screwed to the back of the clip.
     """
     back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
-    thick = CLIP_WALL_MM + 2.0
-    drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
+    thick, screw = CLIP_WALL_MM + 2.0, _clip_screw_mm(measures)
+    drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-screw, screw))
     through = drop.extrude(thick + 2.0).transform(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, back - 1.0], [0.0, 1.0, 0.0, 0.0]]))
     # the profile runs along y behind the panel; the back of the clip, with the holder, faces the canister
     rig_axes = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     places = []
     for y, z in clip_places_mm(scene):
         side = np.sign(z - scene.lights.backlight_z_mm)
-        at = frames.translation(_bar_x_mm(scene, measures), y - CLIP_WIDE_MM / 2.0, z + side * _bar_beyond_mm())
+        at = frames.translation(_bar_x_mm(scene, measures), y - CLIP_WIDE_MM / 2.0, z + side * _bar_beyond_mm(measures))
         places.append(np.asarray(at @ rig_axes))
     return Part(
         name="lightbox_clip",
@@ -77,11 +84,11 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
         apart_mm=(-60.0, 0.0, 0.0),
         dimensions=(
             Dimension(name="around the profile", from_mm=(-back, 0.0, CLIP_WIDE_MM), to_mm=(back, 0.0, CLIP_WIDE_MM)),
-            Dimension(name="screws", from_mm=(-1.5 * CLIP_SCREWS_MM, back, 0.0), to_mm=(1.5 * CLIP_SCREWS_MM, back, 0.0)),
+            Dimension(name="screws", from_mm=(-screw, back, 0.0), to_mm=(screw, back, 0.0)),
         ),
         numbers=(
             ("opening_mm", 2.0 * back, "profile_mm + fit_mm"),
-            ("screws_apart_mm", 3.0 * CLIP_SCREWS_MM, ""),
+            ("screws_apart_mm", 2.0 * screw, "profile_mm, so that the heads are beside the profile"),
             ("pieces", float(len(places)), f"one per {HOLDER_EVERY_MM:g} mm of the upper and lower edge of the panel"),
         ),
     )
@@ -100,12 +107,12 @@ def _bar_x_mm(scene: Scene, measures: Measures) -> float:
     return _panel_x_mm(scene, measures) - back
 
 
-def _bar_beyond_mm() -> float:
+def _bar_beyond_mm(measures: Measures) -> float:
     """Return the distance from the edge of the panel to the centre line of the profile beyond it.
 
     The panel holder is screwed to the clip at this distance.
     """
-    return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
+    return HOLDER_WALL_MM + SCREW_ROOM_MM + _clip_screw_mm(measures)
 
 
 def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -136,12 +143,12 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
 
     The back of the channel is at x = 0, and the edge of the panel at y = 0.
     """
-    wall, deep, tab = HOLDER_WALL_MM, HOLDER_DEEP_MM, HOLDER_TAB_MM
+    wall, deep, screw, bar = HOLDER_WALL_MM, HOLDER_DEEP_MM, _clip_screw_mm(measures), _bar_beyond_mm(measures)
     board, diffuser = _slots(measures)
     long = diffuser[1] + wall
-    outline = union([_channel(measures), rectangle((0.0, -tab), (wall, 0.0))])
+    outline = union([_channel(measures), rectangle((0.0, -bar - screw - SCREW_ROOM_MM), (wall, 0.0))])
     middle = HOLDER_LONG_MM / 2.0
-    screws = union(teardrop(M3_MM, (-tab / 2.0 - wall / 2.0 + s * 1.5 * CLIP_SCREWS_MM, middle)) for s in (-1, 1))
+    screws = union(teardrop(M3_MM, (-bar + s * screw, middle)) for s in (-1, 1))
     through = screws.extrude(wall + 2.0).transform(np.array([[0.0, 0.0, 1.0, -1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]))
     places = []
     x = _panel_x_mm(scene, measures)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from manifold3d import Error, Manifold
 
-from rhizotwin.building import table, tank
+from rhizotwin.building import lightbox, table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.pot import net_pot, net_pot_grid, strip_seat_radius_mm
@@ -207,6 +207,20 @@ def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_i
         tank.parts(wet, MEASURES, -300.0)
     with pytest.raises(UserError, match=r"for the posts of the tank"):
         tank.parts(TANK, MEASURES, -160.0)
+
+
+@pytest.mark.parametrize("profile_mm", [20.0, 30.0, 40.0])
+def test_heads_of_the_screws_fit_between_clip_holder_and_profile(profile_mm: float) -> None:
+    measures = replace(MEASURES, profile_mm=profile_mm)
+    clip, holder = lightbox.lightbox_clip(Scene(), measures), lightbox.panel_holder(Scene(), measures)
+    bar = Manifold.cube((profile_mm, profile_mm, 20.0)).translate((-profile_mm / 2.0, -profile_mm / 2.0, 0.0))
+    screws = next(dimension for dimension in clip.dimensions if dimension.name == "screws")
+    for x, y, _ in (screws.from_mm, screws.to_mm):
+        head = Manifold.cylinder(3.0, 3.0).rotate((90.0, 0.0, 0.0)).translate((x, y - 1e-4, lightbox.CLIP_WIDE_MM / 2.0))
+        assert (head ^ clip.solid).is_empty()
+        assert (head ^ bar).is_empty()
+        front = head.translate((0.0, lightbox.CLIP_WALL_MM + 5.0 + lightbox.HOLDER_WALL_MM + 2e-4, 0.0))  # of the holder
+        assert (front.transform(clip.rig_from_part[0][:3]) ^ holder.placed()[0]).is_empty()
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
