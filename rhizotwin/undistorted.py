@@ -55,10 +55,13 @@ class VirtualCamera:
     def cam_from_canister(self) -> Array:
         """Pose (4, 4) of the pinhole camera.
 
-        The camera has the azimuth and height of the real camera, and looks horizontally at the axis.
+        The camera has the azimuth and height of the real camera. It is tilted towards the middle of the part of the
+        axis that the real picture shows.
         """
-        level = frames.level_camera(distance_mm=self.distance_mm, height_mm=float(self.view.centre_mm[2]), tilt_deg=0.0)
-        return level @ frames.rotation_z(-self._azimuth_rad)
+        height_mm = float(self.view.centre_mm[2])
+        tilt_deg = float(np.rad2deg(np.arctan2(height_mm - self._aim_mm, self.distance_mm)))
+        upright = frames.level_camera(distance_mm=self.distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)
+        return np.asarray(upright @ frames.rotation_z(-self._azimuth_rad))
 
     @cached_property
     def lens(self) -> Camera:
@@ -67,7 +70,8 @@ class VirtualCamera:
         if focal is None:
             middle = np.array([0.0, 0.0, float(np.mean(self.heights_mm))])
             px = project_inner(self.view, self.optics, np.stack([middle - self._right, middle + self._right]))
-            focal = self.distance_mm * float(np.linalg.norm(px[1] - px[0])) / 2.0
+            depth_mm = float(frames.apply(self.cam_from_canister, middle)[2])
+            focal = depth_mm * float(np.linalg.norm(px[1] - px[0])) / 2.0
         return Camera(image_wh=(width, height), focal_px=(focal, focal), principal_px=((width - 1) / 2.0, (height - 1) / 2.0))
 
     def pixels(self, points_mm: Array) -> Array:
@@ -82,12 +86,11 @@ class VirtualCamera:
         Pixels that show no water are 0.
         """
         width, height = self.lens.image_wh
-        (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
         u, v = np.arange(0.0, width + _STEP_PX, _STEP_PX), np.arange(0.0, height + _STEP_PX, _STEP_PX)
-        aside, up = (u - cx) * self.distance_mm / focal, float(self.view.centre_mm[2]) - (v - cy) * self.distance_mm / focal
-        on_plane = self._plane(*np.meshgrid(aside, up))
+        on_plane = self._points_at(*np.meshgrid(u, v))
         low, high = self.heights_mm
-        within = (np.abs(aside)[None, :] < self.optics.inner_radius_mm) & (up[:, None] > low) & (up[:, None] < high)
+        within = np.hypot(on_plane[..., 0], on_plane[..., 1]) < self.optics.inner_radius_mm
+        within &= (on_plane[..., 2] > low) & (on_plane[..., 2] < high)
         source = np.zeros((*within.shape, 3))
         source[within, :2] = project_inner(self.view, self.optics, on_plane[within])
         source[..., 2] = within & np.isfinite(source).all(axis=-1)
@@ -97,6 +100,14 @@ class VirtualCamera:
         px[px[..., 2] < 1.0 - 1e-9] = -1e4  # a corner of the interpolation cell has no image
         x, y = px[..., 0].astype(np.float32), px[..., 1].astype(np.float32)
         return np.asarray(cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+
+    def _points_at(self, u: Array, v: Array) -> Array:
+        """Return the points (..., 3) on the plane through the axis that the pinhole camera shows at pixels."""
+        canister_from_cam = frames.invert(self.cam_from_canister)
+        (focal, _), (cx, cy) = self.lens.focal_px, self.lens.principal_px
+        rays = np.stack([(u - cx) / focal, (v - cy) / focal, np.ones_like(u)], axis=-1) @ canister_from_cam[:3, :3].T
+        towards = np.array([np.cos(self._azimuth_rad), np.sin(self._azimuth_rad), 0.0])
+        return np.asarray(canister_from_cam[:3, 3] - self.distance_mm / (rays @ towards)[..., None] * rays)
 
     def shown(self, points_mm: Array) -> Array:
         """Return the pixels (N, 2) at which the undistorted picture shows points (N, 3) in the water.
@@ -136,6 +147,16 @@ class VirtualCamera:
         The coordinates are the horizontal distance from the axis and the height.
         """
         return aside_mm[..., None] * self._right + height_mm[..., None] * np.array([0.0, 0.0, 1.0])
+
+    @cached_property
+    def _aim_mm(self) -> float:
+        """Height of the point on the axis at which the pinhole camera looks."""
+        heights = np.linspace(*self.heights_mm, _NODES)
+        px = project_inner(self.view, self.optics, self._plane(np.zeros(_NODES), heights))
+        with np.errstate(invalid="ignore"):
+            inside = ((px >= 0.0) & (px <= np.array(self.view.camera.image_wh) - 1.0)).all(axis=1)
+        seen = heights[inside] if inside.any() else heights
+        return float(seen[0] + seen[-1]) / 2.0
 
     @cached_property
     def _azimuth_rad(self) -> float:
