@@ -261,7 +261,18 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
     -------
     list of Path
         Written files.
+
+    Raises
+    ------
+    UserError
+        If the name of a picture contains a space, at which COLMAP ends the name.
     """
+    for file, _ in posed:
+        if " " in file:
+            raise UserError(
+                f"{output}: COLMAP's text format allows no spaces in the names of pictures, such as {file}; export a .json file, or "
+                "rename the pictures, import them and repeat the reconstruction"
+            )
     k1, k2, p1, p2, k3 = camera.distortion
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     numbers = (fx, fy, cx + 0.5, cy + 0.5, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
@@ -290,6 +301,9 @@ def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, monitor: Moni
     known = {frame.file: frame for frame in dataset.frames}
     places: dict[tuple[int, int], tuple[float, float]] = {}
     lens: Camera | None = None  # lens of the first picture, because both formats have one lens for all pictures
+    names = {file: f"{Path(file).stem.replace(' ', '_')}.png" for file in cameras.files}  # COLMAP allows no spaces
+    if len(set(names.values())) < len(names):
+        raise UserError(f"{output}: the names of two pictures differ only in spaces and underscores; rename one of them, and import again")
     posed = list[tuple[str, NDArray[np.float64]]]()
     with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(cameras.views), "picture") as step:
         (building / "images").mkdir()
@@ -298,7 +312,7 @@ def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, monitor: Moni
             if place not in places:
                 places[place] = best_distance_mm(view, cameras.optics, heights_mm)
             camera = VirtualCamera(view, cameras.optics, places[place][0], heights_mm, None if lens is None else lens.focal_px[0])
-            lens, name = camera.lens, f"{Path(file).stem}.png"
+            lens, name = camera.lens, names[file]
             atomic.write_image(building / "images" / name, camera.undistort(np.asarray(read_image(dataset, known[file]))))
             posed.append((name, camera.cam_from_canister))
             step()

@@ -10,6 +10,7 @@ import trimesh
 
 from rhizotwin import exports, root_mesh
 from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.rsml_reader import read_rsml
@@ -88,3 +89,20 @@ def test_cameras_of_excluded_pictures_are_not_exported(tmp_path: Path) -> None:
     for name in ("none.json", "none"):
         with pytest.raises(UserError, match="no calibrated picture"):
             exports.export(made.result, tmp_path / name, dataset_folder=made.dataset)
+
+
+def test_names_with_spaces_which_colmap_cuts_off_are_refused_or_replaced(tmp_path: Path) -> None:
+    made = plants.make(tmp_path)
+    for picture in (made.dataset / "images").iterdir():
+        picture.rename(picture.with_name(f"my {picture.name}"))
+    for file in (made.dataset / "dataset.json", made.result / "result.json"):
+        atomic.write_text(file, file.read_text().replace("images/view", "images/my view"))
+    summary = result_files.read_summary(made.result)
+    atomic.write_json(made.result / "result.json", summary | {"dataset_sha256": file_sha256(made.dataset / "dataset.json")})
+    with pytest.raises(UserError, match=r"COLMAP's text format allows no spaces .* images/my view_000.png"):
+        exports.export(made.result, tmp_path / "colmap", dataset_folder=made.dataset)
+    assert not (tmp_path / "colmap").exists()
+    exports.export(made.result, tmp_path / "cameras.json", dataset_folder=made.dataset)
+    exports.export(made.result, tmp_path / "undistorted", dataset_folder=made.dataset, undistorted=True)
+    assert (tmp_path / "undistorted" / "images" / "my_view_000.png").is_file()
+    assert (tmp_path / "undistorted" / "colmap" / "images.txt").read_text().splitlines()[1].split()[9] == "my_view_000.png"
