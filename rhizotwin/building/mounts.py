@@ -4,7 +4,7 @@ import numpy as np
 from manifold3d import CrossSection
 
 from rhizotwin.building.measures import Measures
-from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
+from rhizotwin.building.part import FLIPPED, Dimension, Part, moved, round_up
 from rhizotwin.building.shapes import circle, hole, joined, polygon, raised, rounded, slot, turned, union
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.board import CharucoBoard
@@ -43,7 +43,7 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
         raise UserError(
             f"the last value of arm.links_mm leaves {deep:.1f} mm between the mounting disc of the roll servo and the camera board, "
             f"but {PLATE_MM + LEAST_POST_MM:g} mm are needed; set it to at least "
-            f"{measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM:.1f}"
+            f"{round_up(measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM):g}"
         )
     low, high = measures.horn_holes_mm[0] / 2.0, measures.horn_holes_mm[1] / 2.0
     slots = [slot(M3_MM, (low * x, low * y), (high * x, high * y)) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]

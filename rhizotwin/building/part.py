@@ -1,5 +1,6 @@
 """Definition of a printed part: solid, orientation on the print bed, and positions on the rig."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -98,6 +99,11 @@ def check_bed(part: Part, bed_mm: tuple[float, float, float]) -> None:
             f"the part {part.name} ({wide:.0f} x {deep:.0f} x {high:.0f} mm) does not fit the printer's build volume of "
             f"{bed_mm[0]:g} x {bed_mm[1]:g} x {bed_mm[2]:g} mm; use a larger printer, and give its build volume with --bed-mm"
         )
+
+
+def round_up(length_mm: float) -> float:
+    """Round a length up to 0.01 mm, so that a value copied from a message is accepted."""
+    return math.ceil(100.0 * (length_mm + 1e-9)) / 100.0
 
 
 def moved(x_mm: float, y_mm: float, z_mm: float, *, turn_deg: float = 0.0) -> Array:

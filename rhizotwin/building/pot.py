@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rhizotwin.building.measures import Measures
-from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
+from rhizotwin.building.part import FLIPPED, Dimension, Part, moved, round_up
 from rhizotwin.building.shapes import SIDES, circle, hole, polygon, raised, rectangle, turned, union
 from rhizotwin.rig.printing.print_strip import FlatStrip
 from rhizotwin.scenes.errors import UserError
@@ -51,18 +51,13 @@ def _refuse_pot(scene: Scene, measures: Measures, *, skirt_mm: float, funnel_mm:
         least_mm = scene.canister.outer_radius_mm + measures.fit_mm + measures.paper_mm + LEAST_WALL_MM
         raise UserError(
             f"the outer wall of the net pot would be {max(skirt_mm, 0.0):.2f} mm thick, but at least {LEAST_WALL_MM:g} mm are needed; "
-            f"set net_pot.outer_radius_mm to at least {_round_up(least_mm):g} for this canister and these dimensions"
+            f"set net_pot.outer_radius_mm to at least {round_up(least_mm):g} for this canister and these dimensions"
         )
     if pot.grid_z_mm > -SEAT_MM or pot.top_mm < funnel_mm + NOTCH_MM or pot.skirt_bottom_mm >= 0.0:
         raise UserError(
             f"the net pot of the scene cannot be printed; net_pot.grid_z_mm must be {-SEAT_MM:g} or lower, net_pot.top_mm at least "
-            f"{_round_up(funnel_mm + NOTCH_MM):g}, and net_pot.skirt_bottom_mm below 0"
+            f"{round_up(funnel_mm + NOTCH_MM):g}, and net_pot.skirt_bottom_mm below 0"
         )
-
-
-def _round_up(length_mm: float) -> float:
-    """Round a length up to 0.01 mm, so that a value copied from a message is accepted."""
-    return math.ceil(100.0 * (length_mm + 1e-9)) / 100.0
 
 
 def net_pot(scene: Scene, measures: Measures) -> Part:
@@ -145,7 +140,8 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
     ) ^ circle(reach)
     middle = measures.mesh_middle_mm / 2.0
     if not 0.0 <= middle < reach - RIM_MM:
-        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} is too large for the grid; give 0 to {2.0 * (reach - RIM_MM):.0f}")
+        most_mm = math.ceil(2.0 * (reach - RIM_MM)) - 1
+        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} is too large for the grid; give 0 to {most_mm}")
     if middle > 0.0:  # without the opening, roots were constricted and had to be cut out (thesis, section 3.1)
         openings = openings - circle(middle + RIM_MM) + circle(middle)
     return Part(

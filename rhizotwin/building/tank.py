@@ -5,6 +5,7 @@ floor drive magnets in the carrier above the floor. Slip of the carrier is detec
 turntable.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from manifold3d import Manifold
 
 from rhizotwin.building import table
 from rhizotwin.building.measures import Measures
-from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
+from rhizotwin.building.part import FLIPPED, Dimension, Part, moved, round_up
 from rhizotwin.building.pot import ring_outer_radius_mm, ring_screws_mm
 from rhizotwin.building.shapes import circle, hole, joined, raised, rectangle, union
 from rhizotwin.scenes import frames
@@ -121,8 +122,8 @@ def parts(scene: Scene, measures: Measures, ground_mm: float) -> list[Part]:
     if scene.strip.rows and dry < LEAST_DRY_MM:
         raise UserError(
             f"the marker strip (strip.bottom_mm) is only {dry:.1f} mm above the water of the tank (tank.level_mm), which rises by "
-            f"{LEAST_DRY_MM:g} mm at a wall; reduce tank.level_mm to {scene.strip.bottom_mm - LEAST_DRY_MM:.1f} or less, or glue the "
-            "strip higher"
+            f"{LEAST_DRY_MM:g} mm at a wall; reduce tank.level_mm to {-round_up(LEAST_DRY_MM - scene.strip.bottom_mm):g} or less, or "
+            "glue the strip higher"
         )
     return [_carrier(scene, measures, dry), _pivot(scene, scene.tank), _post(scene, scene.tank, ground_mm)]
 
@@ -194,7 +195,7 @@ def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
     if high < 10.0:
         raise UserError(
             f"clearance.floor_z_mm {ground_mm:g} leaves {high:.1f} mm for the posts of the tank, but 10 mm are needed; set it to "
-            f"{floor_mm(scene, tank) - 10.0:.0f} or lower"
+            f"{math.floor(floor_mm(scene, tank) - 10.0)} or lower"
         )
     edge = LIP_MM + 0.2
     column = raised(rectangle((-POST_MM, -POST_MM), (edge, edge)), -high, LIP_HIGH_MM)

@@ -2,6 +2,7 @@
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import trimesh
 from manifold3d import Error, Manifold
 
-from rhizotwin.building import lightbox, table, tank
+from rhizotwin.building import lightbox, mounts, table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.pot import net_pot, net_pot_grid, strip_seat_radius_mm
@@ -17,7 +18,7 @@ from rhizotwin.building.rig_parts import bought_of, collisions, parts_of, thesis
 from rhizotwin.building.shapes import circle, gear, raised, rectangle
 from rhizotwin.building.write import stl_bytes
 from rhizotwin.rig.printing.print_strip import FlatStrip
-from rhizotwin.rig.rig_file import Clearance, RigFile
+from rhizotwin.rig.rig_file import ArmPart, Clearance, RigFile
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, MarkerStrip, NetPot, Scene, Tank
@@ -183,6 +184,33 @@ def test_a_net_pot_with_the_advised_size_is_accepted(key: str, bad_mm: float) ->
     advised = re.search(rf"{key}(?: to)? at least ([0-9.]+[0-9])", str(refused.value))
     assert advised is not None
     net_pot(replace(Scene(), net_pot=replace(pot, **{key: float(advised[1])})), measures)
+
+
+def test_numbers_that_messages_advise_are_accepted() -> None:
+    def advised(words: str, make: Callable[[float], object], bad: float) -> float:
+        with pytest.raises(UserError, match=words) as refused:
+            make(bad)
+        found = re.search(words + r" (-?[0-9.]*[0-9])", str(refused.value))
+        assert found is not None
+        return float(found[1])
+
+    def bracket(last_mm: float) -> object:
+        return mounts.camera_bracket(Scene(), ArmPart(links_mm=(61.0, 101.6, 96.4, last_mm)), replace(MEASURES, roll_face_mm=55.04))
+
+    def middle(wide_mm: float) -> object:
+        return net_pot_grid(Scene(), replace(MEASURES, mesh_middle_mm=wide_mm))
+
+    def level(level_mm: float) -> object:
+        strip = replace(TANK.strip, bottom_mm=-3.14)
+        return tank.parts(replace(TANK, strip=strip, tank=replace(TANK.tank, level_mm=level_mm)), MEASURES, -300.0)
+
+    def floor(floor_mm: float) -> object:
+        return tank.parts(replace(TANK, tank=replace(TANK.tank, wall_mm=5.7)), MEASURES, floor_mm)
+
+    bracket(advised("set it to at least", bracket, 60.0))
+    middle(advised("give 0 to", middle, 150.0))
+    level(advised("reduce tank.level_mm to", level, -4.0))
+    floor(advised("set it to", floor, -160.0))
 
 
 def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_it() -> None:
