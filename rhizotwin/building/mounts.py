@@ -88,14 +88,15 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
     UserError
         If the base of the arm is too close to the floor.
     """
-    high = arm.position_mm[2] - floor_mm
-    if high < 30.0:
+    high, least = arm.position_mm[2] - floor_mm, measures.profile_mm + MOUNT_TOP_MM + 4.0
+    if high < least:
         raise UserError(
             f"the base of the arm (arm.position_mm) is {high:.0f} mm above the floor (clearance.floor_z_mm), but the printed mount "
-            "needs 30 mm; screw the arm directly to the frame"
+            f"needs {least:g} mm; screw the arm directly to the frame"
         )
     along, across = measures.arm_base_mm
-    wide, foot, wall = across + 2.0 * 12.0, measures.profile_mm, MOUNT_WALL_MM
+    foot, wall = measures.profile_mm, MOUNT_WALL_MM
+    wide = max(across + 2.0 * 12.0, 2.0 * foot + 10.0)
     left = wide / 2.0
     inner, inside = left - wall, foot - wall
     outline = polygon(
@@ -134,7 +135,7 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
         ),
         numbers=(
             ("height_mm", high, "z of arm.position_mm - clearance.floor_z_mm"),
-            ("bars_apart_mm", wide - foot, "centre to centre, from arm_base_mm"),
+            ("bars_apart_mm", wide - foot, "centre to centre, from arm_base_mm and profile_mm"),
             ("base_holes_along_mm", along, "arm_base_mm; slots of 8"),
             ("base_holes_across_mm", across, "arm_base_mm"),
         ),

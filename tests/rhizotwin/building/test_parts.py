@@ -186,6 +186,14 @@ def test_a_net_pot_with_the_advised_size_is_accepted(key: str, bad_mm: float) ->
     net_pot(replace(Scene(), net_pot=replace(pot, **{key: float(advised[1])})), measures)
 
 
+@pytest.mark.parametrize("profile_mm", [20.0, 40.0, 60.0])
+def test_the_arm_stands_on_two_profiles_side_by_side(profile_mm: float) -> None:
+    mount = mounts.arm_mount(ArmPart(), replace(MEASURES, profile_mm=profile_mm, arm_base_mm=(80.0, 50.0)), RIG.clearance.floor_z_mm)
+    assert {name: value for name, value, _ in mount.numbers}["bars_apart_mm"] > profile_mm
+    foot = mount.solid.bounding_box()[2] + 3.0
+    assert len(mount.solid.slice(foot).decompose()) == 2
+
+
 def test_numbers_that_messages_advise_are_accepted() -> None:
     def advised(words: str, make: Callable[[float], object], bad: float) -> float:
         with pytest.raises(UserError, match=words) as refused:
