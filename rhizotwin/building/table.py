@@ -28,6 +28,8 @@ BACKLASH_MM = 0.15
 """Amount by which the teeth are thinner than without backlash. Backlash does not affect a scan, which approaches all
 angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
+LEAST_FLOOR_MM = 1.0
+"""Minimum thickness of the material below a groove or a pocket."""
 PLATE_GAP_MM = 2.0
 """Gap between the turntable plate and the base. It is large enough that they do not touch even if the ball grooves are
 0.5 mm too deep."""
@@ -134,12 +136,17 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
     Raises
     ------
     UserError
-        If the balls are too small.
+        If the balls are too small or too large.
     """
     drive = drive_of(scene, measures)
     if measures.ball_mm / np.sqrt(2.0) <= PLATE_GAP_MM / 2.0 + 0.5:
         raise UserError(
             f"ball_mm {measures.ball_mm:g} is too small for the gap of {PLATE_GAP_MM:g} mm between plate and base; use larger balls"
+        )
+    if _groove_mm(measures) > min(PLATE_MM, BASE_MM) - LEAST_FLOOR_MM:
+        raise UserError(
+            f"ball_mm {measures.ball_mm:g} is too large, because its grooves would be {_groove_mm(measures):.1f} mm deep in plate and "
+            f"base, which are {PLATE_MM:g} mm thick; use smaller balls"
         )
     outline = gear(drive.teeth, MODULE_MM, backlash_mm=BACKLASH_MM) - union(hole(TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     body = raised(outline - hole(measures.bearing_mm[0] + 0.4), -PLATE_MM, 0.0)

@@ -14,7 +14,7 @@ from manifold3d import Manifold
 from rhizotwin.building import table
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import FLIPPED, Dimension, Part, moved, round_up
-from rhizotwin.building.pot import ring_outer_radius_mm, ring_screws_mm
+from rhizotwin.building.pot import LEAST_WALL_MM, ring_outer_radius_mm, ring_screws_mm
 from rhizotwin.building.shapes import circle, hole, joined, raised, rectangle, union
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -26,7 +26,7 @@ PAD_MM = table.HUB_MM
 """Height of the ring on the turntable plate, which raises the magnets above the hub of the pinion."""
 PAD_WIDE_MM = 16.0
 GLIDE_WIDE_MM = 3.0
-MAGNETS = 6
+MAGNETS, MAGNET_PLAY_MM = 6, 0.2
 PIN_MM, PIN_HIGH_MM, FOOT_MM, FOOT_HIGH_MM = 8.0, 6.0, 30.0, 0.8
 """Dimensions of the pivot on the floor of the tank: diameter and height of its pin, and diameter and height of its
 foot."""
@@ -79,16 +79,27 @@ def pockets(scene: Scene, measures: Measures, top_mm: float) -> Manifold:
     The upper faces of the magnets are at the height ``top_mm``.
     """
     wide, high = measures.magnet_mm
-    return joined(raised(hole(wide + 0.2, at), top_mm - high - 0.2, top_mm + 1.0) for at in magnet_places_mm(scene))
+    return joined(raised(hole(wide + MAGNET_PLAY_MM, at), top_mm - high - MAGNET_PLAY_MM, top_mm + 1.0) for at in magnet_places_mm(scene))
 
 
 def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
     """Return the turntable plate with a ring on top that contains the magnets.
 
     Without a tank, the plate is returned unchanged.
+
+    Raises
+    ------
+    UserError
+        If the magnets are too large for the ring or the carrier.
     """
     if scene.tank is None:
         return plate
+    most_wide, most_high = PAD_WIDE_MM - 2.0 * LEAST_WALL_MM - MAGNET_PLAY_MM, CARRIER_MM - table.LEAST_FLOOR_MM - MAGNET_PLAY_MM
+    if measures.magnet_mm[0] > most_wide or measures.magnet_mm[1] > most_high:
+        raise UserError(
+            f"magnet_mm: magnets with a diameter of {measures.magnet_mm[0]:g} and a height of {measures.magnet_mm[1]:g} mm do not fit the "
+            f"turntable and the carrier in the tank; use magnets of at most {most_wide:g} x {most_high:g} mm"
+        )
     radius, half = magnet_radius_mm(scene), PAD_WIDE_MM / 2.0
     pad = raised(circle(radius + half) - circle(radius - half), -1.0, PAD_MM)
     return replace(plate, solid=joined([plate.solid, pad]) - pockets(scene, measures, PAD_MM))

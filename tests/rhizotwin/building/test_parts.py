@@ -194,6 +194,14 @@ def test_the_arm_stands_on_two_profiles_side_by_side(profile_mm: float) -> None:
     assert len(mount.solid.slice(foot).decompose()) == 2
 
 
+@pytest.mark.parametrize(("key", "most", "too_large"), [("ball_mm", 11.2, 11.5), ("magnet_mm", (13.4, 6.8), (10.0, 8.0))])
+def test_balls_and_magnets_for_which_parts_are_too_thin_are_refused(key: str, most: object, too_large: object) -> None:
+    with pytest.raises(UserError, match=key):
+        parts_of(TANK, rig=low(TANK), measures=replace(MEASURES, **{key: too_large}), board=CharucoBoard())
+    for part in parts_of(TANK, rig=low(TANK), measures=replace(MEASURES, **{key: most}), board=CharucoBoard()):
+        check_closed(part)
+
+
 def test_numbers_that_messages_advise_are_accepted() -> None:
     def advised(words: str, make: Callable[[float], object], bad: float) -> float:
         with pytest.raises(UserError, match=words) as refused:
