@@ -13,6 +13,7 @@ from rhizotwin.building.mounts import M3_MM
 from rhizotwin.building.part import Dimension, Part
 from rhizotwin.building.shapes import polygon, raised, rectangle, rounded, teardrop, union
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
 
@@ -22,6 +23,8 @@ SCREW_ROOM_MM = 3.5
 HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
 HOLDER_EVERY_MM = 250.0
 """Maximum distance between two adjacent holders on the upper and lower edge of the panel."""
+LEAST_PANEL_MM = 100.0
+"""Minimum width and height of a panel, which leaves space for a wall piece beside two holders."""
 WALL_LONG_MM = 200.0
 """Maximum length of a wall piece of the lightbox."""
 
@@ -189,8 +192,18 @@ def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
     """Create the wall pieces of the lightbox.
 
     They close the gaps between the holders and the two sides.
+
+    Raises
+    ------
+    UserError
+        If the panel is too small.
     """
-    wide = scene.lights.backlight_wh_mm[0]
+    wide, high = scene.lights.backlight_wh_mm
+    if min(wide, high) < LEAST_PANEL_MM:
+        raise UserError(
+            f"the panel (lights.backlight_wh_mm) of {wide:g} x {high:g} mm is too small for the printed holders and walls; "
+            f"use a panel of at least {LEAST_PANEL_MM:g} x {LEAST_PANEL_MM:g} mm"
+        )
     centres = sorted({y for y, _ in clip_places_mm(scene)})
     half = HOLDER_LONG_MM / 2.0
     gaps = [(-wide / 2.0, centres[0] - half), *((a + half, b - half) for a, b in pairwise(centres)), (centres[-1] + half, wide / 2.0)]

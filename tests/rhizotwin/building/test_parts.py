@@ -202,6 +202,17 @@ def test_balls_and_magnets_for_which_parts_are_too_thin_are_refused(key: str, mo
         check_closed(part)
 
 
+@pytest.mark.parametrize("wide_mm", [30.0, 80.0, 80.5, 99.0, 100.0])
+def test_a_panel_is_closed_by_walls_or_refused(wide_mm: float) -> None:
+    scene = replace(Scene(), lights=replace(Scene().lights, backlight_wh_mm=(wide_mm, 100.0)))
+    if wide_mm < 100.0:
+        with pytest.raises(UserError, match=r"at least 100 x 100 mm"):
+            lightbox.lightbox_walls(scene, MEASURES)
+        return
+    for part in lightbox.lightbox_walls(scene, MEASURES):
+        check_closed(part)
+
+
 def test_numbers_that_messages_advise_are_accepted() -> None:
     def advised(words: str, make: Callable[[float], object], bad: float) -> float:
         with pytest.raises(UserError, match=words) as refused:
