@@ -40,6 +40,9 @@ M4_MM = 4.5
 COUNTERSINK_M4_MM = 9.4
 """Diameter of the countersink in the base. It encloses the head of an M4 screw (ISO 10642: at most 8.96), because the
 plate rotates directly above."""
+HEAD_M3_MM, HEAD_M3_HIGH_MM = 6.2, 3.2
+"""Pockets for the heads of the motor's screws below the plate: width and depth. ISO 4762 specifies a diameter of at
+most 5.68 and a height of 3."""
 HEX_M8_MM, HEX_M8_HIGH_MM = 13.3, 5.6
 """Pocket for the head of an M8 bolt: width across flats, and depth. ISO 4017 specifies a width of 13 and a height of
 5.3."""
@@ -238,7 +241,10 @@ def table_base(scene: Scene, measures: Measures) -> Part:
         (0.0, -centre)
     )
     half = measures.motor_holes_mm / 2.0
-    slots = [slot(3.4, (x, -centre + y - SLIDE_MM), (x, -centre + y + SLIDE_MM)) for x in (-half, half) for y in (-half, half)]
+    slots, sunk_m3 = (
+        [slot(wide, (x, -centre + y - SLIDE_MM), (x, -centre + y + SLIDE_MM)) for x in (-half, half) for y in (-half, half)]
+        for wide in (3.4, HEAD_M3_MM)
+    )
     boss = slot(measures.motor_boss_mm + 1.0, (0.0, -centre - SLIDE_MM), (0.0, -centre + SLIDE_MM))
     outline = CrossSection.batch_hull([disc, seat]) - union(
         [*slots, boss, hole(bearing[1] - 4.0), *(hole(M4_MM, at) for at in foot_places_mm(drive))]
@@ -248,7 +254,7 @@ def table_base(scene: Scene, measures: Measures) -> Part:
             f"bearing_mm: a bearing with a width of {bearing[2]:g} mm does not fit the base, which is {BASE_MM:g} mm thick; "
             "use a 608 ball bearing"
         )
-    pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0)
+    pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0) + raised(union(sunk_m3), -HEAD_M3_HIGH_MM, 1.0)
     sunk, small = COUNTERSINK_M4_MM / 2.0, M4_MM / 2.0
     # rotated, so that no vertex coincides with the hole, which would create an edge with four faces
     head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48).rotate((0.0, 0.0, 1.9))

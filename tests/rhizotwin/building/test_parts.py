@@ -165,6 +165,20 @@ def test_screws_of_the_feet_are_in_the_base_and_outside_the_ball_groove(outer_ra
         assert (disc ^ base).volume() == pytest.approx(disc.volume(), rel=1e-3)
 
 
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_heads_of_the_motors_screws_are_below_the_plate(scene: Scene) -> None:
+    below = tank.below(scene)
+    drive, half = table.drive_of(below, MEASURES), MEASURES.motor_holes_mm / 2.0
+    plate, base = (part.placed()[0] for part in PARTS[scene.name] if part.name in {"table_plate", "table_base"})
+    for x in (-half, half):
+        for y in (-half, half):
+            screw = Manifold.cylinder(8.0, 1.5) + Manifold.cylinder(3.0, 2.84).translate((0.0, 0.0, 8.0))  # M3 x 8, ISO 4762
+            thread = 3.0  # in the motor, whose holes are at least 4.5 mm deep
+            placed = screw.translate((x, y - drive.centres_mm, table.base_top_mm(below) - table.BASE_MM - thread))
+            assert (placed ^ base).volume() < 1e-6
+            assert (placed ^ plate).is_empty()
+
+
 def test_what_cannot_be_printed_is_refused() -> None:
     for pot, words in ((NetPot(outer_radius_mm=77.0), "would be 0.40 mm thick"), (NetPot(grid_z_mm=-1.0), "cannot be printed")):
         with pytest.raises(UserError, match=words):
