@@ -22,6 +22,10 @@ COLUMNS_MM = (14.0, 168.0)
 """Positions of the left edges of the two columns of boxes, in mm."""
 
 
+MODE_PINS = {1: (), 2: ("MODE0",), 4: ("MODE1",), 8: ("MODE0", "MODE1"), 16: ("MODE2",), 32: ("MODE0", "MODE2")}
+"""High MODE pins of a DRV8825 for each number of microsteps per full step (data sheet, table 1)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wire:
     """Electrical connection between two pins, or between a power supply and a pin."""
@@ -89,6 +93,7 @@ def hat_diagram(part: HatPart) -> Diagram:
     A Raspberry Pi with an expansion board (hat) controls a DRV8825 motor driver and NeoPixel LEDs.
     """
     pi, driver, adapter, arm = "Raspberry Pi", "DRV8825", "LX bus adapter", "arm, LX servos"
+    modes = MODE_PINS[part.microsteps]
     return Diagram(
         title="Raspberry Pi with the thesis's hat: DRV8825 and NeoPixels on GPIO",
         left=(pi, adapter),
@@ -98,7 +103,7 @@ def hat_diagram(part: HatPart) -> Diagram:
             Wire(start=(pi, f"GPIO{part.direction_pin}"), end=(driver, "DIR")),
             Wire(start=(pi, f"GPIO{part.enable_pin}"), end=(driver, "nENABLE"), note="10 k to 3.3 V: off at power-up"),
             Wire(start=(pi, f"GPIO{part.fault_pin}"), end=(driver, "nFAULT"), note="10 k to 3.3 V"),
-            *(Wire(start=("", "+3.3 V"), end=(driver, pin)) for pin in ("nSLEEP, nRESET", "MODE0, MODE2")),
+            *(Wire(start=("", "+3.3 V"), end=(driver, pin)) for pin in ("nSLEEP, nRESET", ", ".join(modes)) if pin),
             Wire(start=("", "+12 V"), end=(driver, "VMOT"), note="100 uF at the pin"),
             Wire(start=("", "GND"), end=(driver, "GND")),
             *(Wire(start=(driver, one), end=(MOTOR, coil)) for one, coil in (("A1", "A+"), ("A2", "A-"), ("B1", "B+"), ("B2", "B-"))),
@@ -113,10 +118,10 @@ def hat_diagram(part: HatPart) -> Diagram:
             Wire(start=("", "GND"), end=(arm, "GND")),
         ),
         notes=(
-            "MODE0 and MODE2 high, MODE1 open: 1/32 step (DRV8825 data sheet, table 1).",
+            f"{' and '.join(modes) or 'No MODE pin'} high, the others open: 1/{part.microsteps} step (DRV8825 data sheet, table 1).",
             "Vref sets the current: 0.5 V for 1 A with 0.1 ohm sense resistors.",
             "GPIO18 and GPIO13 are the two PWM channels of rpi_ws281x: disable audio (dtparam=audio=off).",
-            "Figure 3.4 of the thesis does not name the pins; those shown are the defaults of [hat] in the rig file.",
+            "Figure 3.4 of the thesis does not name the pins; those shown are those of [hat] in the rig file, or its defaults.",
         ),
     )
 
@@ -131,9 +136,9 @@ def _lamps() -> tuple[Wire, ...]:
     )
 
 
-def wiring_pages() -> dict[str, Page]:
+def wiring_pages(hat: HatPart) -> dict[str, Page]:
     """Return the wiring diagram of each controller, with the keys ``marlin`` and ``hat``."""
-    return {"marlin": page_of(marlin_diagram()), "hat": page_of(hat_diagram(HatPart()))}
+    return {"marlin": page_of(marlin_diagram()), "hat": page_of(hat_diagram(hat))}
 
 
 def page_of(diagram: Diagram) -> Page:

@@ -19,7 +19,7 @@ from rhizotwin.building.rig_parts import Bought, bought_of, collisions, parts_of
 from rhizotwin.building.wiring import wiring_pages
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.rig.printing.print_files import write_pages
-from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.rig.rig_file import HatPart, RigFile
 from rhizotwin.scenes.atomic import write_bytes, write_image, write_json, write_text
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
@@ -63,7 +63,7 @@ def write_parts(
     folder : Path
         New or empty output folder.
     rig : RigFile
-        Rig with the positions of arm and floor.
+        Rig with the positions of arm and floor, and the pins of the hat.
     measures : Measures
         Dimensions of purchased parts.
     board : CharucoBoard
@@ -98,7 +98,7 @@ def write_parts(
         write_text(inside / "parameters.csv", _csv(wanted))
         write_json(inside / "parameters.json", _json(scene, wanted, measures))
         if not names:
-            _write_whole(inside, parts, bought, title=scene.name)
+            _write_whole(inside, parts, bought, hat=rig.hat, title=scene.name)
     return wanted
 
 
@@ -110,12 +110,12 @@ def _wanted(parts: Sequence[Part], names: Sequence[str]) -> list[Part]:
     return [part for part in parts if part.name in names or not names]
 
 
-def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> None:
+def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], *, hat: HatPart, title: str) -> None:
     """Write the drawings and pictures of the complete rig, and the wiring diagrams."""
     drawings = folder / "drawings"
     write_pages([rig_page(parts, bought, title=title)], drawings / "rig.svg", title=f"rig of {title}")
     write_pages([exploded_page(parts, bought, title=title)], drawings / "exploded.svg", title=f"parts of {title}")
-    for name, page in wiring_pages().items():
+    for name, page in wiring_pages(hat).items():
         write_pages([page], drawings / f"wiring_{name}.svg", title=f"wiring, {name}")
     write_image(folder / "exploded.png", exploded_picture(parts, bought))
 

@@ -1,6 +1,7 @@
 """Drawings show what is seen at its true size; files hold the solids; the wiring names the pins of the rig file."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,10 @@ def test_the_hat_is_wired_as_the_rig_file_says() -> None:
     starts = {wire.start: wire.end for wire in wiring.hat_diagram(hat).wires}
     assert starts["Raspberry Pi", "GPIO5"] == ("DRV8825", "STEP")
     assert starts["Raspberry Pi", "GPIO12"] == (wiring.SHIFTER, "1A")
+    page = wiring.wiring_pages(replace(hat, microsteps=16))["hat"]
+    texts = [ink.text for ink in page.parts if isinstance(ink, Text)]
+    assert {"GPIO5", "GPIO12", "MODE2"} <= set(texts)
+    assert any("1/16 step" in text for text in texts)
 
 
 @pytest.mark.parametrize("diagram", [wiring.marlin_diagram(), wiring.hat_diagram(HatPart())], ids=["marlin", "hat"])
