@@ -15,6 +15,7 @@ from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.series import tube_mm3
+from rhizotwin.stored import result_files
 
 COPPER_MG_PER_MM3 = 8.96
 """Density of copper at 20 degrees Celsius, mg/mm3 (CRC Handbook of Chemistry and Physics)."""
@@ -83,7 +84,7 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
     Raises
     ------
     UserError
-        If the result has no centre lines, or two diameters are too similar.
+        If the folder is not a result, the result has no centre lines, or two diameters are too similar.
     """
     ordered = sorted(diameters_mm)
     least = NEAREST**2
@@ -94,6 +95,7 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
             )
     file = result / "roots.rsml"
     if not file.is_file():
+        result_files.read_summary(result)  # checks that the folder is a result
         raise UserError(f"{file} does not exist, because the reconstruction found no centre lines; no wire can be measured")
     lengths, volumes = dict.fromkeys(ordered, 0.0), dict.fromkeys(ordered, 0.0)
     for root in read_rsml(file):

@@ -11,6 +11,7 @@ from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.sim.growth import grow
 from tests.command import Command
+from tests.rhizotwin import plant as plants
 
 WIRES = (0.1, 0.2, 0.4, 0.8)
 
@@ -50,8 +51,12 @@ def test_diameter_from_mass():
 def test_mistakes_are_named(tmp_path: Path):
     with pytest.raises(UserError, match="too similar"):
         measure_wires(tmp_path, (0.4, 0.5))
+    with pytest.raises(UserError, match=r"result\.json does not exist; specify a folder"):
+        measure_wires(tmp_path / "missing", WIRES)
+    result = plants.make(tmp_path).result
+    (result / "roots.rsml").unlink()
     with pytest.raises(UserError, match="found no centre lines"):
-        measure_wires(tmp_path, WIRES)
+        measure_wires(result, WIRES)
 
 
 def test_scene_has_straight_wires_of_these_diameters():
