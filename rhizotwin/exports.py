@@ -8,6 +8,7 @@ note about this.
 
 import io
 import json
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -108,7 +109,7 @@ def export(
     cameras = Cameras.of(dataset, summary)
     if not cameras.views:
         raise UserError(f"{output}: the result contains no calibrated picture, so there are no cameras to export; choose another result")
-    return _undistorted(output, dataset, cameras, monitor or Monitor()) if undistorted else _cameras(output, cameras)
+    return _undistorted(output, dataset, cameras, monitor or Monitor()) if undistorted else _cameras(output, dataset, cameras)
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -193,11 +194,24 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
     return [output]
 
 
-def _cameras(output: Path, cameras: Cameras) -> list[Path]:
-    """Write the calibrated cameras in air for nerfstudio (.json) or COLMAP (folder)."""
-    posed = [(file, view.cam_from_canister) for file, view in zip(cameras.files, cameras.views, strict=True)]
-    write = write_nerfstudio if output.suffix else write_colmap
-    return write(output, cameras.views[0].camera, posed)
+def _cameras(output: Path, dataset: Dataset, cameras: Cameras) -> list[Path]:
+    """Write the calibrated cameras in air for nerfstudio (.json) or COLMAP (folder).
+
+    The paths of the pictures are relative to the file for nerfstudio, and to the dataset for COLMAP.
+    """
+    poses, lens = [view.cam_from_canister for view in cameras.views], cameras.views[0].camera
+    if not output.suffix:
+        return write_colmap(output, lens, list(zip(cameras.files, poses, strict=True)))
+    files = [_relative(dataset.folder / file, output.parent) for file in cameras.files]
+    return write_nerfstudio(output, lens, list(zip(files, poses, strict=True)))
+
+
+def _relative(file: Path, folder: Path) -> str:
+    """Return the path of a file from a folder, with forward slashes; on another drive (Windows), its absolute path."""
+    try:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:
+        return file.absolute().as_posix()
 
 
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:

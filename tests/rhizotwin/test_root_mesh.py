@@ -84,7 +84,10 @@ def test_cameras_of_excluded_pictures_are_not_exported(tmp_path: Path) -> None:
     atomic.write_json(made.result / "result.json", summary)
     exports.export(made.result, tmp_path / "cameras.json", dataset_folder=made.dataset)
     left = [frame["file_path"] for frame in json.loads((tmp_path / "cameras.json").read_text())["frames"]]
-    assert left == [view["file"] for view in summary["views"] if view["used"]]
+    assert left == [f"dataset/{view['file']}" for view in summary["views"] if view["used"]]
+    exports.export(made.result, tmp_path / "elsewhere" / "cameras.json", dataset_folder=made.dataset)
+    found = json.loads((tmp_path / "elsewhere" / "cameras.json").read_text())["frames"][0]["file_path"]
+    assert (tmp_path / "elsewhere" / found).is_file()  # nerfstudio's paths are relative to the file
     atomic.write_json(made.result / "result.json", summary | {"views": [view | {"used": False} for view in summary["views"]]})
     for name in ("none.json", "none"):
         with pytest.raises(UserError, match="no calibrated picture"):
