@@ -7,7 +7,6 @@ note about this.
 """
 
 import io
-import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -344,4 +343,4 @@ def describe(written: list[Path]) -> str:
     If they contain cameras, the sentence warns that these do not model refraction.
     """
     warning = f" ({REFRACTION})" if written[0].suffix in (".json", ".txt") else ""
-    return f"wrote {', '.join(json.dumps(str(path))[1:-1] for path in written)}{warning}"
+    return f"wrote {', '.join(str(path) for path in written)}{warning}"

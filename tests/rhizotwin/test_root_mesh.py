@@ -109,3 +109,7 @@ def test_names_with_spaces_which_colmap_cuts_off_are_refused_or_replaced(tmp_pat
     exports.export(made.result, tmp_path / "undistorted", dataset_folder=made.dataset, undistorted=True)
     assert (tmp_path / "undistorted" / "images" / "my_view_000.png").is_file()
     assert (tmp_path / "undistorted" / "colmap" / "images.txt").read_text().splitlines()[1].split()[9] == "my_view_000.png"
+
+
+def test_written_files_are_named_as_they_are() -> None:
+    assert exports.describe([Path("Möhre/Wurzel.stl")]) == f"wrote {Path('Möhre/Wurzel.stl')}"
