@@ -74,8 +74,7 @@ def tube(points: Array, diameters_mm: Array, *, around: int = AROUND) -> tuple[A
     faces : (F, 3) int64 array
         Triangles, counter-clockwise as seen from outside.
     """
-    along = np.gradient(points, axis=0)
-    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    along = _directions(points)
     side = np.empty_like(points)
     side[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
     for k in range(1, len(points)):  # parallel transport, so that the tube is not twisted
@@ -95,3 +94,17 @@ def tube(points: Array, diameters_mm: Array, *, around: int = AROUND) -> tuple[A
     bottom = np.stack([np.full(around, base), onward, turn], axis=1)
     top = np.stack([np.full(around, tip), last + turn, last + onward], axis=1)
     return np.concatenate([vertices, points[[0, -1]]]), np.concatenate([walls, bottom, top]).astype(np.int64)
+
+
+def _directions(points: Array) -> Array:
+    """Return the unit tangents (N, 3) of a centre line.
+
+    Where points coincide, the tangent is that of the next point with a direction.
+    """
+    along = np.gradient(points, axis=0)
+    length = np.linalg.norm(along, axis=1)
+    known = np.flatnonzero(length > 1e-12)
+    if not len(known):
+        return np.tile([0.0, 0.0, -1.0], (len(points), 1))
+    used = known[np.minimum(np.searchsorted(known, np.arange(len(points))), len(known) - 1)]
+    return np.asarray(along[used] / length[used, None])

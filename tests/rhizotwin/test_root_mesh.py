@@ -43,6 +43,13 @@ def test_tubes_are_closed_outside_out_and_have_the_roots_volume() -> None:
     assert mesh.volume == pytest.approx(np.pi * length, rel=2e-3)
 
 
+def test_repeated_points_of_a_centre_line_do_not_change_the_tube() -> None:
+    line = ROOTS[0].points_mm
+    points = np.concatenate([line[[0, 0]], line, line[[-1, -1]]])
+    mesh = trimesh.Trimesh(*root_mesh.tube(points, np.full(len(points), 2.0)), process=False)
+    assert mesh.volume == pytest.approx(trimesh.Trimesh(*root_mesh.tube(line, np.full(len(line), 2.0))).volume, rel=1e-4)
+
+
 def test_colours_tell_orders_and_diameters() -> None:
     by_order = np.asarray(root_mesh.tubes(ROOTS, colour="order").visual.vertex_colors)
     assert len(np.unique(by_order, axis=0)) == 2
