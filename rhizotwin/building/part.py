@@ -101,6 +101,22 @@ def check_bed(part: Part, bed_mm: tuple[float, float, float]) -> None:
         )
 
 
+def check_whole(part: Part) -> None:
+    """Check that a part is a single solid.
+
+    Raises
+    ------
+    UserError
+        If the dimensions divide the part into several pieces, or leave nothing of it.
+    """
+    pieces = len(part.solid.decompose())
+    if pieces != 1:
+        raise UserError(
+            f"the part {part.name} would consist of {pieces} pieces with these dimensions; compare those of the purchased parts "
+            "(--measures) with the real ones"
+        )
+
+
 def round_up(length_mm: float) -> float:
     """Round a length up to 0.01 mm, so that a value copied from a message is accepted."""
     return math.ceil(100.0 * (length_mm + 1e-9)) / 100.0

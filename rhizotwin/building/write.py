@@ -14,7 +14,7 @@ from tqdm import tqdm
 from rhizotwin.building.drawings import exploded, exploded_page, part_page, rig_page
 from rhizotwin.building.line_drawing import CORNER
 from rhizotwin.building.measures import Measures
-from rhizotwin.building.part import Part, check_bed, surface
+from rhizotwin.building.part import Part, check_bed, check_whole, surface
 from rhizotwin.building.rig_parts import Bought, bought_of, collisions, parts_of
 from rhizotwin.building.wiring import wiring_pages
 from rhizotwin.recon.results.parts import Mesh
@@ -87,6 +87,7 @@ def write_parts(
     parts = parts_of(scene, rig=rig, measures=measures, board=board)
     wanted = _wanted(parts, names)
     for part in wanted:
+        check_whole(part)
         check_bed(part, bed_mm)
     bought = bought_of(scene, rig=rig, measures=measures)
     for one, other, mm3 in collisions(parts, bought):

@@ -4,6 +4,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.pot import net_pot, net_pot_grid, strip_seat_radius_mm
 from rhizotwin.building.rig_parts import bought_of, collisions, parts_of, thesis_rig
 from rhizotwin.building.shapes import circle, gear, raised, rectangle
-from rhizotwin.building.write import stl_bytes
+from rhizotwin.building.write import stl_bytes, write_parts
 from rhizotwin.rig.printing.print_strip import FlatStrip
 from rhizotwin.rig.rig_file import ArmPart, Clearance, RigFile
 from rhizotwin.scenes.board import CharucoBoard
@@ -225,6 +226,14 @@ def test_a_panel_is_closed_by_walls_or_refused(wide_mm: float) -> None:
         return
     for part in lightbox.lightbox_walls(scene, MEASURES):
         check_closed(part)
+
+
+@pytest.mark.parametrize(("key", "value"), [("shaft_mm", 16.0), ("camera_holes_mm", 60.0), ("horn_holes_mm", (2.0, 100.0))])
+def test_parts_that_would_fall_apart_are_refused(tmp_path: Path, key: str, value: object) -> None:
+    measures = replace(MEASURES, **{key: value})
+    with pytest.raises(UserError, match=r"would consist of [0-9]+ pieces"):
+        write_parts(Scene(), tmp_path / "out", rig=RIG, measures=measures, board=CharucoBoard(), bed_mm=(220.0, 220.0, 250.0))
+    assert not (tmp_path / "out").exists()
 
 
 def test_numbers_that_messages_advise_are_accepted() -> None:
