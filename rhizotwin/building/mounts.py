@@ -21,6 +21,8 @@ LEAST_POST_MM = 8.0
 """Minimum height of the posts, which leaves space for the ribbon cable behind the camera board."""
 DRIVER_MM = 10.0
 """Diameter of the passage for the head of an M5 screw and a screwdriver."""
+BASE_SLIDE_MM = 4.0
+"""Distance by which the screws of the arm's base can be moved in each direction."""
 MOUNT_WALL_MM, MOUNT_TOP_MM, MOUNT_FOOT_MM = 5.0, 6.0, 6.0
 STAND_LEAN_DEG = 15.0
 """Angle by which the calibration board in its stand is inclined backwards from the vertical."""
@@ -114,20 +116,20 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
     )
     long = along + 2.0 * 10.0
     body = raised(outline, -long / 2.0, long / 2.0).transform(np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]))
-    base = union(slot(M4_MM, (x - 4.0, y), (x + 4.0, y)) for x in (-along / 2.0, along / 2.0) for y in (-across / 2.0, across / 2.0))
-    bars = [(x, side * (left - foot / 2.0)) for x in (-along / 3.0, 0.0, along / 3.0) for side in (-1, 1)]
+    corners = [(x, y) for x in (-along / 2.0, along / 2.0) for y in (-across / 2.0, across / 2.0)]
+    base = union(slot(M4_MM, (x - BASE_SLIDE_MM, y), (x + BASE_SLIDE_MM, y)) for x, y in corners)
+    bars = [(x, side * (left - foot / 2.0)) for x in _bar_screws_mm(along) for side in (-1, 1)]
     small, large, seat = M5_MM / 2.0, DRIVER_MM / 2.0, -high + MOUNT_FOOT_MM
     screw = turned(
         [(0.0, -high - 1.0), (small, -high - 1.0), (small, seat - large + small), (large, seat), (large, 1.0), (0.0, 1.0)], sides=48
     )
     solid = body - raised(base, -MOUNT_TOP_MM - 1.0, 1.0) - joined(screw.translate((x, y, 0.0)) for x, y in bars)
-    x, y, z = arm.position_mm
     return Part(
         name="arm_mount",
         about="Supports the base of the arm at the height given in the rig file; M5 screws pass through it into T-nuts of two profiles.",
         solid=solid,
         bed_from_part=FLIPPED,
-        rig_from_part=(moved(x, y, z),),
+        rig_from_part=(moved(*arm.position_mm),),
         apart_mm=(60.0, 0.0, -40.0),
         dimensions=(
             Dimension(name="height", from_mm=(long / 2.0, left, -high), to_mm=(long / 2.0, left, 0.0)),
@@ -140,6 +142,15 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
             ("base_holes_across_mm", across, "arm_base_mm"),
         ),
     )
+
+
+def _bar_screws_mm(along_mm: float) -> list[float]:
+    """Return the positions of the screws of a profile along the arm, whose base has holes ``along_mm`` apart.
+
+    The passages of the outer screws end before the slots of the base.
+    """
+    outer = min(along_mm / 3.0, along_mm / 2.0 - BASE_SLIDE_MM - (M4_MM + DRIVER_MM) / 2.0 - 1.2)
+    return [-outer, 0.0, outer] if outer > DRIVER_MM + 1.2 else [0.0]
 
 
 def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm: float) -> Part:

@@ -228,6 +228,12 @@ def test_a_panel_is_closed_by_walls_or_refused(wide_mm: float) -> None:
         check_closed(part)
 
 
+@pytest.mark.parametrize(("along_mm", "screws"), [(80.0, 10), (60.0, 10), (50.0, 10), (40.0, 6)])
+def test_holes_in_the_arm_mount_are_apart(along_mm: float, screws: int) -> None:
+    mount = mounts.arm_mount(ArmPart(), replace(MEASURES, arm_base_mm=(along_mm, 60.0)), RIG.clearance.floor_z_mm)
+    assert len(mount.solid.slice(-1.0).to_polygons()) == 1 + screws  # four of the base, and the others of the profiles
+
+
 @pytest.mark.parametrize(("key", "value"), [("shaft_mm", 16.0), ("camera_holes_mm", 60.0), ("horn_holes_mm", (2.0, 100.0))])
 def test_parts_that_would_fall_apart_are_refused(tmp_path: Path, key: str, value: object) -> None:
     measures = replace(MEASURES, **{key: value})
