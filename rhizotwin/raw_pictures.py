@@ -76,10 +76,12 @@ def _block(path: Path, raw_wh: tuple[int, int], image_wh: tuple[int, int]) -> in
     """Return the number of raw pixels along each side of one output pixel."""
     block = raw_wh[0] // image_wh[0]
     if block < 2 or block % 2 or raw_wh != (image_wh[0] * block, image_wh[1] * block):
-        halves = " or ".join(f"{raw_wh[0] // k}x{raw_wh[1] // k}" for k in (2, 4))
+        exact = [k for k in (2, 4) if not (raw_wh[0] % k or raw_wh[1] % k)]
+        halves = " or ".join(f"{raw_wh[0] // k}x{raw_wh[1] // k}" for k in exact)
+        remedy = f"set the camera's image_wh to {halves}" if exact else "convert the picture to a linear 16-bit PNG"
         raise UserError(
             f"{path}: the raw picture has {raw_wh[0]}x{raw_wh[1]} pixels, which is not an even multiple (2, 4, ...) of the scene's "
-            f"image_wh {image_wh[0]}x{image_wh[1]}; set the camera's image_wh to {halves}"
+            f"image_wh {image_wh[0]}x{image_wh[1]}; {remedy}"
         )
     return block
 

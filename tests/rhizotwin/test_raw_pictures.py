@@ -74,6 +74,9 @@ def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path:
     write_dng(tmp_path / "a.dng")
     with pytest.raises(UserError, match="is not an even multiple"):
         read_raw(tmp_path / "a.dng", image_wh=WH)
+    write_dng(tmp_path / "c.dng", wh=(94, 62))
+    with pytest.raises(UserError, match=r"set the camera's image_wh to 47x31$"):  # 23x15 would not be exact
+        read_raw(tmp_path / "c.dng", image_wh=WH)
     (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:400])
     with pytest.raises(UserError, match="the raw picture could not be read"):
         read_raw(tmp_path / "b.dng", image_wh=(WH[0] // 2, WH[1] // 2))
