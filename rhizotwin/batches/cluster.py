@@ -6,6 +6,7 @@ job that loses several workers fails with a message.
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -104,7 +105,13 @@ def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
 
 
 def _submit(client: Client, job: Job, attempt: int) -> Any:
-    return client.submit(work, job.plain(), key=f"rhizotwin-{job.name}-{job.key[:12]}-{attempt}", pure=False)
+    """Submit a job to the scheduler.
+
+    The scheduler runs only one of several tasks with equal keys, also if they are from different clients. The key
+    therefore contains the output.
+    """
+    output = hashlib.sha256(job.output.encode(errors="surrogateescape")).hexdigest()
+    return client.submit(work, job.plain(), key=f"rhizotwin-{job.name}-{job.key[:12]}-{output[:12]}-{attempt}", pure=False)
 
 
 def _outcome(future: Any, job: Job) -> Outcome:

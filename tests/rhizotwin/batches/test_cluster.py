@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from rhizotwin.batches import cluster
 from rhizotwin.batches.jobs import Job
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.model import Scene
@@ -86,3 +87,21 @@ def test_what_a_killed_worker_did_is_done_by_the_other_and_nothing_twice(
     assert [line.split()[:2] for line in lines] == [[f"job{k}", "failed"] for k in range(COUNT)]
     assert all("the picture is missing" in line for line in lines)
     assert workers[0].wait() == -signal.SIGKILL
+
+
+class Scheduler:
+    """A scheduler that runs one of several tasks with equal keys, as that of Dask."""
+
+    def __init__(self) -> None:
+        self.outputs: dict[str, str] = {}
+
+    def submit(self, _: object, plain: dict[str, str], *, key: str, pure: bool) -> None:  # noqa: D102 - as Dask has it
+        assert not pure
+        self.outputs.setdefault(key, plain["output"])
+
+
+def test_two_batches_on_one_scheduler_have_jobs_of_their_own() -> None:
+    scheduler = Scheduler()
+    for output in ("r/one", "other/one"):
+        cluster._submit(scheduler, Job(name="one", kind="reconstruct", source="s", output=output, key="k", pixels=1.0, options={}), 1)
+    assert sorted(scheduler.outputs.values()) == ["other/one", "r/one"]
