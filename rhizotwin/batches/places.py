@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,15 +111,25 @@ def fetch(address: str, folder: Path) -> None:
     system.get(f"{path.rstrip('/')}/", f"{folder}/", recursive=True)
 
 
-def put(folder: Path, address: str, *, last: str) -> None:
+def put(folder: Path, address: str, *, last: str, replaces: Sequence[str] = ()) -> None:
     """Copy a local folder to an address.
 
     The file ``last``, which marks the folder as complete, is written after all other files.
+
+    Parameters
+    ----------
+    folder, address : Path, str
+        Local folder, and address of the copy.
+    last : str
+        Name of the file that is removed first and written last.
+    replaces : sequence of str
+        Names of files and folders of an earlier copy, which are removed.
     """
     system, path = _system(address)
     system.makedirs(path, exist_ok=True)
-    if system.exists(f"{path}/{last}"):
-        system.rm(f"{path}/{last}")
+    for name in (last, *replaces):
+        if system.exists(f"{path}/{name}"):
+            system.rm(f"{path}/{name}", recursive=True)
     files = sorted((file for file in folder.rglob("*") if file.is_file()), key=lambda file: file == folder / last)
     for file in files:
         goal = f"{path}/{file.relative_to(folder).as_posix()}"

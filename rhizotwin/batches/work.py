@@ -69,6 +69,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
 def _reconstruct(job: Job) -> None:
     from rhizotwin.command_steps import reconstruct_whole, settings_of
     from rhizotwin.recon.settings import PictureSettings
+    from rhizotwin.stored.result_files import RESULT_NAMES
 
     options = {key: value for key, value in job.options.items() if key != "device"}
     settings = options.pop("settings", None)
@@ -87,7 +88,7 @@ def _reconstruct(job: Job) -> None:
         given = settings_of(chosen, voxel_mm=options.pop("voxel_mm", None), pictures=tolerant)
         reconstruct_whole(dataset, output, settings=given, progress=Progress(quiet=True), **options)
         if places.is_address(job.output):
-            places.put(output, job.output, last=HEADS["reconstruct"])
+            places.put(output, job.output, last=HEADS["reconstruct"], replaces=RESULT_NAMES)
 
 
 def _simulate(job: Job) -> None:

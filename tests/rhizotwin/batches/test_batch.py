@@ -19,7 +19,7 @@ from rhizotwin.batches import collect, jobs, local, overview, places, series, wo
 from rhizotwin.batches.jobs import Job, Outcome
 from rhizotwin.batches.run import LOCK, run
 from rhizotwin.recon.uncertainty import calibration
-from rhizotwin.scenes import files
+from rhizotwin.scenes import atomic, files
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import lock_file
@@ -213,6 +213,27 @@ def test_addresses_are_found_fetched_and_put(elsewhere: str, tmp_path: Path) -> 
     assert fsspec.filesystem("memory").exists("/batch/scans/one/dataset.json")
     with pytest.raises(UserError, match="could not be opened"):
         places.find_datasets("nowhere://x")
+
+
+def test_an_earlier_result_at_an_address_leaves_no_file_behind(elsewhere: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = ["result.json", "roots.rsml", "silhouettes/a.png"]
+
+    def reconstruct(_: Path, output: Path, **__: object) -> None:
+        for name in made:
+            atomic.write_bytes(output / name, b"new")
+
+    monkeypatch.setattr("rhizotwin.command_steps.reconstruct_whole", reconstruct)
+    remote = replace(job("one", tmp_path), output=f"{elsewhere}/r/one")
+    places.write(f"{elsewhere}/r/one/notes.txt", b"mine")
+    assert work.work(remote.plain())["state"] == "done"
+    made[1:] = ["silhouettes/b.png"]
+    assert work.work(remote.plain())["state"] == "done"
+    places.fetch(f"{elsewhere}/r/one", tmp_path / "back")
+    assert sorted(str(path.relative_to(tmp_path / "back")) for path in (tmp_path / "back").rglob("*.*")) == [
+        "notes.txt",
+        "result.json",
+        "silhouettes/b.png",
+    ]
 
 
 def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result: Callable[..., Path], tmp_path: Path) -> None:
