@@ -25,6 +25,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.solution import Solution
+from rhizotwin.scenes.specimens import MeshSpecimen
 from tests.command import Command
 
 
@@ -98,6 +99,19 @@ def test_what_is_finished_is_known_by_dataset_settings_code_and_calibration(
     finish()
     (result / "result.json").unlink()
     assert not jobs.is_done(listed())
+
+
+def test_a_scene_is_rendered_again_after_its_mesh_changed(tmp_path: Path) -> None:
+    def key() -> str:
+        scene = replace(Scene(), specimen=MeshSpecimen(file=str(tmp_path / "root.stl")))
+        return collect.renderings({"one": scene}, str(tmp_path), profile="scene", seed=0, device="cpu")[0].key
+
+    missing = key()
+    (tmp_path / "root.stl").write_bytes(b"a root")
+    first = key()
+    assert key() == first != missing
+    (tmp_path / "root.stl").write_bytes(b"a thicker root")
+    assert key() != first
 
 
 def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
