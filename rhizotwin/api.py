@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("rhizotwin")
 
 Paths = str | Path | Sequence[str | Path]
+_TEXTS = ("result", "scene", "plant", "species", "treatment", "against", "notes")
+"""Columns of tables that contain names, which are text even if they look like a number or a missing value."""
 
 
 def import_pictures(
@@ -316,6 +318,11 @@ def _logged() -> Iterator[None]:
 
 
 def _table(path: Path) -> Any:
+    """Read a table, in which names such as 001 and NA remain text. Empty cells are missing values."""
     import pandas as pd
 
-    return pd.read_csv(path)
+    table = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""])
+    for name in [name for name in table.columns if name not in _TEXTS]:
+        with suppress(ValueError):  # other columns of text, such as verdicts
+            table[name] = pd.to_numeric(table[name])
+    return table

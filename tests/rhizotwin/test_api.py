@@ -2,6 +2,7 @@
 
 import http.client
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,14 @@ def test_tables_of_growth_and_biomass_are_frames(tmp_path: Path, command: Comman
         rt.biomass(volumes, output=tmp_path / "none.csv")
     tables = rt.growth(masses, tmp_path / "growth")
     assert "masses" in tables
+
+
+def test_names_in_tables_are_text(ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    folder = ball_result("001", subject={"plant": "07", "treatment": "NA", "day": 5.0})
+    table = rt.growth(folder, tmp_path / "growth")["traits"]
+    assert table[["plant", "treatment"]].drop_duplicates().to_numpy().tolist() == [["07", "NA"]]
+    assert set(table["day"]) == {5.0}
+    assert table["low"].dtype == float
 
 
 def test_a_failed_batch_is_one_sentence(tmp_path: Path) -> None:
