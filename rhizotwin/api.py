@@ -17,6 +17,7 @@ from rhizotwin.calls import Progress, dataset_folder, require, require_each, res
 from rhizotwin.front_door import Device, load_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model
@@ -121,12 +122,21 @@ def batch(
     UserError
         If the reconstruction of a dataset failed; raised after all other datasets were reconstructed.
     """
+    from rhizotwin.batches.places import is_address
     from rhizotwin.commands.batch import Workforce
     from rhizotwin.commands.batch import batch as run
+    from rhizotwin.recon.settings import Settings
 
     scans = [str(path) for path in _paths("datasets", datasets)]
     require("output", output, "path")
     require("voxel_mm", voxel_mm, "number", "None")
+    require("workers", workers, "whole number", "None")
+    if workers is not None and workers < 1:
+        raise UserError(f"workers must be at least 1, not {workers}; leave it out to use all processors")
+    if voxel_mm is not None:
+        from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of batch"))
+    if is_address(str(output)):
+        raise UserError(f"output must be a folder, not the address {output}; use the command: rhizotwin batch")
     work = Workforce(workers=workers, cluster=cluster, device=device)
     with _logged():
         run(scans, output=str(output), voxel_mm=voxel_mm, settings=None if settings is None else Path(settings), work=work)

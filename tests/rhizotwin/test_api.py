@@ -156,6 +156,10 @@ def test_a_class_of_tqdm_shows_one_bar_for_the_whole_work(tmp_path: Path) -> Non
         (lambda: rt.export(7, "x.stl"), "result must be a Result or a path"),
         (lambda: rt.growth([], "x"), "results is an empty list"),
         (lambda: rt.batch([3], "x"), "datasets must be a path"),
+        (lambda: rt.batch("x", "y", workers=-1), "workers must be at least 1, not -1"),
+        (lambda: rt.batch("x", "y", workers="2"), "workers must be a whole number or None"),
+        (lambda: rt.batch("x", "y", voxel_mm=-1.0), "the call of batch: .*voxel_mm"),
+        (lambda: rt.batch("x", "memory://y"), "output must be a folder, not the address memory://y"),
     ],
 )
 def test_a_wrong_type_is_one_sentence(call: Any, sentence: str) -> None:
