@@ -2,12 +2,14 @@
 
 import base64
 import html
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
+from urllib.parse import quote
 
 import cv2
 
@@ -122,7 +124,7 @@ def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition
     name = html.escape(row.name, quote=True)
     more = "".join(f"<td class=more>{html.escape(_subject(row)[key])}</td>" for key in known)
     numbers = "".join(f'<td class="number more">{_number(row, d.field)}</td>' for d in shown)
-    link = f'<a href="{name}/report.html">{name}</a>'
+    link = f'<a href="{quote(os.fsencode(row.name))}/report.html">{name}</a>'
     return f"<tr>{tables.verdict_cells(row.summary)}<td>{image}</td><td>{link}</td>{more}{numbers}</tr>"
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote_to_bytes, urljoin, urlsplit
 
 import pytest
 
@@ -258,6 +260,15 @@ def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result:
     assert "P&lt;1&gt;" in page
     assert "<b>two</b>: the picture &lt;x&gt; is missing" in page
     assert "low N" in (tmp_path / overview.TABLE).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["plant #3", "50 %25", "day:1?", os.fsdecode(b"\xff")])
+def test_the_page_leads_to_reports_of_all_names(name: str, ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    ball_result(name)
+    overview.write(tmp_path, [job(name, tmp_path)], [])
+    (link,) = re.findall('href="([^"]*/report.html)"', (tmp_path / overview.PAGE).read_text(encoding="utf-8"))
+    found = urlsplit(urljoin((tmp_path / overview.PAGE).as_uri(), link))
+    assert (found.scheme, os.fsdecode(unquote_to_bytes(found.path))) == ("file", str(tmp_path / name / "report.html"))
 
 
 def test_volumes_that_are_not_usable_are_counted_by_reason() -> None:
