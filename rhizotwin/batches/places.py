@@ -39,6 +39,8 @@ def name_of(place: str) -> str:
 def find_datasets(source: str) -> list[str]:
     """Search for datasets, and return their paths or addresses in sorted order.
 
+    Hidden folders are searched only if they are given.
+
     Parameters
     ----------
     source : str
@@ -56,7 +58,8 @@ def find_datasets(source: str) -> list[str]:
     else:
         folders = _matches(Path(source))
         heads = {head for folder in folders for head in ([folder / HEAD] if (folder / HEAD).exists() else folder.rglob(HEAD))}
-        found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") and part != ".." for part in head.parts))
+        start = next(path for path in (Path(source), *Path(source).parents) if path.exists())  # may itself be hidden
+        found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") for part in head.relative_to(start).parts))
     if not found:
         raise UserError(f"{source}: no dataset was found; give datasets, folders that contain datasets, or a pattern in quotes")
     return found

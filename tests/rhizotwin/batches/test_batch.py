@@ -53,6 +53,15 @@ def test_datasets_are_found_in_folders_and_patterns_each_once(tmp_path: Path) ->
     assert sorted(one.name for one in made) == ["one", "three", "two"]
 
 
+def test_hidden_folders_are_searched_only_if_they_are_given(tmp_path: Path) -> None:
+    for place in (".lab/one", ".lab/.trash/two", ".lab/.three"):
+        dataset(tmp_path / place)
+    for given in (".lab", ".lab/one", ".lab/*", ".lab/**"):
+        assert places.find_datasets(str(tmp_path / given)) == [str(tmp_path / ".lab" / "one")]
+    with pytest.raises(UserError, match="no dataset was found"):
+        places.find_datasets(str(tmp_path))
+
+
 def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
     assert jobs.named(["/x/day1/scan", "/x/day2/scan", "/x/other"]) == ["day1-scan", "day2-scan", "other"]
     assert jobs.named(["s3://bucket/a/scan"]) == ["scan"]
