@@ -80,7 +80,7 @@ def command_of(method: str) -> str:
     Raises
     ------
     UserError
-        If ``method`` is neither a built-in method nor contains ``{output}``.
+        If ``method`` is neither a built-in method nor a command line that contains ``{output}``.
     """
     if method in BUILT_IN:
         return f"{shlex.quote(sys.executable)} -m rhizotwin reconstruct {{dataset}} -o {{output}} --method {method} --quiet"
@@ -89,6 +89,10 @@ def command_of(method: str) -> str:
             f"--method {printable(method)[:80]!r} is not a built-in method ({', '.join(BUILT_IN)}); a command line must contain "
             '{dataset} and {output}, such as --method "python my_method.py {dataset} {output}"'
         )
+    try:
+        shlex.split(method)
+    except ValueError as error:
+        raise UserError(f"--method {printable(method)[:80]!r} is not a command line ({error}); check its quotation marks") from None
     return method
 
 
