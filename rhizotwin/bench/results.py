@@ -111,7 +111,9 @@ def read(path: Path) -> Results:
                 f"{path} has the format version {stored['schema_version']!r}, but this program reads version {SCHEMA}; "
                 "run the benchmark again"
             )
-        rows = {str(row["case"]): dict(row) for row in stored["rows"]}
+        rows = {str(row["case"]): dict(row) | {"case": str(row["case"])} for row in stored["rows"]}
+        if len(rows) < len(stored["rows"]):
+            raise ValueError("a case has several rows")
         for row in rows.values():
             if row["state"] not in STATES or not isinstance(row["scores"], dict):
                 raise ValueError(f"a row has the unknown state {row['state']!r}")

@@ -203,6 +203,15 @@ def test_numbers_that_no_float_holds_are_left_out() -> None:
         assert results.value(row(mesh={"iou": hostile}), iou) is None
 
 
+def test_a_case_of_a_foreign_file_is_a_text_and_occurs_once(command: Command, tmp_path: Path) -> None:
+    stored = {"schema_version": 1, "benchmark": "tiny-1", "method": "mine", "rows": [row(mesh={"iou": 0.9}) | {"case": 5}]}
+    (tmp_path / "rows.json").write_text(json.dumps(stored))
+    assert "| 5 | mine |" in command.works("bench", "table", tmp_path / "rows.json").out
+    command.works("bench", "table", tmp_path / "rows.json", "-o", tmp_path / "page.html")
+    (tmp_path / "rows.json").write_text(json.dumps({**stored, "rows": [row(mesh={"iou": 0.9}), row(mesh={"iou": 0.1})]}))
+    command.fails("bench", "table", tmp_path / "rows.json", named=["a case has several rows"])
+
+
 def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path) -> None:
     words = ["-o", tmp_path / "rows.json"]
     command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])
