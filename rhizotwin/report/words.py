@@ -145,7 +145,7 @@ def root_summary(summary: dict[str, Any]) -> list[str]:
     The first line states total length, number of tips and mean diameter. If the volume is reliable but one of these
     values is not, a second line states the reason.
     """
-    estimates = summary.get("estimates") or []
+    estimates = [one for one in summary.get("estimates") or [] if one["name"] in _AROUND]
     if not estimates:
         return []
     parts = []

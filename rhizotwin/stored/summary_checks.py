@@ -68,6 +68,12 @@ def _numbers(count: int) -> Fits:
     return _list(_number, count)
 
 
+def _is_complete(rig: Json) -> bool:
+    """Return whether the values with which a calibrated value is tabulated are present."""
+    needed = {"n_water_found": {"n_water", "n_water_given", "n_water_sigma"}, "focal_scale_found": {"focal_scale"}}
+    return all(rig.get(found) is None or others <= rig.keys() for found, others in needed.items())
+
+
 _POSE = _list(_numbers(4), 4)
 """Validator for a pose, which is a 4x4 matrix."""
 _TERM = _with({"why": _text, "less_mm3": _number, "more_mm3": _number})
@@ -94,7 +100,9 @@ _RING = _with(
     {"placement": _or_none(_number)},
 )
 """Validator for the pose of the camera of one ring."""
-_EDGES = _with({}, dict.fromkeys(("count", "before_mm", "after_mm", "radius_excess_mm", "oval_mm", "oval_deg"), _or_none(_number)))
+_EDGES = _with(
+    {"before_mm": _number, "after_mm": _number}, dict.fromkeys(("count", "radius_excess_mm", "oval_mm", "oval_deg"), _or_none(_number))
+)
 """Validator for the results of the calibration from the edges of the canister."""
 _ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
 """Validator for the results of the calibration from the roots."""
@@ -111,7 +119,7 @@ _RIG = _with(
         **dict.fromkeys(
             (
                 *("focal_scale_found", "focal_scale_sigma", "n_water_found", "n_water_sigma", "marker_inset_px"),
-                *("reprojection_before_px", "reprojection_after_px", "table_correction_deg"),
+                *("reprojection_before_px", "reprojection_after_px", "table_correction_deg", "sway_mm"),
             ),
             _or_none(_number),
         ),
@@ -147,12 +155,12 @@ _REQUIRED: dict[str, Fits] = {
     "untrimmed_mm3": _number,
     "blind_mm3": _number,
     "views": _list(_VIEW),
-    "warnings": lambda value: isinstance(value, list),
+    "warnings": _list(_text),
     "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
 }
 """Validators for the values of the required keys."""
 _OPTIONAL: dict[str, Fits] = {
-    "rig": _or_none(_RIG),
+    "rig": _or_none(lambda value: _RIG(value) and _is_complete(value)),
     "plants": _or_none(_list(_with({}))),
     "settings": _with({}, {"finest_mm": _positive}),
     "versions": _with({}),

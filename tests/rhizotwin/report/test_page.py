@@ -222,6 +222,12 @@ def test_the_volume_has_no_false_precision_and_is_not_at_the_head_where_it_canno
     assert "not reliable" in beside
 
 
+def test_an_estimate_of_a_later_version_is_left_out_of_the_summary():
+    known = {"name": "tips", "value": 7.0, "interval": [6.0, 9.0], "trusted": True, "verdict": ""}
+    summary = {"volume_trusted": True, "estimates": [known, known | {"name": "root_hairs"}]}
+    assert words.root_summary(summary) == ["7 tips (6 to 9)"]
+
+
 def test_the_light_follows_checks_and_trust():
     check = {"name": "motion", "state": "fair", "found": "roots sway by 0.3 px", "advice": "wait longer"}
     assert words.traffic_light(SUMMARY)[0] == "good"
