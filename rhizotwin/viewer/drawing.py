@@ -116,13 +116,26 @@ class Drawing:
         """Return the names of all results that can be selected."""
         return [folder.name or str(folder) for folder in self._folders]
 
+    @property
+    def place(self) -> int:
+        """Return the index of the displayed result."""
+        return self._place
+
     def load(self, place: int) -> None:
-        """Display the result with index ``place``."""
+        """Display the result with index ``place``.
+
+        Raises
+        ------
+        UserError
+            If the result cannot be displayed. The previous result is still displayed.
+        """
         with self.lock:
             if place not in self._loaded:
                 folder = self._folders[place]
-                self._loaded[place] = Shown(folder, self._dataset, temporary=folder in self._temporary)
-            self._place = place
+                shown = Shown(folder, self._dataset, temporary=folder in self._temporary)
+                _ = shown.dataset  # raises the error of a wrong dataset while the previous result is still displayed
+                self._loaded[place] = shown
+            self._place, self.message = place, ""
             self.roots, self.voxels, self.measured = [], set(), []
             self.scene.clear()
             self._keys.clear()

@@ -64,11 +64,14 @@ def _add_results(viewer: Viewer) -> None:
 
     @number.on_update
     def _(_: object) -> None:
+        if int(number.value) - 1 == viewer.place:
+            return
         try:
             viewer.load(int(number.value) - 1)
         except UserError as error:
             viewer.notify(str(error))
-        name.content = words.note(viewer.names[int(number.value) - 1])
+            set_value(number, viewer.place + 1)
+        name.content = words.note(viewer.names[viewer.place])
 
 
 def _add_selection(viewer: Viewer) -> None:

@@ -1,13 +1,17 @@
 """What the viewer does without a browser: picking, pictures through the water, words."""
 
+import json
+import shutil
 import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import viser
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
@@ -357,3 +361,31 @@ def test_corrections_that_cannot_be_saved_are_reported(viewer: Viewer, monkeypat
     viewer.save()
     assert viewer.message == "the corrections could not be saved: the disk is full"
     assert viewer.unsaved() == 1
+
+
+@pytest.mark.parametrize("fault", ["damaged", "another scan"])
+def test_a_result_that_cannot_be_shown_leaves_the_earlier_one_with_its_name(
+    plant: plants.Plant, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+):
+    other = tmp_path / "day 2"
+    shutil.copytree(plant.result, other)
+    if fault == "damaged":
+        (other / "shape.npz").write_bytes(b"")
+    else:
+        summary = json.loads((other / "result.json").read_text())
+        (other / "result.json").write_text(json.dumps(summary | {"dataset_sha256": "of another scan"}))
+    texts: list[viser.GuiHtmlHandle] = []
+    add = viser.GuiApi.add_html
+    monkeypatch.setattr(viser.GuiApi, "add_html", lambda *given, **more: texts.append(add(*given, **more)) or texts[-1])
+    running = app.start([plant.result, other], plant.dataset, port=8290)
+    try:
+        (slider,) = [one for one in running.served.server.gui._gui_input_handle_from_uuid.values() if getattr(one, "label", "") == "Result"]
+        slider.value = 2
+        running.refresh()
+        assert (running.shown.name, slider.value) == (plant.result.name, 1)
+        assert [words.note(name) in [text.content for text in texts] for name in running.names] == [True, False]
+        assert str(other) in running.message
+        running.load(0)
+        assert running.message == ""
+    finally:
+        running.served.stop()
