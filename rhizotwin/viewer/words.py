@@ -39,7 +39,9 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
     if edits:
         moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
         by = f"{moved:+.2f} %" if abs(moved) >= 0.005 else "changed by less than 0.01 %"
-        text += f"<br>after corrections: <b>{ml(measured.volume_mm3, half_mm3=0.5 * (high - low))} ml</b> ({by}), {roots}"
+        shown = f"{ml(measured.volume_mm3, half_mm3=0.5 * (high - low))} ml"
+        shown = f"<b>{shown}</b> ({by})" if summary["volume_trusted"] else f"{shown} ({by}), which is not reliable"
+        text += f"<br>after corrections: {shown}, {roots}"
     elif measured.roots:
         text += f"<br>{roots}"
     return f"{_PADDED}{text}</div>"

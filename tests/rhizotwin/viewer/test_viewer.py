@@ -16,7 +16,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from rhizotwin import root_colours
-from rhizotwin.corrections import log
+from rhizotwin.corrections import log, session
 from rhizotwin.recon.calibration.cameras import BareUncertainty, Camera, Cameras
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
@@ -244,6 +244,15 @@ def test_traits_that_were_not_reliable_are_not_called_unassessed_after_correctio
     assert table.count("not assessed after corrections") > 5
     refused = words.traits(found, edited=True, summary=summary | {"volume_trusted": False})
     assert "not assessed" not in refused
+
+
+@pytest.mark.parametrize(
+    ("trusted", "shown"), [(True, "<b>0.95 ml</b> (-5.00 %), 12 mm"), (False, "0.95 ml (-5.00 %), which is not reliable")]
+)
+def test_a_corrected_volume_is_not_more_reliable_than_that_of_the_result(trusted: bool, shown: str):
+    summary = {"volume_mm3": 1000.0, "volume_interval_mm3": [900.0, 1100.0], "volume_trusted": trusted, "volume_verdict": "blurred"}
+    measured = session.Measured(volume_mm3=950.0, length_mm=12.0, roots=2, volumes_mm3=np.zeros(0), solid=None)
+    assert f"after corrections: {shown}" in words.volume(summary, measured, edits=1)
 
 
 def test_the_outline_is_that_of_the_union(viewer: Viewer):
