@@ -45,11 +45,19 @@ IN_ML = ("volume_mm3", "convex_hull_mm3")
 """Field names of the traits that are displayed in ml."""
 UNITS = {"mm2": "mm²", "mm3": "ml", "deg": "degrees"}
 """Units in reports, keyed by the unit in files. Units that are the same in both are omitted."""
+_PICTURES = (
+    "{made} of roots in a round canister of nutrient solution in front of a diffuse backlight: {pictures} images around one rotation."
+)
 _METHOD = (
-    "{made} of roots in a round canister of nutrient solution in front of a diffuse backlight: {pictures} images around one rotation. "
     "Camera poses were estimated from a strip of printed markers{by}. Rays were traced through air, acrylic and water in closed form. "
     "The fraction of each pixel that roots cover was measured relative to the empty backlight, a visual hull was carved from these "
-    "silhouettes, and {shape}. The 90 % interval of the volume is the root sum of squares of all estimated causes of uncertainty. "
+    "silhouettes, and {shape}. The 90 % interval of the volume is the root sum of squares of all estimated causes of uncertainty."
+)
+_BASELINE = (
+    "Camera poses were estimated from a strip of printed markers, or given. Rays were traced through air, acrylic and water in closed "
+    "form. The shape was reconstructed by {title}, a baseline without an error budget."
+)
+_RIG = (
     "The rig follows R. Kliman, Design of a robotic platform for plant root imaging and biomass estimation, Georgia Institute of "
     "Technology, 2022."
 )
@@ -180,17 +188,26 @@ def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) 
     """
     used = sum(view["used"] for view in summary["views"])
     versions = summary.get("versions", {})
+    pictures = _PICTURES.format(made="Simulated images" if simulated else "Images", pictures=used)
     tubes = "tubes were fitted to all images at once where roots are too thin for the hull"
-    text = _METHOD.format(
-        made="Simulated images" if simulated else "Images",
-        pictures=used,
+    method = _baseline(summary) or _METHOD.format(
         by=" in one fit to all images" if (summary.get("rig") or {}).get("rings") else ", or given",
         shape=tubes if roots else "the hull was trimmed to what the silhouettes require",
     )
     named = ", ".join(f"{name} {versions[name]}" for name in versions if name in ("rhizotwin", "python", "numpy", "mitsuba", "drjit"))
     edits = summary.get("edits")
     by_hand = f" The result was edited by hand ({edits['count']} edits, {100.0 * edits['volume_share']:+.1f} % of volume)." if edits else ""
-    return f"{text}{by_hand} Voxel size: {summary['voxel_mm']:g} mm. Software: {named}."
+    return f"{pictures} {method} {_RIG}{by_hand} Voxel size: {summary['voxel_mm']:g} mm. Software: {named}."
+
+
+def _baseline(summary: dict[str, Any]) -> str:
+    """Return the description of the baseline that computed a result, or an empty text for the full method."""
+    method = summary.get("settings", {}).get("method")
+    if method is None:
+        return ""
+    from rhizotwin.baselines import TITLES  # loads the reconstruction
+
+    return _BASELINE.format(title=next((title for name, title in TITLES.items() if name == method), "an unknown method"))
 
 
 def _deviation(less_mm3: float, more_mm3: float) -> str:

@@ -222,6 +222,15 @@ def test_the_volume_has_no_false_precision_and_is_not_at_the_head_where_it_canno
     assert "not reliable" in beside
 
 
+def test_the_methods_of_a_baseline_are_its_own():
+    summary = {"views": [{"used": True}] * 8, "voxel_mm": 0.5}
+    ours = words.methods_paragraph(summary, roots=False, simulated=False)
+    hull = words.methods_paragraph(summary | {"settings": {"method": "hull"}}, roots=False, simulated=False)
+    assert ["trimmed to what" in text and "90 % interval" in text for text in (ours, hull)] == [True, False]
+    assert "the untrimmed visual hull, a baseline without an error budget" in hull
+    assert "an unknown method" in words.methods_paragraph(summary | {"settings": {"method": "<b>"}}, roots=False, simulated=False)
+
+
 def test_an_estimate_of_a_later_version_is_left_out_of_the_summary():
     known = {"name": "tips", "value": 7.0, "interval": [6.0, 9.0], "trusted": True, "verdict": ""}
     summary = {"volume_trusted": True, "estimates": [known, known | {"name": "root_hairs"}]}
