@@ -46,7 +46,7 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
     if not len(found.solid.surface.faces):
         raise UserError(f"the result of {found.scene} has no surface to plot")
     drawn: Any = figures.shape_close_up(found.solid.surface, found.roots, by=by)
-    drawn.suptitle(found.scene, fontsize=11)
+    drawn.suptitle(found.scene, fontsize=11, parse_math=False)
     drawn._repr_png_ = lambda: png(drawn, dpi=90)  # notebooks need this method for figures that pyplot did not create
     return drawn
 

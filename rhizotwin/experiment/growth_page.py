@@ -30,7 +30,8 @@ def draw(growth: Growth) -> bytes:
             own = [point for point in points if point.treatment == treatment]
             mean = [point.mean for point in own]
             reach = [[point.mean - max(point.low, 0.0) for point in own], [point.high - point.mean for point in own]]
-            axes.errorbar([point.day for point in own], mean, yerr=reach, marker="o", capsize=3, label=treatment or "all plants")
+            label = (treatment or "all plants").replace("$", r"\$")  # not a formula
+            axes.errorbar([point.day for point in own], mean, yerr=reach, marker="o", capsize=3, label=label)
         axes.set_xlabel("day")
         axes.set_ylabel(_HEADINGS[trait])
         axes.set_ylim(bottom=0.0)

@@ -140,7 +140,7 @@ def draw(curves: Curves) -> bytes:
                 own = [point for point in points if point.treatment == treatment]
                 mean = [point.mean for point in own]
                 reach = [[point.mean - max(point.low, 0.0) for point in own], [point.high - point.mean for point in own]]
-                label = f"{part}, {treatment}" if len(treatments) > 1 else part
+                label = f"{part}, {treatment}".replace("$", r"\$") if len(treatments) > 1 else part  # not a formula
                 mark = marks[number % len(marks)]
                 axes.errorbar([point.day for point in own], mean, yerr=reach, marker=mark, capsize=3, color=colours[part], label=label)
         axes.set_xlabel("day")

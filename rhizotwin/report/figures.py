@@ -67,7 +67,7 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
             axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
         axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
         angle = "" if view.get("table_deg") is None else f", table {round(view['table_deg']) % 360} deg"
-        axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9)
+        axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9, parse_math=False)
         fill = "" if view.get("fill") is None else f", covers {100.0 * view['fill']:.1f} % of the visible water"
         axes[1, column].set_title(f"silhouette{fill}", fontsize=9)
         for axis in axes[:, column]:
@@ -214,7 +214,7 @@ def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
         raster, px_mm = _raster(shape, side, box)
         _show_rendering(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
         axes.set_title(side.name, fontsize=10)
-    drawn.suptitle(title, fontsize=11)
+    drawn.suptitle(title, fontsize=11, parse_math=False)
     return drawn
 
 
@@ -316,7 +316,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
         axes.set_title(f"{name}\n{sides[0].name}", fontsize=9)
     bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
     bar.set_label("distance to the true surface (mm)")
-    drawn.suptitle(title, fontsize=11)
+    drawn.suptitle(title, fontsize=11, parse_math=False)
     return drawn
 
 

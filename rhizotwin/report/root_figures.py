@@ -129,7 +129,7 @@ def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Jso
     file, view = cameras.files[near], cameras.views[near]
     picture = figures.for_screen(dataset, file)
     if picture is None:
-        axes.set_title(f"{file} could not be read", fontsize=9)
+        axes.set_title(f"{file} could not be read", fontsize=9, parse_math=False)
         return
     corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
     seen = frames.apply(view.cam_from_canister, corners)
@@ -143,4 +143,4 @@ def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Jso
     axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
-    axes.set_title(f"{file}, through the water", fontsize=9)
+    axes.set_title(f"{file}, through the water", fontsize=9, parse_math=False)

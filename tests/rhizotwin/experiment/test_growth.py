@@ -213,6 +213,11 @@ def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, comma
     assert "data:image/png" in (out / "growth.html").read_text(encoding="utf-8")
 
 
+def test_a_treatment_is_not_a_formula(ball_result: Callable[..., Path], command: Command, tmp_path: Path) -> None:
+    folders = [ball_result(f"day{day}", subject={"plant": "a", "treatment": r"$\frac$", "day": day}) for day in (1.0, 2.0)]
+    command.works("growth", *folders, "-o", tmp_path / "growth")
+
+
 def test_mistakes_are_one_sentence(ball_result: Callable[..., Path], tmp_path: Path, command: Command) -> None:
     pytest.importorskip("statsmodels")
 

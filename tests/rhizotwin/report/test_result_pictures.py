@@ -10,9 +10,11 @@ import trimesh
 
 from rhizotwin import shading
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.report import result_pictures, root_figures
+from rhizotwin.report import figures, result_pictures, root_figures
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.figures import png
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.stored import result_files
 from tests.rhizotwin import plant as plants
@@ -50,6 +52,12 @@ def test_all_pictures_of_a_result_with_roots(scan):
         assert picture is not None
         assert min(picture.shape[:2]) > 300
         assert picture.std() > 5.0
+
+
+def test_a_name_is_not_a_formula():
+    """Matplotlib reads text between dollar signs as a formula, and raises an error if it is not one."""
+    drawn = figures.shape_near(ball(4.0, (0.0, 0.0, -30.0)), Scene(), title=r"$\frac$")
+    assert png(drawn, dpi=20).startswith(b"\x89PNG")
 
 
 def test_a_picture_is_cropped_by_the_calibrated_lens(tmp_path):
