@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 
 from rhizotwin.scenes import series
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.solution import Factors
 
@@ -32,7 +33,8 @@ def vary(
     Raises
     ------
     UserError
-        If a variation is requested, but the specimen of the scene is not a simulated plant.
+        If a variation is requested, but the specimen of the scene is not a simulated plant, or if two variations have
+        the same name.
     """
     found = {scene.name: scene}
     if treatments is not None:
@@ -56,6 +58,8 @@ def vary(
             for name, one in found.items()
             for day in days
         }
+    if len(found) < plants * len(days or (0,)) * len(treatments or (0,)):
+        raise UserError("two treatments or two days have the same name, such as low N and low_N, or day 5.01 and day 5.04; change one")
     return found
 
 

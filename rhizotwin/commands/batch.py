@@ -162,8 +162,9 @@ def simulate(
     from rhizotwin.batches.series import vary
 
     loaded = [front_door.load_scene(scene, **vars(changes)) for scene in scenes]
-    varied = {name: scene for one in loaded for name, scene in vary(one, plants=plants, days=days, treatments=treatments).items()}
-    if len(varied) < len(loaded):
+    each = [vary(one, plants=plants, days=days, treatments=treatments) for one in loaded]
+    varied = {name: scene for one in each for name, scene in one.items()}
+    if len(varied) < sum(map(len, each)):
         raise UserError("two scenes have the same name; change the name in one of the scene files")
     jobs = collect.renderings(varied, output, profile=changes.profile or "scene", seed=seed, device=work.device)
     made = run(jobs, output, cluster=work.cluster, workers=work.workers)

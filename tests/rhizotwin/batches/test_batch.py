@@ -321,6 +321,16 @@ def test_series_name_plants_days_and_treatments() -> None:
         series.vary(files.load_scene("sphere_20mm"), plants=2)
 
 
+def test_no_variation_replaces_another_of_the_same_name(tmp_path: Path, command: Command) -> None:
+    scene = files.load_scene("radish_day05a")
+    with pytest.raises(UserError, match="have the same name"):
+        series.vary(scene, treatments=(("low N", 0.85, ()), ("low_N", 0.9, ())))
+    with pytest.raises(UserError, match="have the same name"):
+        series.vary(scene, days=(5.01, 5.04))
+    words = ("batch", "simulate", "radish_day05a", "radish_day05a", "--plants", 2, "-o", tmp_path / "scans")
+    command.fails(*words, named=["two scenes have the same name"])
+
+
 def test_what_lies_in_the_way_of_a_batch_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     pytest.importorskip("dask_jobqueue")
     scan = dataset(tmp_path / "scans" / "ball")
