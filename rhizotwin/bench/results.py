@@ -83,6 +83,11 @@ class Results:
     rows: dict[str, dict[str, Any]]
     """Results of each case as JSON values, keyed by the name of the case."""
 
+    @property
+    def label(self) -> str:
+        """Return the name of the method and of the cameras, if these are known, for tables."""
+        return self.method if self.cameras is None else f"{self.method} ({self.cameras} cameras)"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
@@ -166,7 +171,7 @@ def markdown(several: Sequence[Results]) -> str:
     head = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), ""]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for one, row in ordered(several):
-        cells = [one.benchmark, row["case"], one.method, held(row), *(text(row, quantity) for quantity in shown), remark(row)]
+        cells = [one.benchmark, row["case"], one.label, held(row), *(text(row, quantity) for quantity in shown), remark(row)]
         lines.append("| " + " | ".join(printable(str(cell)).replace("|", "/") for cell in cells) + " |")
     return "\n".join(lines)
 
@@ -189,12 +194,13 @@ def held(row: dict[str, Any]) -> str:
 def remark(row: dict[str, Any]) -> str:
     """Return a remark on a row for tables.
 
-    The remark is the reason why the row has no scores, or the note that its volume is not reliable. Otherwise it is
-    empty.
+    The remark is the reason why the row or a file has no scores, and the note that the volume is not reliable.
+    Otherwise it is empty.
     """
+    sentence = str(row.get("sentence", ""))
     if row["state"] != "done":
-        return f"{row['state']}: {row.get('sentence', '')}"
-    return "volume marked as not reliable" if row["scores"].get("trusted") is False else ""
+        return f"{row['state']}: {sentence}"
+    return "; ".join(filter(None, [sentence, "volume marked as not reliable" if row["scores"].get("trusted") is False else ""]))
 
 
 def compare(found: Results, baseline: Results) -> list[Finding]:

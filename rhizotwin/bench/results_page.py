@@ -50,8 +50,7 @@ def page(several: Sequence[Results]) -> str:
     heads = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), "remarks"]
     rows = []
     for one, row in ordered(several):
-        method = one.method if one.cameras is None else f"{one.method} ({one.cameras} cameras)"
-        cells = [_cell(one.benchmark), _cell(row["case"]), _cell(method), _cell(held(row))]
+        cells = [_cell(one.benchmark), _cell(row["case"]), _cell(one.label), _cell(held(row))]
         for quantity in shown:
             found = value(row, quantity)
             size = None if found is None else abs(found) if quantity.name.endswith("_error") else found

@@ -212,6 +212,14 @@ def test_a_case_of_a_foreign_file_is_a_text_and_occurs_once(command: Command, tm
     command.fails("bench", "table", tmp_path / "rows.json", named=["a case has several rows"])
 
 
+def test_tables_name_cameras_and_files_without_scores() -> None:
+    half = row(mesh={"iou": 0.9}, trusted=False) | {"sentence": "roots.rsml is damaged"}
+    text = results.markdown([of_rows(half), replace(of_rows(row(mesh={"iou": 0.8})), cameras="estimated")])
+    assert "| mine (true cameras) |" in text
+    assert "| mine (estimated cameras) |" in text
+    assert "| roots.rsml is damaged; volume marked as not reliable |" in text
+
+
 def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path) -> None:
     words = ["-o", tmp_path / "rows.json"]
     command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])
