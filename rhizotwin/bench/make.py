@@ -9,6 +9,7 @@ from pathlib import Path
 from rhizotwin.bench import fingerprints
 from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.fingerprints import Comparison
+from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
@@ -58,10 +59,15 @@ def check_made(benchmark: Benchmark, folder: Path) -> None:
     Raises
     ------
     UserError
-        If a case is missing, with the command that renders it.
+        If a case is missing, with the command that renders it, or the folder contains the case of another benchmark.
     """
     for case in benchmark.cases:
+        command = f"rhizotwin bench make {benchmark.name} -o"
         if not (folder / case.name / "truth" / "truth.json").is_file():
+            raise UserError(f"the case {case.name} is missing in {folder}; render it with: {command} {folder}")
+        found, scene = load_dataset(folder / case.name), case.rendered_scene()
+        views = sum(ring.views for ring in scene.plan.rings)
+        if (found.scene.camera.image_wh, len(found.frames), found.seed) != (case.image_wh, views, case.seed):
             raise UserError(
-                f"the case {case.name} is missing in {folder}; render it with: rhizotwin bench make {benchmark.name} -o {folder}"
+                f"{folder / case.name} was rendered for another benchmark than {benchmark.name}; render it with: {command} NEW_FOLDER"
             )

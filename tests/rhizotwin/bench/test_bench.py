@@ -25,7 +25,7 @@ EXAMPLE = ROOT / "examples" / "methods" / "hull_by_voxels.py"
 TINY = Benchmark(
     name="tiny-1",
     description="one ball",
-    cases=(Case(name="ball", scene="sphere_20mm", profile="clean", views=10, image_wh=(320, 240)),),
+    cases=(Case(name="ball", scene="sphere_20mm", profile="clean", views=10, image_wh=(320, 240), seed=0),),
 )
 
 
@@ -218,6 +218,15 @@ def test_tables_name_cameras_and_files_without_scores() -> None:
     assert "| mine (true cameras) |" in text
     assert "| mine (estimated cameras) |" in text
     assert "| roots.rsml is damaged; volume marked as not reliable |" in text
+
+
+@pytest.mark.parametrize("other", [{"image_wh": (640, 480)}, {"views": 20}, {"seed": 1000}])
+def test_a_case_of_the_same_name_in_another_benchmark_is_refused(
+    command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: dict[str, Any]
+) -> None:
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, replace(TINY, cases=(replace(TINY.cases[0], **other),)))
+    words = ("bench", "score", "tiny-1", tiny, tmp_path, "--label", "mine", "-o", tmp_path / "rows.json")
+    command.fails(*words, named=["was rendered for another benchmark than tiny-1"])
 
 
 def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path) -> None:
