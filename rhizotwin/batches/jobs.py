@@ -21,6 +21,9 @@ RECORDS = ".rhizotwin-jobs"
 HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json"}
 """Name of the file whose existence shows that an output is complete. The key is the kind of job."""
 
+_NOT_FIRST = ".=@"
+"""Characters with which the name of a job does not begin."""
+
 BASE_MIB, MIB_PER_MPX = 700.0, 120.0
 """Coefficients of the estimated peak memory of a reconstruction: constant part in MiB, and MiB per million pixels.
 
@@ -115,7 +118,9 @@ def note(job: Job, outcome: Outcome) -> None:
 def named(sources: Sequence[str]) -> list[str]:
     """Return a unique name for each source.
 
-    The name is that of the source's folder. If two names are equal, the names of parent folders are prepended.
+    The name is that of the source's folder, without the characters ``.``, ``=`` and ``@`` at its beginning, because
+    results in hidden folders are not found, and spreadsheets read = and @ as formulas. If two names are equal, the
+    names of parent folders are prepended.
 
     Raises
     ------
@@ -123,7 +128,8 @@ def named(sources: Sequence[str]) -> list[str]:
         If two sources have equal names even with all parent folders.
     """
     parts = [
-        [part for part in source.replace("://", "/").split("/") if part not in ("", ".", "..")] or [places.name_of(source)]
+        [visible for part in source.replace("://", "/").split("/") if (visible := part.lstrip(_NOT_FIRST))]
+        or [places.name_of(source).lstrip(_NOT_FIRST) or "scan"]
         for source in sources
     ]
     names = [part[-1] for part in parts]

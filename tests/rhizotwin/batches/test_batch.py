@@ -65,6 +65,7 @@ def test_hidden_folders_are_searched_only_if_they_are_given(tmp_path: Path) -> N
 def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
     assert jobs.named(["/x/day1/scan", "/x/day2/scan", "/x/other"]) == ["day1-scan", "day2-scan", "other"]
     assert jobs.named(["s3://bucket/a/scan"]) == ["scan"]
+    assert jobs.named(["/x/.day1", "/x/=1+1", "/x/y/.day1", "/"]) == ["x-day1", "1+1", "y-day1", "scan"]
 
 
 def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
