@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -132,6 +133,7 @@ def _pixels(data: bytes) -> float:
     try:
         manifest = json.loads(data)
         width, height = manifest["scene"]["camera"]["image_wh"]
-        return float(width) * float(height) * len(manifest["frames"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+        pixels = float(width) * float(height) * len(manifest["frames"])
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return _PIXELS
+    return pixels if 0.0 < pixels < math.inf else _PIXELS

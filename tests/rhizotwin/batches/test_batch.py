@@ -62,6 +62,15 @@ def test_hidden_folders_are_searched_only_if_they_are_given(tmp_path: Path) -> N
         places.find_datasets(str(tmp_path))
 
 
+@pytest.mark.parametrize("width", ["1" + "0" * 400, "1e308", "NaN", "-5", "{}"])
+def test_a_scan_of_impossible_size_is_a_job_like_others(width: str, tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    text = f'{{"scene": {{"camera": {{"image_wh": [{width}, 1e308]}}}}, "frames": [1]}}'
+    (tmp_path / "one" / "dataset.json").write_text(text, encoding="utf-8")
+    (one,) = collect.reconstructions([str(tmp_path)], str(tmp_path / "r"), voxel_mm=None, settings=None, device="cpu")
+    assert one.pixels == 20e6
+
+
 def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
     assert jobs.named(["/x/day1/scan", "/x/day2/scan", "/x/other"]) == ["day1-scan", "day2-scan", "other"]
     assert jobs.named(["s3://bucket/a/scan"]) == ["scan"]
