@@ -135,10 +135,8 @@ def _add_selection(viewer: Viewer) -> None:
 def _add_pictures(viewer: Viewer) -> None:
     """Add the buttons that switch between the pictures."""
     gui = viewer.served.server.gui
-    if viewer.shown.pictures is None:
-        gui.add_html(words.note("The dataset was not found. Restart the viewer with 'rhizotwin view RESULT DATASET'."))
-        return
-    gui.add_html(words.note("The outline of the reconstruction is projected through the water into each picture."))
+    missing = gui.add_html(words.note("The dataset was not found. Restart the viewer with 'rhizotwin view RESULT DATASET'."))
+    about = gui.add_html(words.note("The outline of the reconstruction is projected through the water into each picture."))
     step = gui.add_button_group("Picture", ("Previous", "Next", "Back to 3D"))
     name = gui.add_html("")
 
@@ -152,6 +150,8 @@ def _add_pictures(viewer: Viewer) -> None:
 
     def follow() -> None:
         now = viewer.shown.pictures
+        missing.visible = now is None
+        about.visible = step.visible = name.visible = now is not None
         if viewer.picture is not None and now is not None:
             angle = now.table_deg[viewer.picture]
             name.content = words.note(

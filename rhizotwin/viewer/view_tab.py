@@ -45,11 +45,10 @@ def add(viewer: Viewer) -> None:
 
 
 def _add_layers(viewer: Viewer) -> None:
-    gui, shown = viewer.served.server.gui, viewer.shown
+    """Add a checkbox for each layer, which is visible if the displayed result has the layer."""
+    gui = viewer.served.server.gui
     boxes: dict[str, viser.GuiCheckboxHandle] = {}
     for layer in LAYERS:
-        if (layer == "truth" and shown.truth_file is None) or (layer in ("canister", "cameras") and shown.dataset is None):
-            continue
         box = boxes[layer] = gui.add_checkbox(_LABELS[layer], initial_value=layer in viewer.look.layers)
 
         def switch(_: object, layer: str = layer, box: viser.GuiInputHandle[bool] = box) -> None:
@@ -58,18 +57,21 @@ def _add_layers(viewer: Viewer) -> None:
                 viewer.refresh()
 
         box.on_update(switch)
-    if shown.truth_file is not None:
-        compare = gui.add_dropdown("True shape is", TRUTH)
+    compare = gui.add_dropdown("True shape is", TRUTH)
 
-        @compare.on_update
-        def _(_: object) -> None:
-            viewer.look.truth = str(compare.value)
-            viewer.refresh()
+    @compare.on_update
+    def _(_: object) -> None:
+        viewer.look.truth = str(compare.value)
+        viewer.refresh()
 
     def follow() -> None:
+        shown = viewer.shown
+        there = {"truth": shown.truth_file is not None, **dict.fromkeys(("canister", "cameras"), shown.dataset is not None)}
         for layer, box in boxes.items():
+            box.visible = there.get(layer, True)
             if box.value != (layer in viewer.look.layers):
                 set_value(box, layer in viewer.look.layers)
+        compare.visible = there["truth"]
 
     viewer.on_change.append(follow)
 

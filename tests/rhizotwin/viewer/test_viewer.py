@@ -398,3 +398,21 @@ def test_a_result_that_cannot_be_shown_leaves_the_earlier_one_with_its_name(
         assert running.message == ""
     finally:
         running.served.stop()
+
+
+def test_each_result_has_its_own_pictures_and_layers(plant: plants.Plant, tmp_path: Path):
+    moved = tmp_path / "moved"
+    shutil.copytree(plant.result, moved)
+    summary = json.loads((moved / "result.json").read_text())
+    (moved / "result.json").write_text(json.dumps(summary | {"dataset": str(tmp_path / "nowhere")}))
+    (plant.result / "result.json").write_text(json.dumps(summary | {"dataset": str(plant.dataset)}))
+    running = app.start([moved, plant.result], None, port=8290)
+    try:
+        handles = {getattr(one, "label", ""): one for one in running.served.server.gui._gui_input_handle_from_uuid.values()}
+        names = ("Picture", "Canister, water and net pot", "Surface")
+        assert [handles[name].visible for name in names] == [False, False, True]
+        running.load(1)
+        assert [handles[name].visible for name in names] == [True, True, True]
+    finally:
+        running.served.stop()
+        (plant.result / "result.json").write_text(json.dumps(summary))
