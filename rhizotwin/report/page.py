@@ -120,7 +120,8 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     known = [name for name in subject.NAMES if any(name in one.subject.known for one in reports)]
     head = ["verdict", "volume (90 % interval)", "result", *("scene", *known, "root length (mm)", "edits")]
     cells = "".join(f"<th{' class=more' if k > 2 else ''}>{html.escape(name)}</th>" for k, name in enumerate(head))
-    rows = "".join(_row(place, one, known) for place, one in enumerate(reports))
+    names = result_files.names_of([one.folder for one in reports])
+    rows = "".join(_row(place, name, one, known) for place, (name, one) in enumerate(zip(names, reports, strict=True)))
     title = f"{usable} of {len(reports)} volumes usable"
     table = f"<h1>{title}</h1><div class=wide><table class=overview><tr>{cells}</tr>{rows}</table></div>"
     parts = [f'<div id="result-{place}">{_short_report(one)}</div>' for place, one in enumerate(reports)]
@@ -128,12 +129,12 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     return output
 
 
-def _row(place: int, report: _Report, known: Sequence[str]) -> str:
+def _row(place: int, name: str, report: _Report, known: Sequence[str]) -> str:
     """Return the row of a result in the table of volumes."""
     length, interval = report.traits.total_length_mm, report.assessed["total_length_mm"]
     shown = "-" if not length else round_digits(length) + ("" if interval.verdict == "reliable" else f" ({interval.verdict})")
-    link = f'<a href="#result-{place}">{html.escape(report.folder.resolve().name)}</a>'
-    more = [report.name, *(subject.as_text(report.subject)[name] for name in known), shown, result_traits.describe_edits(report.summary)]
+    link = f'<a href="#result-{place}">{html.escape(name)}</a>'
+    more = [report.name, *(subject.as_text(report.subject)[key] for key in known), shown, result_traits.describe_edits(report.summary)]
     return (
         f"<tr>{tables.verdict_cells(report.summary)}<td>{link}</td>"
         f"{''.join(f'<td class=more>{html.escape(text)}</td>' for text in more)}</tr>"

@@ -20,6 +20,7 @@ from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence
+from rhizotwin.stored import result_files
 from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Nodes
@@ -114,7 +115,7 @@ class Drawing:
     @property
     def names(self) -> list[str]:
         """Return the names of all results that can be selected."""
-        return [folder.name or str(folder) for folder in self._folders]
+        return result_files.names_of(self._folders)
 
     @property
     def place(self) -> int:

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -154,6 +155,10 @@ def test_one_page_for_many(plant: plants.Plant, tmp_path: Path):
     assert text.count("<canvas") == 2
     assert text.count("usable</td>") == 2
     assert "<h1>2 of 2 volumes usable</h1>" in text
+    for day in ("day_1", "day_2"):
+        shutil.copytree(plant.result, tmp_path / day / "result")
+    text = page.write_many([tmp_path / day / "result" for day in ("day_1", "day_2")], tmp_path / "many.html").read_text(encoding="utf-8")
+    assert re.findall('<a href="#result-.">([^<]*)', text) == ["day_1/result", "day_2/result"]
 
 
 def test_a_page_says_what_was_corrected_and_that_its_pictures_are_gone(plant: plants.Plant, tmp_path: Path):
