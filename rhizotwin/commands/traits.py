@@ -61,13 +61,14 @@ def traits(
         for folder, summary, one in zip(results, summaries, found, strict=True):
             _print(folder, summary, one)
         return
+    names = result_files.names_of(results)
     if table.suffix.lower() == ".csv":
-        rows = [(_name(folder), summary, one) for folder, summary, one in zip(results, summaries, found, strict=True)]
+        rows = list(zip(names, summaries, found, strict=True))
         atomic.write_text(table, stored_traits.spreadsheet(rows))
     else:
         contents = [
-            {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass), **_neighbours(folder, summary, one)}
-            for folder, summary, one, mass in zip(results, summaries, found, masses, strict=True)
+            {"result": name, **result_traits.to_json(one, summary, mass_g=mass), **_neighbours(folder, summary, one)}
+            for name, folder, summary, one, mass in zip(names, results, summaries, found, masses, strict=True)
         ]
         atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
     print(f"wrote the traits of {count(len(found), 'result')} to {table}")
@@ -108,11 +109,3 @@ def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[st
     found = result_files.read_neighbours(folder)
     verdict = assessments.assess(summary, one)["total_length_mm"].verdict
     return {"neighbours": [{**asdict(pair), "verdict": verdict} for pair in found]} if found else {}
-
-
-def _name(folder: Path) -> str:
-    """Return the name of a result folder.
-
-    The path is made absolute first, because ``.`` contains no name.
-    """
-    return folder.resolve().name

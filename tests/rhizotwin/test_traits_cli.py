@@ -35,6 +35,15 @@ def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, 
     command.fails(*words, named=["already exists"])
 
 
+def test_results_of_one_folder_name_are_told_apart(ball_result: Callable[..., Path], tmp_path: Path, command: Command) -> None:
+    folders = [ball_result(f"{day}/result") for day in ("day_1", "day_2")]
+    command.works("traits", *folders, "-o", tmp_path / "t.csv")
+    command.works("traits", *folders, "-o", tmp_path / "t.json")
+    rows = list(csv.DictReader((tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["result"] for row in rows] == ["day_1/result", "day_2/result"]
+    assert [one["result"] for one in json.loads((tmp_path / "t.json").read_text())] == ["day_1/result", "day_2/result"]
+
+
 def test_json_has_every_number_and_the_mass_that_was_kept(results: list[Path], tmp_path: Path, command: Command) -> None:
     command.works("traits", results[0], "-o", tmp_path / "t.json")
     (stored,) = json.loads((tmp_path / "t.json").read_text())
