@@ -250,6 +250,22 @@ def test_addresses_are_found_fetched_and_put(elsewhere: str, tmp_path: Path) -> 
         places.find_datasets("nowhere://x")
 
 
+def test_a_scan_at_an_address_that_cannot_be_read_fails_alone(elsewhere: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fsspec
+
+    def refuse(self: object, path: str) -> bytes:
+        if "secret" in path:
+            raise PermissionError(path)
+        return read(self, path)
+
+    places.write(f"{elsewhere}/scans/one/dataset.json", b"{}")
+    places.write(f"{elsewhere}/scans/secret/dataset.json", b"{}")
+    read = fsspec.get_filesystem_class("memory").cat_file
+    monkeypatch.setattr(fsspec.get_filesystem_class("memory"), "cat_file", refuse)
+    made = collect.reconstructions([f"{elsewhere}/scans"], f"{elsewhere}/r", voxel_mm=None, settings=None, device="cpu")
+    assert [one.name for one in made] == ["one", "secret"]
+
+
 def test_an_earlier_result_at_an_address_leaves_no_file_behind(elsewhere: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = ["result.json", "roots.rsml", "silhouettes/a.png"]
 
