@@ -53,8 +53,10 @@ their origin on the canister's axis at the rim."""
         Raises
         ------
         UserError
-            If several files, or other references, were given.
+            If no file, several files, or other references were given.
         """
+        if not self.given:
+            raise UserError("--registered can be used with --mesh only; remove --registered, or give the mesh with --mesh")
         if len(self.given) > 1 or any(other is not None for other in others):
             raise UserError("the score of another program's output needs exactly one file and the simulated dataset; remove other options")
         return next(iter(self.given.items()))
@@ -114,7 +116,7 @@ def score(
     """
     shares = {"score": 1.0} if pictures is None else {name: calls.SHARES[name] for name in _OF_PICTURES} | {"score": 5.0}
     with progress.bar(**shares) as bar:
-        if foreign.given:
+        if foreign.given or foreign.registered:
             kind, file = foreign.one(dataset, truth, volume_ml, pictures)
             found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, progress=bar)
         else:

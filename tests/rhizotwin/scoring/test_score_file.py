@@ -243,6 +243,7 @@ def test_the_command_line_scores_a_file(command: Command, made: Path) -> None:
     assert json.loads(command.works("score", "--mesh", file, made, "--json").out)["iou"] > 0.999
     command.fails("score", "--mesh", file, "--rsml", file, made, named=["one file"])
     command.fails("score", "--rsml", file, made, "--registered", named=["--registered"])
+    command.fails("score", made, made, "--registered", named=["--registered can be used with --mesh only"])
 
 
 def test_stated_needs_an_interval_to_be_judged() -> None:
