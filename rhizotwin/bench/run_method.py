@@ -72,7 +72,7 @@ class Row:
     scores: dict[str, Any] = field(default_factory=dict)
 
 
-def command_of(method: str) -> str:
+def command_of(method: str, *, cameras: CameraSource = "estimated") -> str:
     """Return the command line of a method.
 
     ``method`` is the name of a built-in method, or already a command line.
@@ -80,8 +80,11 @@ def command_of(method: str) -> str:
     Raises
     ------
     UserError
-        If ``method`` is neither a built-in method nor a command line that contains ``{output}``.
+        If ``method`` is neither a built-in method nor a command line that contains ``{output}``, or a built-in method,
+        which estimates its cameras itself, is to be run with true cameras.
     """
+    if method in BUILT_IN and cameras == "true":
+        raise UserError(f"--cameras true cannot be used with --method {method}, which estimates its cameras itself; remove --cameras true")
     if method in BUILT_IN:
         return f"{shlex.quote(sys.executable)} -m rhizotwin reconstruct {{dataset}} -o {{output}} --method {method} --quiet"
     if "{output}" not in method:
@@ -140,7 +143,7 @@ def run(
     UserError
         If an output subfolder already exists in ``keep``.
     """
-    command, rows = command_of(method), []
+    command, rows = command_of(method, cameras=cameras), []
     for case in benchmark.cases:
         if keep is not None and case.name not in finished and (keep / case.name).exists():
             raise UserError(f"the folder {keep / case.name} already exists; remove the folder, or choose another folder for --keep")

@@ -163,7 +163,7 @@ def run(
     from rhizotwin.bench.make import check_made
 
     benchmark = find(name).chosen(options.cases)
-    run_method.command_of(method)  # report an invalid command line first
+    run_method.command_of(method, cameras=options.cameras)  # report an invalid command line first
     check_made(benchmark, folder)
     command_steps.start_engine(device, quiet=progress.quiet)
     _run_cases(benchmark, folder, method, output, options, progress)

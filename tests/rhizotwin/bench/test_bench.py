@@ -233,6 +233,7 @@ def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path:
     words = ["-o", tmp_path / "rows.json"]
     command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])
     command.fails("bench", "run", "tiny-1", tiny, "--method", "python 'my method.py {output}", *words, named=["quotation"])
+    command.fails("bench", "run", "tiny-1", tiny, "--method", "hull", "--cameras", "true", *words, named=["estimates its cameras itself"])
     command.fails("bench", "run", "tiny-1", tmp_path / "no", "--method", "ours", *words, named=["bench make tiny-1"])
     command.fails("bench", "run", "tiny-1", tiny, "--cases", "bean", "--method", "ours", *words, named=["bean", "ball"])
     (tmp_path / "bad.json").write_text('{"schema_version": 1, "rows": [{}]}')
