@@ -125,7 +125,8 @@ def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
         code = worker.process.exitcode
         crew.remove(worker)
         worker.line.close()
-        how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
+        names = {one.value: one.name for one in signal.Signals}  # real-time signals have no names
+        how = f"signal {names.get(-code, -code)}" if code is not None and code < 0 else f"exit code {code}"
         return Outcome(name=name, state="again", sentence=f"the process of the job died ({how}), perhaps because the memory was full")
 
 

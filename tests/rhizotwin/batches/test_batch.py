@@ -198,6 +198,20 @@ def test_a_damaged_scan_fails_with_its_sentence_and_a_killed_process_is_replaced
     assert (record["state"], record["key"]) == ("failed", "k")
 
 
+@pytest.mark.parametrize(("code", "named"), [(-9, "signal SIGKILL"), (-40, "signal 40"), (3, "exit code 3")])
+def test_a_process_that_died_names_its_signal(code: int, named: str, tmp_path: Path) -> None:
+    class Dead:
+        exitcode = code
+
+        def join(self) -> None:
+            pass
+
+    ours, theirs = Pipe()
+    theirs.close()
+    worker = local._Worker(Dead(), ours, job("a", tmp_path))
+    assert f"died ({named})" in local._hear(worker, [worker]).sentence
+
+
 def _children() -> set[int]:
     listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(os.getpid())], capture_output=True, text=True, check=False)
     return {int(word) for word in listed.stdout.split()}
