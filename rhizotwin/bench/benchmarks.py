@@ -93,7 +93,7 @@ class Benchmark:
     cases: tuple[Case, ...]
 
     def chosen(self, names: tuple[str, ...]) -> Benchmark:
-        """Return a copy of the benchmark that contains only the cases in ``names``.
+        """Return a copy of the benchmark that contains only the cases in ``names``, each once.
 
         If ``names`` is empty, the copy contains all cases.
 
@@ -106,7 +106,7 @@ class Benchmark:
         for name in names:
             if name not in known:
                 raise UserError(f"the benchmark {self.name} has no case {name!r}; choose from {', '.join(known)}")
-        return replace(self, cases=tuple(known[name] for name in names) or self.cases)
+        return replace(self, cases=tuple(known[name] for name in dict.fromkeys(names)) or self.cases)
 
 
 def _plant(name: str, scene: str, profile: str, *, seed: int = HELD_BACK) -> Case:

@@ -69,6 +69,11 @@ def test_every_named_benchmark_can_be_rendered() -> None:
         benchmarks.find("quik-1")
 
 
+def test_a_case_is_chosen_once() -> None:
+    chosen = benchmarks.find("quick-1").chosen(("bean", "ball", "bean"))
+    assert [case.name for case in chosen.cases] == ["bean", "ball"]
+
+
 def test_other_seeds_grow_other_plants() -> None:
     case = benchmarks.find("roots-1").chosen(("bean",)).cases[0]
     assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
