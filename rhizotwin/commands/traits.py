@@ -46,7 +46,7 @@ def traits(
     from rhizotwin.catalogue import sources
     from rhizotwin.recon.results import result_traits
     from rhizotwin.scenes import atomic
-    from rhizotwin.stored import result_files, stored_traits
+    from rhizotwin.stored import result_files, result_names, stored_traits
 
     results = result_files.results_in(sources.expand_results(results))
     if mass_g is not None and len(mass_g) != len(results):
@@ -61,7 +61,7 @@ def traits(
         for folder, summary, one in zip(results, summaries, found, strict=True):
             _print(folder, summary, one)
         return
-    names = result_files.names_of(results)
+    names = result_names.names_of(results)
     if table.suffix.lower() == ".csv":
         rows = list(zip(names, summaries, found, strict=True))
         atomic.write_text(table, stored_traits.spreadsheet(rows))

@@ -31,7 +31,7 @@ from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
-from rhizotwin.stored import result_files, stored_traits
+from rhizotwin.stored import result_files, result_names, stored_traits
 from rhizotwin.through_water import THIN_MM, Pictures
 
 AZIMUTHS_DEG = (0, 45, 90, 135)
@@ -120,7 +120,7 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     known = [name for name in subject.NAMES if any(name in one.subject.known for one in reports)]
     head = ["verdict", "volume (90 % interval)", "result", *("scene", *known, "root length (mm)", "edits")]
     cells = "".join(f"<th{' class=more' if k > 2 else ''}>{html.escape(name)}</th>" for k, name in enumerate(head))
-    names = result_files.names_of([one.folder for one in reports])
+    names = result_names.names_of([one.folder for one in reports])
     rows = "".join(_row(place, name, one, known) for place, (name, one) in enumerate(zip(names, reports, strict=True)))
     title = f"{usable} of {len(reports)} volumes usable"
     table = f"<h1>{title}</h1><div class=wide><table class=overview><tr>{cells}</tr>{rows}</table></div>"

@@ -1,7 +1,6 @@
 """Read the files of a result folder (listed in `recon.results.result`)."""
 
 import json
-import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -79,17 +78,6 @@ def results_in(folders: Sequence[Path]) -> list[Path]:
             raise UserError(f"{folder} contains no result.json; specify a folder written by 'rhizotwin reconstruct' or 'rhizotwin batch'.")
         found += inside
     return found
-
-
-def names_of(folders: Sequence[Path]) -> list[str]:
-    """Return the name of each result's folder. If several names are equal, the folders above are prepended."""
-    parts = [Path(os.path.abspath(folder)).parts for folder in folders]  # noqa: PTH100 - links keep their names
-
-    def is_unique(part: tuple[str, ...], depth: int) -> bool:
-        return all(other == part or other[-depth:] != part[-depth:] for other in parts)
-
-    depths = [next((depth for depth in range(1, len(part)) if is_unique(part, depth)), 1) for part in parts]
-    return ["/".join(part[-depth:]) for part, depth in zip(parts, depths, strict=True)]
 
 
 def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:

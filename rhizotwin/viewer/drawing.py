@@ -20,7 +20,7 @@ from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence
-from rhizotwin.stored import result_files
+from rhizotwin.stored import result_names
 from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Nodes
@@ -115,7 +115,7 @@ class Drawing:
     @property
     def names(self) -> list[str]:
         """Return the names of all results that can be selected."""
-        return result_files.names_of(self._folders)
+        return result_names.names_of(self._folders)
 
     @property
     def place(self) -> int:

@@ -9,7 +9,6 @@ import pytest
 
 from rhizotwin.recon.results.parts import Leaves, shape_npz
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
 from rhizotwin.stored.result_files import read_leaves
 
@@ -88,13 +87,3 @@ def test_leaves_that_cannot_be_are_refused(changes: dict[str, Any], named: str, 
     with pytest.raises(UserError, match=f"shape.npz is damaged: .*{named}; repeat the reconstruction") as caught:
         read_leaves(tmp_path, hull=hull)
     assert "\n" not in str(caught.value)
-
-
-def test_results_of_one_name_are_told_apart_by_the_folders_above(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
-    given = ["day_1/result", "x/day_2/result", "y/day_2/result", "other", "."]
-    assert result_files.names_of([Path(one) for one in given]) == [
-        *("day_1/result", "x/day_2/result", "y/day_2/result", "other"),
-        tmp_path.name,
-    ]
-    assert result_files.names_of([Path("a/result"), Path("a/result")]) == ["result", "result"]
