@@ -45,8 +45,9 @@ def rows(rig: Json) -> list[Row]:
             _row("refractive index of the water", rig["n_water_given"], rig["n_water_found"], rig["n_water_sigma"], "", taken=taken)
         )
     if rig.get("focal_scale_sigma") is not None and rig.get("focal_scale_found") is not None:
-        taken = rig.get("focal_scale_markers", rig["focal_scale"]) != 1.0  # results of earlier versions have only the product
-        scale = rig["focal_scale"] if taken else rig["focal_scale_found"]
+        used = rig.get("focal_scale", 1.0)
+        taken = rig.get("focal_scale_markers", used) != 1.0  # results of earlier versions have only the product
+        scale = used if taken else rig["focal_scale_found"]
         found.append(_row("focal length relative to the given value", 1.0, scale, rig["focal_scale_sigma"], "", taken=taken))
     for name, key in (
         ("canister relative to the marker strip", "canister_from_strip"),

@@ -69,9 +69,8 @@ def _numbers(count: int) -> Fits:
 
 
 def _is_complete(rig: Json) -> bool:
-    """Return whether the values with which a calibrated value is tabulated are present."""
-    needed = {"n_water_found": {"n_water", "n_water_given", "n_water_sigma"}, "focal_scale_found": {"focal_scale"}}
-    return all(rig.get(found) is None or others <= rig.keys() for found, others in needed.items())
+    """Return whether the values with which the refractive index found is tabulated are present."""
+    return rig.get("n_water_found") is None or {"n_water", "n_water_given", "n_water_sigma"} <= rig.keys()
 
 
 _POSE = _list(_numbers(4), 4)

@@ -40,7 +40,6 @@ def test_a_value_of_another_kind_is_named(scan) -> None:
         ("rig", {"focal_scale": None}),
         ("rig", {"canister_edges": {"before_mm": None, "after_mm": 0.1}}),
         ("rig", {"n_water_found": 1.33}),
-        ("rig", {"focal_scale_found": 1.0, "focal_scale_sigma": 0.1}),
         ("rig", {"sway_mm": "<b>"}),
         ("warnings", [5]),
         ("plants", 2),
