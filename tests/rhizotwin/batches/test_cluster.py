@@ -105,3 +105,16 @@ def test_two_batches_on_one_scheduler_have_jobs_of_their_own() -> None:
     for output in ("r/one", "other/one"):
         cluster._submit(scheduler, Job(name="one", kind="reconstruct", source="s", output=output, key="k", pixels=1.0, options={}), 1)
     assert sorted(scheduler.outputs.values()) == ["other/one", "r/one"]
+
+
+def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:
+    pytest.importorskip("dask_jobqueue")
+    program = (
+        "from pathlib import Path; from rhizotwin.batches import cluster; from rhizotwin.batches.jobs import Job\n"
+        "if __name__ == '__main__':\n"
+        "    one = Job(name='a', kind='reconstruct', source='s', output='o', key='k', pixels=20e6, options={})\n"
+        "    with cluster.slurm([one]) as made: print(made.job_script())\n"
+    )
+    (tmp_path / "ask.py").write_text(program, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(tmp_path / "ask.py")], capture_output=True, text=True, timeout=120, check=True)
+    assert "#SBATCH --mem=4G" in done.stdout  # 700 + 120 * 20 = 3100 MiB, in whole GB as SLURM is asked

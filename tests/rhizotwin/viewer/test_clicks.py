@@ -1,0 +1,84 @@
+"""Clicks into the 3D view: what they select, measure and cut."""
+
+import numpy as np
+import pytest
+
+from rhizotwin.viewer import picking
+from rhizotwin.viewer.app import Viewer
+from rhizotwin.viewer.drawing import CLICKS
+from tests.rhizotwin import plant as plants
+
+
+def ray_to(point: np.ndarray) -> picking.Ray:
+    eye = np.array([300.0, -200.0, 20.0])
+    return picking.Ray(eye, (point - eye) / np.linalg.norm(point - eye))
+
+
+def test_a_click_finds_the_root_it_meets_first(viewer: Viewer, plant: plants.Plant):
+    for number in range(4):
+        point = plant.roots[number].points_mm[30]
+        viewer.clicked(ray_to(point))
+        assert viewer.roots == [number]
+    viewer.clicked(ray_to(np.array([60.0, 60.0, -100.0])))
+    assert viewer.roots == []
+
+
+def test_clicks_measure_cut_and_end(viewer: Viewer, plant: plants.Plant):
+    a, b = plant.roots[1].points_mm[30], plant.roots[2].points_mm[30]
+    viewer.look.click = CLICKS[2]
+    viewer.clicked(ray_to(a))
+    viewer.clicked(ray_to(b))
+    assert np.linalg.norm(viewer.measured[0] - viewer.measured[1]) == pytest.approx(np.linalg.norm(a - b), abs=1.0)
+    viewer.look.click = CLICKS[3]
+    viewer.clicked(ray_to(plant.roots[0].points_mm[15]))
+    assert len(viewer.shown.session.state.lines) == 5
+    viewer.look.click = CLICKS[4]
+    viewer.clicked(ray_to(a))
+    way = np.linalg.norm(np.diff(plant.roots[1].points_mm, axis=0), axis=1).sum()
+    assert viewer.shown.session.state.lines[1].length_mm < 0.9 * way
+
+
+def test_a_click_finds_the_voxel_that_its_ray_enters_first():
+    centre = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 5.0, 0.0]])
+    half = np.full(3, 0.5)
+    hit = picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.4, 0.0]), np.array([-1.0, 0.0, 0.0])))
+    assert hit is not None
+    assert hit[0] == 1
+    assert hit[1] == pytest.approx([2.5, 0.4, 0.0])
+    assert picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.6, 0.0]), np.array([-1.0, 0.0, 0.0]))) is None
+
+
+def test_a_picture_hides_the_3d_view(viewer: Viewer):
+    viewer.enter_picture(2)
+    assert viewer.picture == 2
+    viewer.clicked(ray_to(np.array([0.0, 0.0, -30.0])))
+    assert viewer.roots == []
+    viewer.enter_picture(None)
+    assert viewer.picture is None
+
+
+def test_what_is_cut_away_cannot_be_clicked_and_what_is_left_has_both_its_sides(viewer: Viewer, plant: plants.Plant):
+    point = plant.roots[1].points_mm[30]
+    viewer.clip(2, None, float(point[2]) - 2.0)
+    viewer.clicked(ray_to(point))
+    assert viewer.roots != [1]
+    viewer.clip(2, None, None)
+    viewer.clicked(ray_to(point))
+    assert viewer.roots == [1]
+    viewer.look.low_mm, viewer.look.high_mm = (-1e9, -1e9, float(point[2]) - 1.0), (1e9, 1e9, float(point[2]) + 1.0)
+    parts = viewer.visible()[1]
+    assert 0.0 < sum(part.length_mm for part in parts) < viewer.shown.session.state.lines[1].length_mm
+    surface = viewer._clip_mesh(viewer.shown.surface())
+    assert surface is not None
+    for shown in (np.concatenate([part.points_mm for part in parts]), surface.vertices_mm):
+        assert np.abs(shown[:, 2] - point[2]).max() <= 1.0
+
+
+def test_measuring_needs_no_roots(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(viewer, "nodes", lambda: picking.Nodes.of([]))  # as a print has none
+    viewer.look.click = CLICKS[2]
+    solid, rows = viewer.shown.session.measure().solid, viewer.voxel_rows()
+    lowest, other = (solid.centre_mm[rows[k]] for k in (solid.centre_mm[rows, 2].argmin(), solid.centre_mm[rows, 0].argmax()))
+    viewer.clicked(ray_to(lowest))
+    viewer.clicked(ray_to(other))
+    assert np.linalg.norm(viewer.measured[0] - viewer.measured[1]) == pytest.approx(np.linalg.norm(lowest - other), abs=1.0)

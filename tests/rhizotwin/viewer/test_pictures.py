@@ -1,0 +1,77 @@
+"""Points, roots and outlines that are drawn over the pictures."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from rhizotwin.recon.calibration.cameras import BareUncertainty, Camera, Cameras
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.calibration_summary import summarize_cameras
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.stored.result_files import read_summary
+from rhizotwin.through_water import Pictures
+from rhizotwin.viewer.app import Viewer
+from tests.rhizotwin import plant as plants
+
+
+def test_pixels_are_those_of_the_reference(plant: plants.Plant):
+    found = Pictures.of(load_dataset(plant.dataset), {"views": [], "rig": {}} | read_summary(plant.result))
+    points = np.concatenate([root.points_mm for root in plant.roots])[::7]
+    for place in (0, 3):
+        px = found.pixels(place, points)
+        reference, count = cameras.project(found.views[place], found.optics, points)
+        assert (count == 1).all()
+        assert px == pytest.approx(reference[:, 0], abs=1e-6)
+
+
+def test_stored_cameras_project_points_like_the_calibrated_cameras(plant: plants.Plant):
+    """The scale of the scene is 0.22 mm per pixel, that of the pictures 0.11; the roots sway by 0.3 mm at their tips."""
+    dataset = load_dataset(plant.dataset)
+    given = replace(dataset.scene.camera, kind="telecentric", mm_per_px=0.22)
+    scene = replace(dataset.scene, camera=given)
+    lens = replace(given, mm_per_px=0.11)
+    pose = lens.pinhole_pose(frames.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0))
+    one = Camera(file=dataset.frames[0].file, ring=0, used=True, cam_from_canister=pose, sway=(0.0, 0.003, 0.0))
+    bare = BareUncertainty(scale=1e-3, azimuth_rad=1e-3, lift_mm=0.1, mm_per_px=0.11)
+    made = Cameras(lens=lens.as_pinhole(), optics=Optics.from_scene(scene), all=(one,), order=(0,), bare=bare)
+    rig = summarize_cameras(made)
+    stored = {"file": one.file, "used": True, "cam_from_canister": pose.tolist(), "sway": list(one.sway)}
+    found = Pictures.of(replace(dataset, scene=scene), {"views": [stored], "rig": rig})
+    points = np.array([[0.0, 2.0, -80.0], [3.0, -4.0, -120.0]])
+    assert found.pixels(0, points) == pytest.approx(cameras.project_inner(made.views[0], made.optics, points), abs=1e-9)
+    del rig["mm_per_px"], stored["sway"]  # as in results of earlier versions
+    assert Pictures.of(replace(dataset, scene=scene), {"views": [stored], "rig": rig}).views[0].camera == given.as_pinhole()
+
+
+def test_roots_drawn_over_pictures_lie_on_the_roots(viewer: Viewer):
+    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
+    assert pictures is not None
+    drawn = pictures.draw_outline(0, viewer.shown.surface(), lines).astype(int)
+    plain = pictures.draw_outline(0, None, {}).astype(int)  # eight times as large as the picture
+    marked = (drawn != plain).any(axis=2)
+    assert 50 < marked.sum() < 0.02 * marked.size
+    roots = cv2.dilate((plain[..., 0] < 250).astype(np.uint8), np.ones((17, 17), np.uint8)) > 0  # within a pixel of the picture
+    assert roots[marked].mean() > 0.98
+
+
+def test_the_outline_is_that_of_the_union(viewer: Viewer):
+    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
+    assert pictures is not None
+    plain = pictures.draw_outline(0, None, {})
+    outline = (pictures.draw_outline(0, None, lines) != plain).any(axis=2)
+    mask = np.zeros(plain.shape[:2], np.uint8)
+    pictures._fill_tubes(mask, 0, lines, plain.shape[1] // 200, thickest_mm=np.inf)
+    inside = cv2.erode(mask, np.ones((7, 7), np.uint8)) > 0
+    assert inside.sum() > 1000
+    assert not outline[inside].any()  # no edge of one tube inside another
+
+
+def test_selected_roots_have_an_outline_of_their_own(viewer: Viewer):
+    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
+    assert pictures is not None
+    drawn = pictures.draw_outline(0, viewer.shown.surface(), lines, selected=[1]).astype(int)
+    assert ((drawn[..., 2] - drawn[..., 0]) > 100).sum() > 50  # blue
