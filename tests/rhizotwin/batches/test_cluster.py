@@ -1,4 +1,4 @@
-"""Jobs on a real Dask scheduler with two worker processes, one of which is killed while it works."""
+"""Jobs on a Dask scheduler: a worker that is killed, the keys of jobs, and the memory that SLURM is asked for."""
 
 import json
 import os
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -89,22 +90,17 @@ def test_what_a_killed_worker_did_is_done_by_the_other_and_nothing_twice(
     assert workers[0].wait() == -signal.SIGKILL
 
 
-class Scheduler:
-    """A scheduler that runs one of several tasks with equal keys, as that of Dask."""
-
-    def __init__(self) -> None:
-        self.outputs: dict[str, str] = {}
-
-    def submit(self, _: object, plain: dict[str, str], *, key: str, pure: bool) -> None:  # noqa: D102 - as Dask has it
-        assert not pure
-        self.outputs.setdefault(key, plain["output"])
-
-
 def test_two_batches_on_one_scheduler_have_jobs_of_their_own() -> None:
-    scheduler = Scheduler()
+    outputs: dict[str, str] = {}
+
+    def submit(_: object, plain: dict[str, str], *, key: str, pure: bool) -> None:
+        assert not pure
+        outputs.setdefault(key, plain["output"])  # Dask runs one of several tasks with equal keys
+
     for output in ("r/one", "other/one"):
-        cluster._submit(scheduler, Job(name="one", kind="reconstruct", source="s", output=output, key="k", pixels=1.0, options={}), 1)
-    assert sorted(scheduler.outputs.values()) == ["other/one", "r/one"]
+        one = Job(name="one", kind="reconstruct", source="s", output=output, key="k", pixels=1.0, options={})
+        cluster._submit(SimpleNamespace(submit=submit), one, 1)
+    assert sorted(outputs.values()) == ["other/one", "r/one"]
 
 
 def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:
