@@ -12,6 +12,7 @@ from typing import Any, Literal
 from rhizotwin.batches import places
 from rhizotwin.scenes.atomic import json_bytes
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored.result_names import shorten
 
 Kind = Literal["reconstruct", "simulate"]
 State = Literal["done", "failed", "again"]
@@ -127,15 +128,9 @@ def named(sources: Sequence[str]) -> list[str]:
     UserError
         If two sources have equal names even with all parent folders.
     """
-    parts = [
-        [visible for part in source.replace("://", "/").split("/") if (visible := part.lstrip(_NOT_FIRST))]
-        or [places.name_of(source).lstrip(_NOT_FIRST) or "scan"]
-        for source in sources
-    ]
-    names = [part[-1] for part in parts]
-    for depth in range(2, max((len(part) for part in parts), default=1) + 1):
-        twice = {name for name in names if names.count(name) > 1}
-        names = ["-".join(part[-depth:]) if name in twice else name for name, part in zip(names, parts, strict=True)]
+    paths = [[part.lstrip(_NOT_FIRST) for part in source.replace("://", "/").split("/")] for source in sources]
+    last = [places.name_of(source).lstrip(_NOT_FIRST) or "scan" for source in sources]  # also of . and ..
+    names = shorten([[*filter(None, path)] or [name] for path, name in zip(paths, last, strict=True)], separator="-")
     same = sorted({name for name in names if names.count(name) > 1})
     if same:
         raise UserError(f"two scans have the same name {same[0]}; rename the folder of one of them")

@@ -15,3 +15,5 @@ def test_results_of_one_name_are_told_apart_by_the_folders_above(monkeypatch: py
         tmp_path.name,
     ]
     assert result_names.names_of([Path("a/result"), Path("a/result")]) == ["result", "result"]
+    (tmp_path / "day_3").symlink_to(tmp_path)
+    assert result_names.names_of([Path("day_3")]) == ["day_3"]
