@@ -15,6 +15,7 @@ from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 _PIXELS = 20e6
@@ -88,7 +89,7 @@ def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed
         plain = scene_to_dict(scene)
         key = key_of({"scene": plain, "profile": profile, "seed": seed, "specimens": _hashes(scene)}, code=code)
         width, height = scene.camera.image_wh
-        pixels = float(width * height * sum(ring.views for ring in scene.plan.rings))
+        pixels = float(width * height * count_pictures(scene))
         text, output = json.dumps(plain), places.join(datasets, name)
         jobs.append(Job(name=name, kind="simulate", source=text, output=output, key=key, pixels=pixels, options=options))
     return jobs

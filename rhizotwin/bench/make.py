@@ -12,6 +12,7 @@ from rhizotwin.bench.fingerprints import Comparison
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.plan import count_pictures
 
 
 def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[[str], None]) -> list[Comparison]:
@@ -65,9 +66,8 @@ def check_made(benchmark: Benchmark, folder: Path) -> None:
         command = f"rhizotwin bench make {benchmark.name} -o"
         if not (folder / case.name / "truth" / "truth.json").is_file():
             raise UserError(f"the case {case.name} is missing in {folder}; render it with: {command} {folder}")
-        found, scene = load_dataset(folder / case.name), case.rendered_scene()
-        views = sum(ring.views for ring in scene.plan.rings)
-        if (found.scene.camera.image_wh, len(found.frames), found.seed) != (case.image_wh, views, case.seed):
+        found, pictures = load_dataset(folder / case.name), count_pictures(case.rendered_scene())
+        if (found.scene.camera.image_wh, len(found.frames), found.seed) != (case.image_wh, pictures, case.seed):
             raise UserError(
                 f"{folder / case.name} was rendered for another benchmark than {benchmark.name}; render it with: {command} NEW_FOLDER"
             )
