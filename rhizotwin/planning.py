@@ -86,6 +86,7 @@ def run_plans(
         check_scene(changed, where=f"the plan {variant.name}")
     settings = {
         "scene": files.scene_to_dict(scene),
+        "specimens": sources.specimen_hashes(scene),
         "profile": profile_name,
         "versions": versions(_VERSIONED),
         "code": sources.digest_of_results(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),

@@ -1,7 +1,7 @@
-"""Digest of the source files on which an entry point depends, which detects changes of the code.
+"""Digests that detect changes of what results depend on: code, calibration of the intervals, and files of specimens.
 
-The dependencies are all modules of this project that the entry point imports, directly or indirectly. They are found by
-parsing the source files.
+An entry point depends on the code of all modules of this project that it imports, directly or indirectly. They are
+found by parsing the source files.
 """
 
 import ast
@@ -12,6 +12,8 @@ from pathlib import Path
 
 from rhizotwin.recon.uncertainty import calibration
 from rhizotwin.scenes.dataset import file_sha256
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = (
@@ -93,6 +95,16 @@ def digest_of_results(entries: Iterable[str]) -> str:
         If an entry is not a module of the project.
     """
     return f"{digest(entries)}-{file_sha256(calibration.TABLE)}"
+
+
+def specimen_hashes(scene: Scene) -> list[str]:
+    """Return the SHA-256 of the file of each specimen, or an empty text if there is no such file.
+
+    The error is reported later, when the scene is rendered.
+    """
+    given = [scene.specimen, *(plant.specimen for plant in scene.plants)]
+    paths = [Path(specimen.file) for specimen in given if isinstance(specimen, MeshSpecimen | RsmlSpecimen)]
+    return [file_sha256(path) if path.is_file() else "" for path in paths]
 
 
 def _file(module: str, root: Path) -> Path | None:

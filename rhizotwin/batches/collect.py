@@ -11,12 +11,10 @@ from typing import Any
 from rhizotwin import sources
 from rhizotwin.batches import places
 from rhizotwin.batches.jobs import Job, key_of, named
-from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import count_pictures
-from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 _PIXELS = 20e6
 """Number of pixels that is assumed if the file dataset.json of a dataset cannot be read. The error is reported later,
@@ -87,22 +85,12 @@ def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed
     jobs = []
     for name, scene in scenes.items():
         plain = scene_to_dict(scene)
-        key = key_of({"scene": plain, "profile": profile, "seed": seed, "specimens": _hashes(scene)}, code=code)
+        key = key_of({"scene": plain, "profile": profile, "seed": seed, "specimens": sources.specimen_hashes(scene)}, code=code)
         width, height = scene.camera.image_wh
         pixels = float(width * height * count_pictures(scene))
         text, output = json.dumps(plain), places.join(datasets, name)
         jobs.append(Job(name=name, kind="simulate", source=text, output=output, key=key, pixels=pixels, options=options))
     return jobs
-
-
-def _hashes(scene: Scene) -> list[str]:
-    """Return the SHA-256 of the file of each specimen, or an empty text if there is no such file.
-
-    The error is reported later, when the scene is rendered.
-    """
-    given = [scene.specimen, *(plant.specimen for plant in scene.plants)]
-    paths = [Path(specimen.file) for specimen in given if isinstance(specimen, MeshSpecimen | RsmlSpecimen)]
-    return [file_sha256(path) if path.is_file() else "" for path in paths]
 
 
 def _resolved(dataset: str) -> str:

@@ -13,6 +13,7 @@ from rhizotwin.scenes import files, frames
 from rhizotwin.scenes import plan as capture
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.plan import marker_warnings
+from rhizotwin.scenes.specimens import MeshSpecimen
 from tests.command import Command
 
 
@@ -109,6 +110,16 @@ def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, com
     before = [path.stat().st_mtime_ns for path in scores]
     assert "no plan has a volume error of at most 0.01 %" in command.works(*words, "--within", "0.01").out
     assert [path.stat().st_mtime_ns for path in scores] == before
+
+
+def test_plans_are_scored_again_after_the_mesh_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings: list[object] = []
+    monkeypatch.setattr(planning, "_run", lambda *given: settings.append(given[3]))
+    scene = replace(Scene(), specimen=MeshSpecimen(file=str(tmp_path / "root.stl")))
+    for data in (b"a root", b"a root", b"a thicker root"):
+        (tmp_path / "root.stl").write_bytes(data)
+        planning.run_plans(scene, (), tmp_path / "plan", profile_name="clean", seeds=1, say=print)
+    assert settings[0] == settings[1] != settings[2]
 
 
 def test_a_ring_has_a_distance_of_its_own():
