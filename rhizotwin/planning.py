@@ -25,6 +25,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
@@ -109,14 +110,15 @@ def _run(
     _refuse_strangers(folder)
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant, _ in variants}
     runs = list(itertools.product(range(seeds), variants))
-    pictures = sum(variant.views * len(variant.heights) for variant, _ in variants) * seeds
-    say(f"rendering and reconstructing {pictures} pictures in {len(runs)} runs; after an interruption, repeat the command to continue")
+    pictures = {variant: count_pictures(changed) for variant, changed in variants}
+    total = seeds * sum(pictures.values())
+    say(f"rendering and reconstructing {total} pictures in {len(runs)} runs; after an interruption, repeat the command to continue")
     for seed, (variant, changed) in runs:
         path = folder / "scores" / f"{variant.name}_seed{seed}.json"
         with monitor.stage(stage_of(variant, seed)):
             found[variant].append(_scored(changed, path, settings, profile_name, seed))
     failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
-    rows = [_row(variant, found[variant]) for variant, _ in variants if variant.name not in failed]
+    rows = [_row(variant, pictures[variant], found[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
         say(f"the plan {name} could not be reconstructed: {reason}")
     if not rows:
@@ -193,8 +195,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     return found
 
 
-def _row(variant: Variant, scores: Sequence[dict[str, Any]]) -> Row:
-    pictures = variant.views * len(variant.heights)
+def _row(variant: Variant, pictures: int, scores: Sequence[dict[str, Any]]) -> Row:
     roots = [score.get("roots") for score in scores]
     lines = [found for found in roots if found is not None]
     has_roots = len(lines) == len(scores)

@@ -11,6 +11,7 @@ from rhizotwin import command_line, plan_report, planning, plans
 from rhizotwin.plans import Height
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes import plan as capture
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.plan import marker_warnings
 from rhizotwin.scenes.specimens import MeshSpecimen
@@ -120,6 +121,17 @@ def test_plans_are_scored_again_after_the_mesh_changed(tmp_path: Path, monkeypat
         (tmp_path / "root.stl").write_bytes(data)
         planning.run_plans(scene, (), tmp_path / "plan", profile_name="clean", seeds=1, say=print)
     assert settings[0] == settings[1] != settings[2]
+
+
+def test_the_pictures_of_all_bands_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning, "_scored", lambda *_: {"failed": "too dark"})
+    scene = files.load_scene("radish_bands")
+    scene = replace(scene, plan=CapturePlan(rings=(replace(scene.plan.rings[0], bands=()),)))
+    variant = plans.Variant(heights=(Height(-42.0), Height(10.0)), views=10, image_wh=(400, 300))
+    said: list[str] = []
+    with pytest.raises(UserError, match="no plan could be reconstructed"):
+        planning.run_plans(scene, (variant,), tmp_path / "plan", profile_name="clean", seeds=2, say=said.append)
+    assert f"{2 * 2 * 10 * len(scene.camera.bands)} pictures in 2 runs" in said[0]
 
 
 def test_a_ring_has_a_distance_of_its_own():
