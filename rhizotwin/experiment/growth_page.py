@@ -7,16 +7,20 @@ import base64
 import html
 from collections.abc import Mapping, Sequence
 from math import log
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rhizotwin.experiment.compare import SURE
+from rhizotwin.experiment.compare import SURE, Point
 from rhizotwin.experiment.doses import partial_residuals
 from rhizotwin.experiment.drift import BY_NAME, Chart, effect_of
 from rhizotwin.experiment.growth import Growth
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.solution import UNIT
 from rhizotwin.scenes.trait_table import DEFINITIONS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
 _STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}img{max-width:100%}"
@@ -28,15 +32,31 @@ def draw(growth: Growth) -> bytes:
     for axes, (trait, points) in zip(drawn.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
         for treatment in dict.fromkeys(point.treatment for point in points):
             own = [point for point in points if point.treatment == treatment]
-            mean = [point.mean for point in own]
-            reach = [[point.mean - max(point.low, 0.0) for point in own], [point.high - point.mean for point in own]]
-            label = (treatment or "all plants").replace("$", r"\$")  # not a formula
-            axes.errorbar([point.day for point in own], mean, yerr=reach, marker="o", capsize=3, label=label)
+            plot_curve(axes, own, label=treatment or "all plants", marker="o")
         axes.set_xlabel("day")
         axes.set_ylabel(_HEADINGS[trait])
         axes.set_ylim(bottom=0.0)
     drawn.axes[0].legend()
     return png(drawn, dpi=110)
+
+
+def plot_curve(axes: "Axes", points: Sequence[Point], *, label: str, **style: Any) -> None:
+    """Plot the means of a curve against the day, with their 90 % intervals.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes of the figure.
+    points : sequence of Point
+        Means, which are not negative. Intervals are cut off at 0.
+    label : str
+        Text of the legend, in which dollar signs do not enclose a formula.
+    **style : object
+        Further arguments of ``Axes.errorbar``, such as the colour.
+    """
+    mean = [point.mean for point in points]
+    reach = [[point.mean - max(point.low, 0.0) for point in points], [point.high - point.mean for point in points]]
+    axes.errorbar([point.day for point in points], mean, yerr=reach, capsize=3, label=label.replace("$", r"\$"), **style)
 
 
 def draw_responses(growth: Growth) -> bytes:

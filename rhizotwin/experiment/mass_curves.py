@@ -12,6 +12,7 @@ from pathlib import Path
 
 from rhizotwin.experiment import tables
 from rhizotwin.experiment.compare import Observation, Point, means
+from rhizotwin.experiment.growth_page import plot_curve
 from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, has_masses, read_masses
 from rhizotwin.scenes import assessment, subject
 from rhizotwin.scenes.errors import UserError
@@ -138,11 +139,8 @@ def draw(curves: Curves) -> bytes:
             points = curves.get((part, quantity), ())
             for number, treatment in enumerate(treatments):
                 own = [point for point in points if point.treatment == treatment]
-                mean = [point.mean for point in own]
-                reach = [[point.mean - max(point.low, 0.0) for point in own], [point.high - point.mean for point in own]]
-                label = f"{part}, {treatment}".replace("$", r"\$") if len(treatments) > 1 else part  # not a formula
-                mark = marks[number % len(marks)]
-                axes.errorbar([point.day for point in own], mean, yerr=reach, marker=mark, capsize=3, color=colours[part], label=label)
+                label = f"{part}, {treatment}" if len(treatments) > 1 else part
+                plot_curve(axes, own, label=label, marker=marks[number % len(marks)], color=colours[part])
         axes.set_xlabel("day")
         axes.set_ylabel(QUANTITIES[quantity])
         if quantity != "water":
