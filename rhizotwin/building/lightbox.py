@@ -9,8 +9,8 @@ import numpy as np
 from manifold3d import CrossSection
 
 from rhizotwin.building.measures import Measures
-from rhizotwin.building.mounts import M3_MM
 from rhizotwin.building.part import Dimension, Part
+from rhizotwin.building.pot import M3_MM
 from rhizotwin.building.shapes import polygon, raised, rectangle, rounded, teardrop, union
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -34,9 +34,8 @@ def _clip_outline(measures: Measures) -> CrossSection:
 
     The clip is open towards -y, and its back is at +y.
     """
-    half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
-    gap = half + fit
-    nose = measures.slot_mm / 2.0 - fit
+    gap, wall = _clip_gap_mm(measures), CLIP_WALL_MM
+    nose = measures.slot_mm / 2.0 - measures.fit_mm / 2.0
     lip = min(measures.slot_lip_mm, nose)
     body = rounded(2.0 * (gap + wall), 2.0 * (gap + wall), 1.0) - CrossSection.square((2.0 * gap, 2.0 * gap), center=True)
     mouth = CrossSection.square((2.0 * (gap - wall), 4.0 * wall)).translate((-(gap - wall), -gap - 3.0 * wall))
@@ -46,12 +45,17 @@ def _clip_outline(measures: Measures) -> CrossSection:
     return union([body - mouth, *noses, back])
 
 
+def _clip_gap_mm(measures: Measures) -> float:
+    """Return half the width of the opening of a clip, which contains the profile."""
+    return measures.profile_mm / 2.0 + measures.fit_mm / 2.0
+
+
 def _clip_screw_mm(measures: Measures) -> float:
     """Return half the distance between the two screws with which a panel holder is fastened to a clip.
 
     Their heads or nuts are beside the profile and the walls of the clip.
     """
-    return measures.profile_mm / 2.0 + measures.fit_mm / 2.0 + CLIP_WALL_MM + SCREW_ROOM_MM
+    return _clip_gap_mm(measures) + CLIP_WALL_MM + SCREW_ROOM_MM
 
 
 def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
@@ -68,8 +72,7 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
     The profile is parallel to the z axis of the clip. A panel holder is screwed to the back of the clip.
     """
-    back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
-    thick, screw = CLIP_WALL_MM + 2.0, _clip_screw_mm(measures)
+    back, thick, screw = _clip_gap_mm(measures), CLIP_WALL_MM + 2.0, _clip_screw_mm(measures)
     drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-screw, screw))
     through = drop.extrude(thick + 2.0).transform(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, back - 1.0], [0.0, 1.0, 0.0, 0.0]]))
     # the profile runs along y behind the panel; the back of the clip, with the holder, faces the canister
@@ -106,8 +109,7 @@ def _holder_back_mm(measures: Measures) -> float:
 
 
 def _bar_x_mm(scene: Scene, measures: Measures) -> float:
-    back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0 + CLIP_WALL_MM + 2.0
-    return _panel_x_mm(scene, measures) - back
+    return _panel_x_mm(scene, measures) - (_clip_gap_mm(measures) + CLIP_WALL_MM + 2.0)
 
 
 def _bar_beyond_mm(measures: Measures) -> float:

@@ -5,7 +5,9 @@ from manifold3d import CrossSection
 
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import FLIPPED, Dimension, Part, moved, round_up
+from rhizotwin.building.pot import M3_MM
 from rhizotwin.building.shapes import circle, hole, joined, polygon, raised, rounded, slot, turned, union
+from rhizotwin.building.table import M4_MM
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
@@ -15,8 +17,8 @@ PLATE_MM = 4.0
 POST_MM = 7.0
 TAP_M25_MM = 2.1
 """Diameter of a hole in plastic for a self-tapping M2.5 screw."""
-M3_MM, M4_MM, M5_MM = 3.4, 4.5, 5.5
-"""Diameters of clearance holes for M3, M4 and M5 screws (ISO 273, medium)."""
+M5_MM = 5.5
+"""Diameter of the clearance hole for an M5 screw (ISO 273, medium)."""
 LEAST_POST_MM = 8.0
 """Minimum height of the posts, which leaves space for the ribbon cable behind the camera board."""
 DRIVER_MM = 10.0

@@ -13,7 +13,7 @@ from manifold3d import CrossSection
 
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
-from rhizotwin.building.pot import LEAST_WALL_MM, ring_outer_radius_mm, ring_screws_mm
+from rhizotwin.building.pot import LEAST_WALL_MM, M3_MM, ring_outer_radius_mm, ring_screws_mm
 from rhizotwin.building.shapes import circle, gear, hole, joined, polygon, raised, rectangle, rounded, slot, teardrop, turned, union
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -241,20 +241,18 @@ def table_base(scene: Scene, measures: Measures) -> Part:
         (0.0, -centre)
     )
     half = measures.motor_holes_mm / 2.0
-    slots, sunk_m3 = (
-        [slot(wide, (x, -centre + y - SLIDE_MM), (x, -centre + y + SLIDE_MM)) for x in (-half, half) for y in (-half, half)]
-        for wide in (3.4, HEAD_M3_MM)
-    )
+    screws = [(x, y - centre) for x in (-half, half) for y in (-half, half)]
+    slots, sunk_m3 = (union(slot(wide, (x, y - SLIDE_MM), (x, y + SLIDE_MM)) for x, y in screws) for wide in (M3_MM, HEAD_M3_MM))
     boss = slot(measures.motor_boss_mm + 1.0, (0.0, -centre - SLIDE_MM), (0.0, -centre + SLIDE_MM))
     outline = CrossSection.batch_hull([disc, seat]) - union(
-        [*slots, boss, hole(bearing[1] - 4.0), *(hole(M4_MM, at) for at in foot_places_mm(drive))]
+        [slots, boss, hole(bearing[1] - 4.0), *(hole(M4_MM, at) for at in foot_places_mm(drive))]
     )
     if bearing[2] > BASE_MM - 1.0:
         raise UserError(
             f"bearing_mm: a bearing with a width of {bearing[2]:g} mm does not fit the base, which is {BASE_MM:g} mm thick; "
             "use a 608 ball bearing"
         )
-    pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0) + raised(union(sunk_m3), -HEAD_M3_HIGH_MM, 1.0)
+    pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0) + raised(sunk_m3, -HEAD_M3_HIGH_MM, 1.0)
     sunk, small = COUNTERSINK_M4_MM / 2.0, M4_MM / 2.0
     # rotated, so that no vertex coincides with the hole, which would create an edge with four faces
     head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48).rotate((0.0, 0.0, 1.9))
