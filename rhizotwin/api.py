@@ -120,7 +120,7 @@ def batch(
     Raises
     ------
     UserError
-        If the reconstruction of a dataset failed; raised after all other datasets were reconstructed.
+        If an argument is invalid, or, after all other datasets were reconstructed, if the reconstruction of one failed.
     """
     from rhizotwin.batches.places import is_address
     from rhizotwin.commands.batch import Workforce
@@ -332,7 +332,7 @@ def _table(path: Path) -> Any:
     import pandas as pd
 
     table = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""])
-    for name in [name for name in table.columns if name not in _TEXTS]:
+    for name in table.columns.difference(_TEXTS):
         with suppress(ValueError):  # other columns of text, such as verdicts
             table[name] = pd.to_numeric(table[name])
     return table

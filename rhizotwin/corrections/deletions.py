@@ -46,13 +46,14 @@ def restore(lines: Lines, removed: Lines, deletion: Deletion) -> dict[int, Line]
         Deletion to restore.
     """
     edited = find_edited(lines, deletion)
-    found, merged = dict(lines), dict[int, int]()  # numbers of parts that become a part of their root again, and of this root
+    found, merged = dict(lines), dict[int, int]()  # merged: root of each part that is joined with its root again
     for number, parts in deletion.cut.items():
         if number not in edited:
             found[number] = replace(deletion.before[number], parent=lines[number].parent, plant=lines[number].plant)
             merged |= dict.fromkeys(parts[1:], number)
     found = {k: replace(line, parent=merged.get(line.parent, line.parent)) for k, line in found.items() if k not in merged}
-    back = {k: line for k, line in deletion.removed.items() if k in deletion.before or line.parent in edited}  # but no tip of a whole root
+    # a deleted tip is already part of its root, unless the root was edited and stays divided
+    back = {k: line for k, line in deletion.removed.items() if k in deletion.before or line.parent in edited}
     found |= back
     for k, line in back.items():
         parent = line.parent

@@ -69,7 +69,7 @@ def _numbers(count: int) -> Fits:
 
 
 def _is_complete(rig: Json) -> bool:
-    """Return whether the values with which the refractive index found is tabulated are present."""
+    """Return whether a refractive index that was found has its given and used values and its uncertainty."""
     return rig.get("n_water_found") is None or {"n_water", "n_water_given", "n_water_sigma"} <= rig.keys()
 
 

@@ -82,7 +82,8 @@ class Drawing:
         self.scene = Scene3d(served.server)
         self._folders, self._dataset, self._temporary = list(folders), dataset, temporary
         self._loaded: dict[int, Shown] = {}
-        self._place = 0
+        self.place = 0
+        """Index of the displayed result."""
         self.lock = threading.RLock()
         self.roots: list[int] = []
         """Numbers of the selected roots in the order of selection."""
@@ -110,17 +111,12 @@ class Drawing:
     @property
     def shown(self) -> Shown:
         """Return the result that is currently displayed."""
-        return self._loaded[self._place]
+        return self._loaded[self.place]
 
     @property
     def names(self) -> list[str]:
         """Return the names of all results that can be selected."""
         return result_names.names_of(self._folders)
-
-    @property
-    def place(self) -> int:
-        """Return the index of the displayed result."""
-        return self._place
 
     def load(self, place: int) -> None:
         """Display the result with index ``place``.
@@ -136,7 +132,7 @@ class Drawing:
                 shown = Shown(folder, self._dataset, temporary=folder in self._temporary)
                 _ = shown.dataset  # raises the error of a wrong dataset while the previous result is still displayed
                 self._loaded[place] = shown
-            self._place, self.message = place, ""
+            self.place, self.message = place, ""
             self.roots, self.voxels, self.measured = [], set(), []
             self.scene.clear()
             self._keys.clear()
