@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.optics import refraction, tank
+from rhizotwin.recon.optics import point_images, refraction, tank
 from rhizotwin.recon.optics.refraction import Approach, Array, Optics
 from rhizotwin.recon.optics.tank import TankView
 from rhizotwin.scenes import frames, lens
@@ -237,7 +237,7 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
         missing = np.full_like(px, np.nan)
         return np.stack([px, missing, missing], axis=1), np.isfinite(px[:, 0]).astype(np.int64)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    w, p_z, _ = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
+    w, p_z = point_images.find_images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     px = direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
     return px, np.asarray(np.isfinite(px[..., 0]).sum(axis=1), np.int64)
 
@@ -252,7 +252,7 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
     if optics.unobstructed:
         return cam_pixels(view.camera, frames.apply(view.cam_from_canister, apply_sway(view, optics, points_mm)))
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), points)
+    w, p_z = point_images.find_single_image(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
 
 
