@@ -7,26 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from rhizotwin.rig import bands
-from rhizotwin.rig.arm.clearance import check_path, plan_path
+from rhizotwin.rig.align_camera import align_camera
 from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
-from rhizotwin.rig.arm.placement import (
-    camera_position,
-    check_limits,
-    compute_joints,
-    compute_joints_from_direction,
-    correct_joints,
-    planned_camera_pose,
-    require_arm,
-)
-from rhizotwin.rig.devices import Arm
+from rhizotwin.rig.arm.placement import camera_position, compute_joints, compute_joints_from_direction, planned_camera_pose
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
+from rhizotwin.rig.prepared_devices import PreparedDevices
 from rhizotwin.rig.scanning import preflight
-from rhizotwin.rig.scanning.alignment import ALL_JOINTS, MOST_MOVES, Misalignment, misalignment, single_move
-from rhizotwin.rig.scanning.arm_stand import SEARCH_DEG, WRIST
 from rhizotwin.rig.scanning.homing import facing_angle
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
-from rhizotwin.rig.scanning.safety import Say, make_safe, park
+from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Ring, Scene
@@ -48,12 +37,9 @@ class Jog:
     """Interactive operation of a rig's devices by typed commands."""
 
     def __init__(self, devices: Devices, scene: Scene, *, say: Say) -> None:
-        self._devices = devices
+        self._devices = PreparedDevices(devices, scene, say=say)
         self._scene = scene
         self._say = say
-        self._table_ready = self._camera_ready = self._arm_ready = False
-        self._seen = np.eye(4)
-        self._commanded: tuple[float, ...] | None = None
         self._words: Mapping[str, Word] = {
             "table": Word(
                 usage="table +9 | table 90", does="rotate the table by an angle (with a sign) or to an angle (without)", run=self._table
@@ -133,47 +119,17 @@ class Jog:
             raise UserError(f"{' '.join(words)!r} is invalid; usage: {word.usage}") from None
 
     def leave(self) -> None:
-        """Leave the rig in a safe state: lamps off, arm parked and without torque.
+        """Leave the rig in a safe state, see `PreparedDevices.leave`."""
+        self._devices.leave()
 
-        The table's motor remains on if its angle is known.
-        """
-        table = self._devices.table
-        known = False
-        try:
-            known = self._table_ready and table.knows_zero()
-        except RigError:
-            known = False
-        finally:
-            make_safe(self._devices, self._scene, say=self._say, board=self._table_ready, arm=self._arm_ready, finished=not known)
-        if known:
-            self._say("turntable: the motor remains on, so that the table's angle is not lost")
-
-    def _board(self) -> None:
-        """Connect to the board that controls the table and the lamps, if it is not connected yet."""
-        if not self._table_ready:
-            self._say(preflight.check_table(self._devices.table))
-            self._table_ready = True
-
-    def _arm(self) -> Arm:
-        """Return the arm. The connection is established first if necessary."""
-        arm = self._devices.arm
-        if arm is None:
-            raise UserError("this rig has no arm")
-        if not self._arm_ready:
-            self._say(preflight.check_arm(arm))
-            self._arm_ready = True
-        return arm
-
-    def _look(self) -> tuple[Sighting | None, str]:
-        image = self.shot()
-        seen = read_strip(image, self._scene)
-        return seen, "" if seen is not None else unread_reason(image, self._scene)
+    def shot(self) -> Grey:
+        """Take a picture, and check that its size is that of the scene's camera."""
+        return self._devices.take_picture()
 
     def _table(self, words: list[str]) -> None:
         (text,) = words
         angle_deg = parse_number(text)
-        self._board()
-        table = self._devices.table
+        table = self._devices.table()
         if not table.knows_zero():
             raise RigError(
                 "turntable: the table's angle is unknown; enter home, or home 0 if the seam of the marker strip faces the camera"
@@ -182,25 +138,24 @@ class Jog:
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
     def _home(self, words: list[str]) -> None:
-        self._board()
+        table = self._devices.table()
         if words:
             (text,) = words
             angle_deg = parse_number(text)
         else:
-            seen, why = self._look()
+            seen, why = self._devices.read_markers()
             if seen is None:
                 raise RigError(f"turntable: the angle cannot be determined from the markers ({why}); give the angle, for example: home 90")
             angle_deg = facing_angle(seen, self._scene)
         angle_deg %= 360.0
-        self._devices.table.declare(angle_deg)
+        table.declare(angle_deg)
         self._say(f"table at {angle_deg:.3f} deg")
 
     def _lights(self, words: list[str]) -> None:
         panel, front = parse_number(words[0]), parse_number(words[1]) if len(words) > 1 else 0.0
         if len(words) > 2 or not (0.0 <= panel <= 1.0 and 0.0 <= front <= 1.0):
             raise ValueError(words)
-        self._board()
-        self._devices.lights.set(panel=panel, front=front)
+        self._devices.lights().set(panel=panel, front=front)
 
     def _band(self, words: list[str]) -> None:
         (name,) = words
@@ -208,10 +163,9 @@ class Jog:
         if part is None:
             known = ", ".join(one.name for one in self._devices.rig.camera.bands) or "none"
             raise UserError(f"the rig file has no band {name!r}; its bands are: {known}")
-        self._board()
-        bands.light(self._devices.lights, self._devices.rig, name)
+        bands.light(self._devices.lights(), self._devices.rig, name)
         if part.filter_deg is not None:
-            self._arm().turn_filter(part.filter_deg)
+            self._devices.arm().turn_filter(part.filter_deg)
 
     def _joint(self, words: list[str]) -> None:
         number, text = words
@@ -219,19 +173,19 @@ class Jog:
         if not 0 <= k < JOINT_COUNT:
             raise ValueError(number)
         angle_deg = parse_number(text)
-        here = self._arm().read_joints()
+        here = self._devices.arm().read_joints()
         goal = list(here)
         goal[k] = angle_deg + (here[k] if text[0] in "+-" else 0.0)
-        self._say(joints_text(self._move([tuple(goal)])))
+        self._say(joints_text(self._devices.move_along([tuple(goal)])))
 
     def _go(self, words: list[str]) -> None:
         distance_mm, height_mm = parse_number(words[0]), parse_number(words[1])
         tilt_deg = parse_number(words[2]) if len(words) > 2 else 0.0
         if len(words) > 3 or distance_mm <= 0.0:
             raise ValueError(words)
-        arm = self._arm()
-        goal = compute_joints(self._devices.rig, planned_camera_pose(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
-        self._say(joints_text(self._move(list(plan_path(self._devices.rig, self._scene, arm.read_joints(), goal)))))
+        self._devices.arm()  # without an arm, no goal can be computed
+        pose = planned_camera_pose(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg))
+        self._say(joints_text(self._devices.move_around(compute_joints(self._devices.rig, pose))))
 
     def _look_from(self, words: list[str]) -> None:
         rig = self._devices.rig
@@ -243,94 +197,31 @@ class Jog:
         else:
             x, y, z, dx, dy, dz = (parse_number(word) for word in words)
             position_mm, direction = (x, y, z), (dx, dy, dz)
-        arm, goal = self._arm(), compute_joints_from_direction(rig, position_mm, direction)
-        self._say(joints_text(self._move(list(plan_path(rig, self._scene, arm.read_joints(), goal)))))
+        self._devices.arm()  # without an arm, no goal can be computed
+        self._say(joints_text(self._devices.move_around(compute_joints_from_direction(rig, position_mm, direction))))
 
     def _align(self, words: list[str]) -> None:
         if len(words) not in (0, 2):
             raise ValueError(words)
         if words:
             self._go(words)
-        self.align()
-
-    def align(self) -> Misalignment:
-        """Align the camera with the canister, using the markers, and return the remaining misalignment.
-
-        The method is described in appendix C.2 of the thesis.
-
-        Raises
-        ------
-        UserError
-            If the marker strip cannot be read, the path is not clear, or the corrections do not converge.
-        """
-        rig, part = self._devices.rig, require_arm(self._devices.rig)
-        here = self._commanded or self._arm().read_joints()
-        left, moves = self._misalignment(search=True), 0
-        self._say(f"before: {left.text()}")
-        here = self._commanded or here
-        while not left.is_aligned and moves < MOST_MOVES:
-            way = [correct_joints(rig, here, self._seen)] if moves < ALL_JOINTS else single_move(part, here, self._seen)
-            self._move(way)
-            moves, here, left = moves + 1, way[-1], self._misalignment()
-        self._say(f"after {moves} moves: {left.text()}")
-        if not left.is_aligned:
-            raise RigError(
-                f"arm: the camera is not aligned after {moves} moves ({left.text()}), because the servos do not reach the commanded "
-                "positions; check the servos' supply and end stops, or calibrate the arm"
-            )
-        return left
-
-    def _misalignment(self, *, search: bool = False) -> Misalignment:
-        """Take a picture and return the misalignment of the camera.
-
-        With ``search``, the camera is tilted until the strip is visible.
-        """
-        seen, why = self._look()
-        here = self._arm().read_joints()
-        for tilt_deg in SEARCH_DEG if search and seen is None else ():
-            self._move([(*here[:WRIST], here[WRIST] + tilt_deg, *here[WRIST + 1 :])])
-            seen, _ = self._look()
-            if seen is not None:
-                break
-        if seen is None:
-            raise RigError(f"markers: {why}")
-        self._seen = seen.cam_from_canister
-        return misalignment(self._seen)
-
-    def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
-        """Check a path for collisions, move along it, and return the measured joint angles, deg."""
-        arm, rig = self._arm(), self._devices.rig
-        check_limits(require_arm(rig), path[-1])
-        check_path(rig, self._scene, [arm.read_joints(), *path])
-        for joints_deg in path:
-            read = arm.move_to(joints_deg)
-        self._devices.clock.sleep(require_arm(rig).settle_s)
-        self._commanded = path[-1]
-        return read
+        align_camera(self._devices, say=self._say)
 
     def _park(self, words: list[str]) -> None:
         require_no_arguments(words)
-        arm = self._arm()
-        park(arm, self._devices.rig, self._scene)
-        self._commanded = None
-        self._say(joints_text(arm.read_joints()))
+        self._say(joints_text(self._devices.park()))
 
     def _relax(self, words: list[str]) -> None:
         require_no_arguments(words)
-        arm = self._devices.arm
-        if arm is None:
-            raise UserError("this rig has no arm")
-        arm.relax()
-        self._arm_ready, self._commanded = False, None
+        self._devices.relax()
 
     def _pose(self, words: list[str]) -> None:
         require_no_arguments(words)
-        self._board()
-        table, part = self._devices.table, self._devices.rig.arm
+        table, part = self._devices.table(), self._devices.rig.arm
         known = "" if table.knows_zero() else " (not homed)"
         self._say(f"table at {table.position_deg():.3f} deg{known}")
         if part is not None:
-            joints = self._arm().read_joints()
+            joints = self._devices.arm().read_joints()
             distance_mm, height_mm, tilt_deg = camera_position(camera_at(part, joints))
             self._say(joints_text(joints))
             self._say(
@@ -340,7 +231,7 @@ class Jog:
 
     def _markers(self, words: list[str]) -> None:
         require_no_arguments(words)
-        seen, why = self._look()
+        seen, why = self._devices.read_markers()
         if seen is None:
             raise RigError(f"markers: {why}")
         distance_mm, height_mm, tilt_deg = camera_position(seen.cam_from_canister)
@@ -372,16 +263,6 @@ class Jog:
         for word in self._words.values():
             self._say(f"  {word.usage:<{width}}  {word.does}")
         self._say(f"  {'quit':<{width}}  switch the lamps off, park the arm, and switch its torque off")
-
-    def shot(self) -> Grey:
-        """Take a picture, and check that its size is that of the scene's camera."""
-        camera = self._devices.camera
-        if not self._camera_ready:
-            self._say(preflight.check_camera(camera))
-            self._camera_ready = True
-        image = camera.capture().image
-        preflight.check_size(image, self._scene.camera)
-        return image
 
 
 def parse_number(text: str) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import rhizotwin.rig.jog
+import rhizotwin.rig.align_camera
 from rhizotwin.rig.bench import check
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
@@ -125,7 +125,7 @@ def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -
         found.append(alignment.misalignment(pose))
         return found[-1]
 
-    monkeypatch.setattr(rhizotwin.rig.jog, "misalignment", misalignment)
+    monkeypatch.setattr(rhizotwin.rig.align_camera, "misalignment", misalignment)
     said = bench.types("lights 1 1", "align 400 -42")
     assert found[0].size > 5.0
     assert found[-1].is_aligned
@@ -134,7 +134,7 @@ def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_an_arm_that_cannot_be_aligned_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rhizotwin.rig.jog, "MOST_MOVES", 1)  # its first move stops up to a degree away
+    monkeypatch.setattr(rhizotwin.rig.align_camera, "MOST_MOVES", 1)  # its first move stops up to a degree away
     bench = Bench(profile="harsh")
     with pytest.raises(UserError, match="not aligned after 1 moves"):
         bench.types("lights 1 1", "align 400 -42", stop_at_mistake=True)
