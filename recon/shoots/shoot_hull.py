@@ -99,13 +99,14 @@ def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> W
     top_mm = scene.net_pot.top_mm
     found = [(view, _outer_rays(silhouette, view)) for silhouette, view in zip(drawn, views, strict=True)]
     near_mm = min(_distance_mm(view, top_mm) for view in views)
-    wide_mm = max((_radius_mm(rays, view, top_mm) for view, rays in found if len(rays)), default=0.0)
+    wide_mm = max(_radius_mm(rays, view, top_mm) for view, rays in found)
     reach_mm = max(scene.net_pot.outer_radius_mm, min(wide_mm, _ROOM * near_mm))
     high_mm = top_mm
     for view, rays in found:
         inward = rays[rays[:, 0] < 0.0]
         climb = float((inward[:, 2] / -inward[:, 0]).max(initial=-np.inf))
-        ends_mm = max(1e-9, view.rho_mm - reach_mm), view.rho_mm + reach_mm  # of the rays inside, from the camera
+        # horizontal distances from the camera between which its rays are in the space; not 0, as there may be no ray
+        ends_mm = max(1e-9, view.rho_mm - reach_mm), view.rho_mm + reach_mm
         high_mm = max(high_mm, float(view.centre_mm[2]) + max(climb * end_mm for end_mm in ends_mm))
     return Water(reach_mm, high_mm + 2.0, top_mm)
 
@@ -116,17 +117,20 @@ def _distance_mm(view: View, top_mm: float) -> float:
 
 
 def _radius_mm(rays: NDArray[np.float64], view: View, top_mm: float) -> float:
-    """Return the maximum radius of a shoot whose outer rays (N, 3) in a view are given, mm.
+    """Return the maximum radius of a shoot, given the outer rays (N, 3) to it in a view, mm.
 
-    A camera at distance D from the centre of the net pot's top looks down on it by an angle e. A point above the top at
-    distance r from the axis is at most D + r cos(e) deep in the direction of the centre. Its distance aside is thus at
-    most s (D + r cos(e)), where s is the slope of its ray. At the edge of the shoot, it is r, in the view across.
+    The radius is infinite if a ray leads away from the centre of the net pot's top, and 0 without rays. Let D be the
+    distance between the camera and this centre, and e the angle at which the camera looks down on it. The depth of a
+    point above the top, at distance r from the axis, is at most D + r cos(e) in the direction of the centre. Its
+    lateral distance is thus at most s (D + r cos(e)), where s is the lateral slope of its ray. For the outermost point
+    of the shoot, in the view that shows it at the side, the lateral distance is r, so that r = s D / (1 - s cos(e)).
+    The limit of s cos(e) only avoids a division by zero, because r exceeds D from there on.
     """
     far_mm = _distance_mm(view, top_mm)
     depth = rays @ np.array([-view.rho_mm, 0.0, top_mm - view.centre_mm[2]]) / far_mm
     if (depth <= 0.0).any():
         return float("inf")
-    aside = float(np.abs(rays[:, 1] / depth).max())
+    aside = float(np.abs(rays[:, 1] / depth).max(initial=0.0))
     return aside * far_mm / (1.0 - min(aside * view.rho_mm / far_mm, 0.5))
 
 
