@@ -246,10 +246,9 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
 
 
 def _scattered_fraction(pictures: Pictures, cameras: Cameras, coverage: Coverage) -> float | None:
-    """Return the fraction of light that is scattered around roots; None if it is unknown, as in masks."""
+    """Return the fraction of light that is scattered around roots; None if the pictures do not show it."""
     order = sorted(cameras.order)
-    stations = [pictures.frames[k].station for k in order]
-    return None if pictures.dataset.masks else scattered_light.scattered_fraction([coverage.silhouettes[k] for k in order], stations)
+    return scattered_light.scattered_fraction([coverage.silhouettes[k] for k in order], [pictures.frames[k].station for k in order])
 
 
 def gather(

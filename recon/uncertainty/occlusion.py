@@ -43,7 +43,7 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
 
     Columns of voxels that end at such a place, in one of the six directions of the axes, are extended until enough
     views see again, or to the edge of the water. Roots join upwards: if their cross-section increases towards the top,
-    hidden columns above it are wider. The axis with the largest hidden volume is used.
+    the columns hidden above it are assumed to be wider (`_widening`). The axis with the largest hidden volume is used.
 
     Parameters
     ----------
@@ -86,10 +86,11 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
 
 
 def _widening(height: NDArray[np.int64], full: NDArray[np.float32], last: NDArray[np.int64], gap: Array) -> float:
-    """Return the ratio of the cross-section in a hidden length above a shape to the cross-section below it, with 90 %.
+    """Return the upper 90 % limit of the cross-section in a hidden length above a shape, relative to that below it.
 
     The cross-section is assumed to increase over the hidden length as it does over an equal visible length below it, by
-    at most a factor of two. The uncertainty of this increase is as large as the increase.
+    at most a factor of two. The uncertainty of this increase is as large as the increase. The limit is 1 if less than
+    twice the hidden length is visible, so that the increase is unknown.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def _widening(height: NDArray[np.int64], full: NDArray[np.float32], last: NDArra
     if top < 2 * count:
         return 1.0
     upper, lower = section[top] - section[top - count], section[top - count] - section[top - 2 * count]
-    return 1.0 + 2.0 * min(max(float(upper / max(lower, 1e-9)) - 1.0, 0.0), 1.0)
+    return 1.0 + 2.0 * float(np.clip(upper / max(lower, 1e-9) - 1.0, 0.0, 1.0))
 
 
 def _describe_side(bank: ViewBank) -> str:

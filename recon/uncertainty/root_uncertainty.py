@@ -71,9 +71,9 @@ def estimates(
         Attenuation of the roots; None for opaque roots.
     lost : sequence of str
         Reasons for which the scan as a whole is not trusted; empty if it is.
-    scattered : float or None
-        Fraction of light that is scattered around roots; None if it is unknown. The cross-sections of thin roots lose
-        this fraction (`scattered_light.scattered_term`), and their diameters half of it.
+    scattered : float, optional
+        Fraction of light that is scattered around roots; by default, it is unknown. The cross-sections of thin roots
+        lose this fraction (`scattered_light.scattered_term`), and their diameters half of it.
     calibration : Calibration, optional
         Calibration of the scan's intervals.
 
@@ -94,7 +94,7 @@ def estimates(
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
-    merged, narrower = _merged(places, silhouettes[0].coverage.shape, bank.count), 0.5 * (scattered or 0.0)
+    merged, wider, darker = _merged(places, silhouettes[0].coverage.shape, bank.count), _mean_of(width), scattered or 0.0
     changes = {
         "total_length_mm": (
             length_mm,
@@ -103,7 +103,7 @@ def estimates(
         "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips + merged for view in residuals])),
         "mean_diameter_mm": (
             rsml.mean_diameter_mm(roots),
-            _Change([max(0.0, -_mean_of(width)) + merged + max(0.0, -narrower)], [max(0.0, _mean_of(width)) + max(0.0, narrower)], width),
+            _Change([max(0.0, -wider) + merged + 0.5 * max(0.0, -darker)], [max(0.0, wider) + 0.5 * max(0.0, darker)], width),
         ),
     }
     return tuple(

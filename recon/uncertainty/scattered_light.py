@@ -1,4 +1,4 @@
-"""Detection of light that is scattered around roots.
+"""Light that is scattered around roots, and the uncertainty of the volume due to it.
 
 Turbid water, lens flare, and sharpening or tone mapping in the camera distribute part of a pixel's signal over its
 surroundings. Beside roots, the picture is then slightly too dark (or too bright, if the camera sharpens). The error is
@@ -43,12 +43,12 @@ other views."""
 def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]]) -> float | None:
     """Return the fraction of light that is scattered around roots.
 
-    The result is None if too few pixels beside roots are visible.
+    The result is None if too few pixels beside roots are visible, and for masks, which have no opacity.
 
     Parameters
     ----------
     silhouettes : sequence of Silhouette
-        Silhouettes with opacity, including noise.
+        Silhouettes with opacity, including noise; those without opacity are not used.
     stations : sequence of tuple of int
         Station of each view; views of one station share the backlight.
 
@@ -81,17 +81,17 @@ def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tup
 def scattered_term(share: float, thin_mm3: float) -> Term:
     """Return the term of the error budget for light that is scattered around roots.
 
-    Thin roots lose the fraction of light that is scattered into them, and thus that fraction of their volume: 0.7 to
-    1.05 times ``share`` for a radish, a bean and a wheat of 0.7 to 1.6 pixels mean diameter, at shares of 0.04 to 0.24.
-    The outlines of thick roots, at half of the opacity, do not move: a printed root of 7 pixels lost 0.1 % at a share
-    of 0.05 (docs/decisions/volume-interval.md).
+    The opacity of thin roots, and thus their volume, is reduced by about the fraction of light that is scattered into
+    them. For a radish, a bean and a wheat with mean diameters of 0.7 to 1.6 pixels, the reduction of the volume was 0.7
+    to 1.05 times ``share``, for shares of 0.04 to 0.24. The outlines of thick roots, at half of the opacity, do not
+    move: a printed root of 7 pixels lost 0.1 % at a share of 0.05 (docs/decisions/volume-interval.md).
 
     Parameters
     ----------
     share : float
         Fraction of light that is scattered around roots; negative for sharpened pictures.
     thin_mm3 : float
-        Volume of thin roots.
+        Volume of thin roots, mm3.
     """
     finding = f"beside roots, light is {'increased' if share < 0 else 'reduced'} by {100.0 * abs(share):.1f} % of what they absorb"
     return Term(
