@@ -216,6 +216,8 @@ def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], pare
 
     Parameters
     ----------
+    tree : Tubes
+        Tree to which the paths are attached.
     paths : sequence of float64 array
         Points (n, 3) of each new branch, from its parent to its tip.
     radius_mm : sequence of float64 array
@@ -225,12 +227,11 @@ def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], pare
     """
     if not paths:
         return tree
-    lines, count = [_resample(path, radius) for path, radius in zip(paths, radius_mm, strict=True)], len(tree.radius_mm)
-    centre, thickness = np.concatenate([points[1:] for points, _ in lines]), np.concatenate([radius[1:] for _, radius in lines])
-    first = np.cumsum([0, *(len(points) - 1 for points, _ in lines)])
-    begin, loose = np.array(parents, np.int64), np.flatnonzero(np.array(parents) < 0)
-    if len(loose):
-        begin[loose] = count + _nearest_before(centre, np.array([paths[k][0] for k in loose.tolist()]), first[loose])
+    strung, count = [_resample(path, radius) for path, radius in zip(paths, radius_mm, strict=True)], len(tree.radius_mm)
+    centre, radius = (np.concatenate([line[1:] for line in part]) for part in zip(*strung, strict=True))
+    first, loose = np.cumsum([0, *(len(points) - 1 for points, _ in strung)]), np.array(parents) < 0
+    nearest = _nearest_before(centre, np.array([path[0] for path in paths]), np.where(loose, first[:-1], 0))
+    begin = np.where(loose, count + nearest, parents)
     branches, tips = list(tree.branches), {int(nodes[-1]): k for k, nodes in enumerate(tree.branches)}
     for k, parent in enumerate(begin.tolist()):
         new_nodes = count + np.arange(first[k], first[k + 1])
@@ -239,7 +240,7 @@ def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], pare
             branches.append(np.concatenate([np.array([parent], np.int64), new_nodes]))
         else:
             branches[ended] = np.concatenate([branches[ended], new_nodes])
-    return Tubes(np.concatenate([tree.centre_mm, centre]), np.concatenate([tree.radius_mm, thickness]), tuple(branches))
+    return Tubes(np.concatenate([tree.centre_mm, centre]), np.concatenate([tree.radius_mm, radius]), tuple(branches))
 
 
 def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
