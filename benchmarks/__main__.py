@@ -5,6 +5,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmarks import cases, commands, gate, scatter
 from benchmarks.arguments import parser
@@ -53,7 +54,7 @@ def _scatter(given: argparse.Namespace) -> int:
     values = scatter.values(runs)
     say("\n" + scatter.table(values))
     if given.change == scatter.ROUNDED:
-        scatter.write(_scatter_path(), values, about=about(given))
+        scatter.write(_scatter_path(), values, about=_about(given))
         say(f"recorded: {_scatter_path()}")
     rounding, everything = scatter.read(_scatter_path()), {key.rpartition("/")[0] for key in baseline.values}
     for case in chosen:
@@ -61,6 +62,11 @@ def _scatter(given: argparse.Namespace) -> int:
         is_open = [gate.all_pass(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
         say(f"{case.name}: the gate is open in {sum(is_open)} of {len(is_open)} runs")
     return 0
+
+
+def _about(given: argparse.Namespace) -> dict[str, Any]:
+    """Return the description of a run that may be restricted to the quick set."""
+    return about(f"{given.what}{' --quick' if given.quick else ''}", given.device)
 
 
 def _scatter_path() -> Path:
@@ -97,7 +103,7 @@ def _run(given: argparse.Namespace) -> int:
     shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
     say("\n" + results_table(shown))
 
-    described = about(given)
+    described = _about(given)
     change = getattr(given, "change", "none")
     suffix = "" if change == "none" else "_" + change.replace(":", "_")
     output = given.output or results_folder() / f"{baseline_path.stem.removeprefix('baseline_')}{suffix}.json"

@@ -88,7 +88,7 @@ def batch(given: argparse.Namespace) -> int:
         night = batch_run.measure(Path(folder), say=say)
     say("\n".join(batch_run.lines(night, given.job_s)))
     output = given.output or results_folder() / "batch.json"
-    atomic.write_json(output, {"about": about(argparse.Namespace(what="batch", quick=False, device="cpu")), **batch_run.plain(night)})
+    atomic.write_json(output, {"about": about("batch", "cpu"), **batch_run.plain(night)})
     say(f"every number: {output}")
     whole = night.results == batch_run.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
     return 0 if whole else 1
@@ -115,7 +115,7 @@ def growth(given: argparse.Namespace) -> int:
     found["dose_response"] = {"slope": slope, "intervals": intervals, "held": held}
     say(f"dose response: the slope {slope:.4f} l/mmol is inside {held} of {given.sets} intervals")
     output = given.output or results_folder() / "growth.json"
-    atomic.write_json(output, {"about": about(argparse.Namespace(what="growth", quick=False, device=given.device)), **found})
+    atomic.write_json(output, {"about": about("growth", given.device), **found})
     say(f"every number: {output}")
     return 0
 
@@ -125,10 +125,11 @@ def damages(given: argparse.Namespace) -> int:
     from benchmarks import damages
 
     records = damages.measure(given.names, scene=given.scene, say=say)
-    say("\n" + damages.table(records))
+    text = damages.table(records)
+    say("\n" + text)
     output = given.output or results_folder() / "damages.json"
-    atomic.write_json(output, {"about": about(argparse.Namespace(what="damages", quick=False, device=given.device)), "records": records})
-    atomic.write_text(output.with_suffix(".md"), damages.table(records))
+    atomic.write_json(output, {"about": about("damages", given.device), "records": records})
+    atomic.write_text(output.with_suffix(".md"), text)
     say(f"every number: {output}")
     return 1 if any(damages.fails(record) for record in records) else 0
 

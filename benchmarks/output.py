@@ -1,6 +1,5 @@
 """Output of the benchmarks: lines of progress, tables of numbers, and the description of a run."""
 
-import argparse
 import platform
 import sys
 from collections.abc import Sequence
@@ -20,8 +19,8 @@ def say(text: str) -> None:
     sys.stdout.flush()
 
 
-def about(given: argparse.Namespace) -> dict[str, Any]:
-    """Return the versions, device and command of the measurements."""
+def about(command: str, device: str) -> dict[str, Any]:
+    """Return the command and the device of measurements, with the versions that they depend on."""
     packages = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
     versions = {}
     for package in packages:
@@ -30,8 +29,8 @@ def about(given: argparse.Namespace) -> dict[str, Any]:
         except metadata.PackageNotFoundError:
             versions[package] = "not installed"
     return {
-        "command": f"{given.what}{' --quick' if given.quick else ''}",
-        "device": given.device,
+        "command": command,
+        "device": device,
         "reconstruction": sources.digest(("rhizotwin.recon.reconstruct",))[:12],
         "python": platform.python_version(),
         **versions,
