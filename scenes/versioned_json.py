@@ -1,7 +1,6 @@
 """JSON files that state the version of their format."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +9,12 @@ from rhizotwin.scenes.reading import read_file
 
 
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
-    """Read a JSON object with a ``schema_version``.
-
-    Raise an error if the file is damaged or the version is not supported.
-    """
+    """Read a JSON file with a ``schema_version``, see `parse_versioned_json`."""
     return parse_versioned_json(read_file(path), path, version)
 
 
 def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:
-    """Parse the bytes of a JSON file with a ``schema_version``; see `read_versioned_json`.
+    """Parse the content of a JSON file with a ``schema_version``.
 
     Parameters
     ----------
@@ -33,6 +29,11 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
     -------
     dict
         Complete JSON object.
+
+    Raises
+    ------
+    UserError
+        If the file is damaged, or has another version.
     """
     try:
         mapping = json.loads(data.decode("utf-8"))
@@ -40,7 +41,7 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
         raise UserError(
             f"{path}: the file is damaged, because it is not valid JSON ({parser_message(error)}); restore it or create it again"
         ) from error
-    if not isinstance(mapping, Mapping):
+    if not isinstance(mapping, dict):
         raise UserError(f"{path}: the file is damaged, because it is not a JSON object; restore it or create it again")
     found = mapping.get("schema_version")
     if type(found) is not int or found != version:
@@ -49,4 +50,4 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
             f"{path.name} {known}, but this program reads version {version}; use the program version that wrote the file, or create it "
             f"again ({path})"
         )
-    return dict(mapping)
+    return mapping
