@@ -4,7 +4,7 @@ from rhizotwin.rig.arm.placement import correct_joints, require_arm
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.prepared_devices import PreparedDevices
 from rhizotwin.rig.scanning.alignment import ALL_JOINTS, MOST_MOVES, misalignment, single_move
-from rhizotwin.rig.scanning.arm_stand import SEARCH_DEG, WRIST
+from rhizotwin.rig.scanning.arm_stand import tilted_joints
 from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.frames import Array
 
@@ -49,9 +49,8 @@ def _measure_pose(devices: PreparedDevices, *, search: bool = False) -> Array:
     """
     seen, why = devices.read_markers()
     if seen is None and search:
-        here = devices.arm().read_joints()
-        for tilt_deg in SEARCH_DEG:
-            devices.move_along([(*here[:WRIST], here[WRIST] + tilt_deg, *here[WRIST + 1 :])])
+        for goal in tilted_joints(devices.arm().read_joints()):
+            devices.move_along([goal])
             seen, _ = devices.read_markers()
             if seen is not None:
                 break

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.rig.arm.clearance import check_path, plan_path
-from rhizotwin.rig.arm.placement import check_limits, compute_joints, correct_joints, planned_camera_pose
+from rhizotwin.rig.arm.placement import Joints, check_limits, compute_joints, correct_joints, planned_camera_pose
 from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Arm, Shot
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
@@ -45,8 +45,6 @@ DRIFT_DEG = 1.5
 """Maximum change of a joint angle while pictures of a ring are taken, deg. A larger change indicates that the joint was
 pushed or gave way."""
 HEALTH_EVERY_S = 20.0
-
-Joints = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +104,7 @@ class ArmStand:
         if seen is not None or self._placed is None or not self._part.correct or expected < LEAST_EXPECTED:
             return shot, seen
         placed = self._placed
-        for tilt_deg in SEARCH_DEG:
-            goal = (*placed.joints_deg[:WRIST], placed.joints_deg[WRIST] + tilt_deg, *placed.joints_deg[WRIST + 1 :])
+        for goal in tilted_joints(placed.joints_deg):
             if self._move_if_clear(goal):
                 shot, seen = self._camera.look()
                 if seen is not None:
@@ -144,8 +141,7 @@ class ArmStand:
             if off_mm > FAR_MM or off_deg > FAR_DEG:
                 raise UnsafeError(
                     f"arm: according to the markers, the camera is {off_mm:.0f} mm and {off_deg:.0f} deg away from the pose computed from "
-                    "the "
-                    "joints; check zero_counts, sign, links_mm and position_mm in the rig file"
+                    "the joints; check zero_counts, sign, links_mm and position_mm in the rig file"
                 )
             near = off_mm <= NEAR_MM and off_deg <= NEAR_DEG
             fair = off_mm <= FAIR_MM and off_deg <= FAIR_DEG
@@ -238,3 +234,8 @@ class ArmStand:
         except RigError:
             self.failed = True
             raise
+
+
+def tilted_joints(joints_deg: Joints) -> list[Joints]:
+    """Return the joint angles at which the strip is searched for, in order. They tilt the camera up and down."""
+    return [(*joints_deg[:WRIST], joints_deg[WRIST] + tilt_deg, *joints_deg[WRIST + 1 :]) for tilt_deg in SEARCH_DEG]
