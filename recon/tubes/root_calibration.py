@@ -1,7 +1,7 @@
 """Calibration from the roots: refractive index of the water, and corrections of cameras and canister.
 
 Roots are visible in all views and at all distances from the axis. An incorrect refractive index displaces them in the
-pictures in a pattern that no shape, and hardly any camera error, can reproduce. `rig_equations` are the equations for
+pictures in a pattern that no shape, and hardly any camera error, can reproduce. `rig_equations` sets up equations for
 the refractive index, the focal length, the pose of the canister in the strip, the camera of each station, and the table
 angle of each view. The covariances from the markers are used as the prior.
 """
