@@ -236,10 +236,11 @@ def open_session(
     before = _load_stopped(folder, resume)
     _check_differences(before, new)
     kept = tuple(frame for frame in before.frames if _is_complete(folder, frame))
-    strange = {frame.file for frame in kept} - {picture_file(view, band) for view in planned for band in plan.ring_bands(known, view.ring)}
+    files = {picture_file(view, band) for view in planned for band in plan.ring_bands(known, view.ring)}
+    strange = {frame.file for frame in kept} - files
     if strange:
         raise UserError(f"{folder} contains {sorted(strange)[0]}, which is not part of the plan; choose a new folder for the scan")
-    complete = bool(before.origin.get("complete")) and len(kept) == sum(len(plan.ring_bands(known, view.ring)) for view in planned)
+    complete = bool(before.origin.get("complete")) and len(kept) == len(files)
     return Session(replace(before, frames=kept, origin={**origin, **before.origin, "rig": origin["rig"], "complete": complete}), planned)
 
 
