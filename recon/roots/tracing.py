@@ -237,6 +237,8 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
 
     Parameters
     ----------
+    centre : (N, 3) float64 array
+        Centres of the cells, mm.
     before : (N,) int32 array
         Preceding cell of each cell on its path, negative at the start.
     length : (N,) float64 array
