@@ -120,14 +120,15 @@ def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
     int
         Number of visible markers.
     """
-    centre = frames.invert(cam_from_rig)[:3, 3]
-    width, height = scene.camera.image_wh
-    (fx, fy), (cx, cy) = scene.camera.focal_px, scene.camera.principal_px
+    camera, pose = scene.camera.as_pinhole(), scene.camera.pinhole_pose(cam_from_rig)
+    centre = frames.invert(pose)[:3, 3]
+    width, height = camera.image_wh
+    (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     count = 0
     for corners in marker_corners(scene.strip, scene.net_pot).values():
         outward, toward = corners[:, :2].mean(axis=0), centre[:2] - corners[:, :2].mean(axis=0)
         facing = outward @ toward > SLANT * np.linalg.norm(outward) * np.linalg.norm(toward)
-        x, y, z = frames.apply(cam_from_rig, corners).T
+        x, y, z = frames.apply(pose, corners).T
         if facing and z.min() > 0.0:
             u, v = fx * x / z + cx, fy * y / z + cy
             count += bool(u.min() > 0.0 and u.max() < width - 1 and v.min() > 0.0 and v.max() < height - 1)

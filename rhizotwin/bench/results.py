@@ -206,7 +206,8 @@ def remark(row: dict[str, Any]) -> str:
 def compare(found: Results, baseline: Results) -> list[Finding]:
     """Compare results with a baseline.
 
-    A case that is missing, or has failed although it was done in the baseline, counts as worse.
+    A case that is missing, or has failed although it was done in the baseline, counts as worse. So does an interval that
+    no longer contains the true volume, and a volume that is no longer reliable.
 
     Raises
     ------
@@ -236,6 +237,9 @@ def compare(found: Results, baseline: Results) -> list[Finding]:
         if interval_holds(before) and interval_holds(row) is False:
             sentence = "the interval of the volume does not contain the true value"
             findings.append(Finding(case=case, quantity="interval", value=None, baseline=None, worse=True, sentence=sentence))
+        if before["scores"].get("trusted") is True and row["scores"].get("trusted") is False:
+            sentence = "the volume is marked as not reliable"
+            findings.append(Finding(case=case, quantity="reliability", value=None, baseline=None, worse=True, sentence=sentence))
     return findings
 
 

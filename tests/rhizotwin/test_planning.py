@@ -154,6 +154,14 @@ def test_a_ring_that_sees_no_strip_is_said_before_pictures_are_taken(height_mm: 
     assert marker_warnings(replace(scene, strip=replace(scene.strip, rows=0))) == []
 
 
+def test_a_telecentric_camera_sees_as_many_markers_from_any_distance():
+    camera = Camera(kind="telecentric", mm_per_px=0.3, focal_px=(1e5, 1e5))
+    scenes = [replace(Scene(camera=camera), plan=CapturePlan(rings=(Ring(distance_mm=distance),))) for distance in (150.0, 900.0)]
+    assert [marker_warnings(scene) for scene in scenes] == [[], []]
+    near = replace(scenes[0], camera=replace(camera, mm_per_px=0.1))  # the picture ends 30 mm above its centre, below the strip
+    assert marker_warnings(near)
+
+
 def test_a_patch_is_a_part_of_a_turn():
     patch = Ring(views=3, distance_mm=200.0, first_deg=30.0, span_deg=90.0)
     scene = replace(Scene(), plan=CapturePlan(rings=(Ring(views=4), patch)))

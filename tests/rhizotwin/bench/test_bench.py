@@ -257,8 +257,10 @@ def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path)
 
 
 def test_the_gate_sees_what_gets_worse(command: Command, tmp_path: Path) -> None:
-    before = of_rows(row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.95, 1.05)))
+    before = of_rows(row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.95, 1.05), trusted=True))
     for now, worse in (
+        (row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.95, 1.05), trusted=True), set()),
+        (row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.95, 1.05), trusted=False), {"reliability"}),
         (row(mesh={"iou": 0.895}, traits=with_volume(0.012, 0.95, 1.05)), set()),
         (row(mesh={"iou": 0.85}, traits=with_volume(-0.01, 0.95, 1.05)), {"iou"}),
         (row(mesh={"iou": 0.9}, traits=with_volume(0.03, 0.95, 1.05)), {"volume_error"}),
