@@ -206,8 +206,8 @@ def remark(row: dict[str, Any]) -> str:
 def compare(found: Results, baseline: Results) -> list[Finding]:
     """Compare results with a baseline.
 
-    A case that is missing, or has failed although it was done in the baseline, counts as worse. So does an interval that
-    no longer contains the true volume, and a volume that is no longer reliable.
+    A case that is missing, or has failed although it was done in the baseline, counts as worse. So does an interval
+    that no longer contains the true volume, and a volume that is no longer reliable.
 
     Raises
     ------
