@@ -141,14 +141,12 @@ def _beside(silhouette: Silhouette, reduction: int) -> tuple[Mask, Image, Image]
     away = cv2.distanceTransform((~root).astype(np.uint8), cv2.DIST_L2, 5)
     inner = cv2.erode(silhouette.usable.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     beside = inner & (away > _BESIDE_PX) & (away < 4.0 * _WIDE * reduction)
-    coverage = np.where(silhouette.usable, silhouette.coverage, 0.0)
+    coverage = np.where(silhouette.usable, silhouette.coverage, 0.0).astype(np.float32)
     width, height = (size // reduction for size in coverage.shape[::-1])
 
     def reduced(image: Image) -> Image:
-        return np.asarray(
-            cv2.resize(image.astype(np.float32)[: height * reduction, : width * reduction], (width, height), interpolation=cv2.INTER_AREA)
-        )
+        return np.asarray(cv2.resize(image[: height * reduction, : width * reduction], (width, height), interpolation=cv2.INTER_AREA))
 
     wholly = reduced(beside.astype(np.float32)) > 1.0 - 1e-6
     wide = cv2.GaussianBlur(reduced(coverage), (0, 0), _WIDE)
-    return wholly, wide[wholly], reduced(silhouette.opacity)[wholly]
+    return wholly, wide[wholly], reduced(np.asarray(silhouette.opacity, np.float32))[wholly]
