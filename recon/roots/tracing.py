@@ -124,7 +124,7 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         number, part = np.flatnonzero(body), CellSet.from_cells(cells.index[body]).components()
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
-    starts = {top: _start(plant, centre[:, 2], density, depth_mm) for top, plant in members.items()}
+    starts = {top: _start(plant, centre, density, depth_mm) for top, plant in members.items()}
     joined = joined + _bridge_net_pot(cells, dense, np.array(list(starts.values())))
     cost, before, _ = dijkstra(joined, directed=False, indices=list(starts.values()), min_only=True, return_predecessors=True)
     length = lengths(cost, before, centre)
@@ -162,11 +162,15 @@ def _bridge_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> cs
     return coo_matrix(((away[first] / _BRIDGE).astype(np.float32), (heads[nearest[first]], high[first])), shape=shape).tocsr()
 
 
-def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> int:
-    """Return the cell at a plant's top from which its roots are traced."""
-    high = _top(plant, height_mm, depth_mm)
+def _start(plant: Index, centre: Array, density: Array, depth_mm: Array) -> int:
+    """Return the cell at a plant's top from which its roots are traced.
+
+    It is the middle one of the highest cells: a thick root that continues behind the net pot has a flat top.
+    """
+    high = _top(plant, centre[:, 2], depth_mm)
     heavy = high[density[high] > 0.5 * density[high].max()]
-    return int(heavy[height_mm[heavy].argmax()])
+    highest = heavy[centre[heavy, 2] == centre[heavy, 2].max()]
+    return int(highest[np.linalg.norm(centre[highest] - centre[highest].mean(axis=0), axis=1).argmin()])
 
 
 def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:

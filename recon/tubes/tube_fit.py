@@ -139,11 +139,11 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
     mean = np.trace(hessian[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
     hessian[:, :3, :3] += (_DAMPING * mean + LEAST) * np.eye(3) + _ALONG * mean * tangent[:, :, None] * tangent[:, None, :]
     hessian[:, 3, 3] += LEAST
-    blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
+    flanks = flank_motion(tubes)
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
-    wanted = residual.gradient.ravel() - prior @ state
-    right = np.stack([wanted, np.zeros_like(wanted) if change is None else change.ravel()], axis=1)
-    step, follow = splu((blocks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(right).T.reshape(2, count, 4)
+    wanted = flanks.T @ residual.gradient.ravel() - prior @ state
+    right = np.stack([wanted, np.zeros_like(wanted) if change is None else flanks.T @ change.ravel()], axis=1)
+    step, follow = _solve(hessian, flanks, prior, right).T.reshape(2, count, 4)
     step[:, 3] *= _RELAXED
     step = step - follow
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
@@ -163,11 +163,42 @@ def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
     hessian, by_light : (N, 4, 4), (N, 4, L) array
         Field ``hessian`` of `ResidualGradient`, and field ``by_light`` of `LightEquations`.
     """
-    count, many = len(tubes.radius_mm), by_light.shape[2]
-    hessian = hessian + LEAST * np.eye(4)
+    flanks = flank_motion(tubes)
+    solved = _solve(hessian + LEAST * np.eye(4), flanks, prior(tubes), flanks.T @ by_light.reshape(-1, by_light.shape[2]))
+    return -solved.reshape(by_light.shape)
+
+
+def _solve(hessian: Array, flanks: sparse.csr_matrix, prior: sparse.csr_matrix, right: Array) -> Array:
+    """Solve the normal equations of all nodes for several right-hand sides (4 N, K).
+
+    ``hessian`` (N, 4, 4) contains the normal matrices with respect to the flanks beside each node.
+    """
+    count = len(hessian)
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
-    solved = splu((blocks + prior(tubes)).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(by_light.reshape(-1, many))
-    return np.asarray(-solved.reshape(count, 4, many))
+    return np.asarray(splu((flanks.T @ blocks @ flanks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(right))
+
+
+def flank_motion(tubes: Tubes) -> sparse.csr_matrix:
+    """Return the matrix (4 N, 4 N) that converts displacements of nodes to those of the flanks beside them.
+
+    If a branch turns, the flanks beside a node also move along the branch. Where the radius r changes along the branch,
+    this displaces them sideways by r dr/ds times the angle, s being the distance along the branch. The centre line of a
+    ball can therefore turn about its middle without any change in the pictures.
+    """
+    count = len(tubes.radius_mm)
+    line, first, last = tubes.flattened
+    place = np.arange(len(line))
+    radius = tubes.radius_mm[line]
+    begin = np.flatnonzero((place == first) & (first > 0))
+    radius[begin] = radius[begin + 1]  # the first node of a branch has its parent's radius
+    before, after = np.maximum(place - 1, first), np.minimum(place + 1, last)
+    chord = np.maximum(np.linalg.norm(tubes.centre_mm[line[after]] - tubes.centre_mm[line[before]], axis=1), 1e-9)
+    slope = np.clip((radius[after] - radius[before]) / chord, -1.0, 1.0)  # steeper flanks are inside a neighbouring sphere
+    lever = radius * slope / chord
+    own = (place > first) | (first == 0)
+    turn = _differences(np.stack([line[before], line[after]], axis=1)[own], np.array([-1.0, 1.0]), count)
+    aside = sparse.csr_matrix((lever[own], (line[own], np.arange(own.sum()))), shape=(count, own.sum())) @ turn
+    return (sparse.identity(4 * count) + sparse.kron(aside, sparse.diags([1.0, 1.0, 1.0, 0.0]))).tocsr()
 
 
 def _limit_radii(tubes: Tubes, thick: NDArray[np.bool_]) -> Array:

@@ -42,6 +42,31 @@ def test_fit_finds_moved_and_swollen_tubes_again():
     assert np.median(residual.visible) > 0.8
 
 
+def test_a_bulb_on_a_root_does_not_turn_about_its_middle():
+    """From 3 degrees aside, its centre line turned on to 13 degrees in 16 steps, since a ball that turns looks the same."""
+    true = strung(line((0.0, 0.0, -29.0), (0.0, 0.0, -62.0)), radius_mm=0.8)
+    along = true.centre_mm[:, 2] + 38.0
+    radius = 0.8 + 8.2 * np.sqrt(np.maximum(0.0, 1.0 - np.abs(along / 9.0) ** 2.5))
+    true = tubes.with_geometry(true, true.centre_mm, radius)
+    aside = np.maximum(along + 9.0, 0.0) * np.tan(np.deg2rad(3.0))
+    start = tubes.with_geometry(true, true.centre_mm + aside[:, None] * [1.0, 0.0, 0.0], radius)
+    found = tube_fit.fit(pictured(true), start, np.ones(len(radius), bool), steps=16).tubes
+    inner = np.abs(along) < 5.0
+    assert np.abs(found.centre_mm[inner, :2]).max() < 0.02
+    np.testing.assert_allclose(found.radius_mm[inner], radius[inner], atol=0.05)
+
+
+def test_flanks_of_a_ball_stay_if_its_centre_line_turns():
+    along, way = np.linspace(-6.0, 6.0, 121), np.array([0.6, 0.0, 0.8])
+    ball = tubes.Tubes(np.outer(along, way), np.sqrt(10.0**2 - along**2), (np.arange(121),))
+    turn = np.zeros((121, 4))
+    turn[:, 1] = 0.01 * along
+    moved = (tube_fit.flank_motion(ball) @ turn.ravel()).reshape(121, 4)
+    np.testing.assert_allclose(moved[1:-1], 0.0, atol=1e-5)
+    rod = tubes.with_geometry(ball, ball.centre_mm, np.full(121, 3.0))
+    np.testing.assert_allclose((tube_fit.flank_motion(rod) @ turn.ravel()).reshape(121, 4), turn)
+
+
 def test_radii_of_tubes_that_share_pixels_do_not_swing():
     """Two roots that run through each other, begun too thin: whole steps swung by an eighth of their area."""
     true = strung(*(line((x, y, -20.0), (-x, -y, -40.0)) for x, y in ((0.2, 0.3), (0.3, -0.3))), radius_mm=0.25)
