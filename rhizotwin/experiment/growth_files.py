@@ -31,9 +31,10 @@ def write(results: Sequence[Path], output: Path, *, replace: bool = False) -> li
     """
     weighed = [path for path in results if mass_curves.is_of_masses(path)]
     others = [path for path in results if path not in weighed]
-    masses, notes = mass_curves.read(weighed)
-    curves = mass_curves.measure(masses)
     measured = growth.measure(read_all(others)) if others or not weighed else None
+    treatments = {plant: days[0].subject.treatment for plant, days in measured.plants.items()} if measured is not None else {}
+    masses, notes = mass_curves.read(weighed, treatments)
+    curves = mass_curves.measure(masses)
     if measured is None and not curves:
         raise UserError("; ".join(notes) or "the tables contain no masses; enter the mass of at least one plant")
     picture = mass_curves.draw(curves) if curves else None

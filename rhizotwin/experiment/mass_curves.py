@@ -65,15 +65,18 @@ def is_of_masses(path: Path) -> bool:
     return head >= _PREDICTED or has_masses(head)
 
 
-def read(paths: Sequence[Path]) -> tuple[list[Masses], list[str]]:
+def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> tuple[list[Masses], list[str]]:
     """Read tables of masses.
 
-    Predicted masses that are not reliable are excluded.
+    Predicted masses that are not reliable are excluded. A row without a treatment has the treatment of the other rows
+    of its plant.
 
     Parameters
     ----------
     paths : sequence of Path
         Tables of weighed masses (g), and tables written by ``biomass predict``.
+    treatments : mapping of str to str, optional
+        Treatments that are known from results, keyed by plant name.
 
     Returns
     -------
@@ -83,21 +86,27 @@ def read(paths: Sequence[Path]) -> tuple[list[Masses], list[str]]:
     Raises
     ------
     UserError
-        If a table is damaged, a mass has no plant or day, or a plant has two treatments.
+        If a table is damaged, a mass has no plant or day or is listed twice, or a plant has two treatments.
     """
-    found: dict[tuple[str, float], Masses] = {}
     predicted = [path for path in paths if _head(path) >= _PREDICTED]
     rows = [row for path in predicted for row in tables.read_table(path)]
     weighed = [one for path in paths if path not in predicted for one in _read_weighed(path)]
-    for where, one in [*_read_predicted(rows), *weighed]:
-        before = found.get((one.plant, one.day))
-        if before is not None and before.treatment != one.treatment:
-            raise UserError(
-                f"{where}: plant {one.plant} has two treatments, {before.treatment!r} and {one.treatment!r}; correct one of them"
-            )
-        grams = one.grams if before is None else {**before.grams, **one.grams}
-        found[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams)
-    return list(found.values()), _notes(rows)
+    known = {plant: name for plant, name in (treatments or {}).items() if name}
+    grams: dict[tuple[str, float], dict[str, float]] = {}
+    for group in (_read_predicted(rows), weighed):
+        listed: set[tuple[str, float, str]] = set()
+        for where, one in group:
+            if one.treatment and known.setdefault(one.plant, one.treatment) != one.treatment:
+                raise UserError(
+                    f"{where}: plant {one.plant} has two treatments, {known[one.plant]!r} and {one.treatment!r}; correct one of them"
+                )
+            for kind in one.grams:
+                if (one.plant, one.day, kind) in listed:
+                    raise UserError(f"{where}: the mass {kind} of plant {one.plant} on day {one.day:g} is listed twice; remove one of them")
+                listed.add((one.plant, one.day, kind))
+            grams.setdefault((one.plant, one.day), {}).update(one.grams)
+    masses = [Masses(plant=plant, day=day, treatment=known.get(plant, ""), grams=own) for (plant, day), own in grams.items()]
+    return masses, _notes(rows)
 
 
 def measure(masses: Sequence[Masses]) -> Curves:

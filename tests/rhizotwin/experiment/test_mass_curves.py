@@ -7,6 +7,7 @@ import pytest
 
 from rhizotwin.experiment import mass_curves
 from rhizotwin.experiment.tables import shipped
+from rhizotwin.scenes.errors import UserError
 from tests.command import Command
 
 PREDICTED = """result,plant,species,treatment,day,date,replicate,notes,mass,mass (g),low (g),high (g),from,verdict,extrapolated
@@ -57,3 +58,29 @@ def test_predicted_masses_that_are_not_reliable_are_excluded(command: Command, t
 def test_masses_without_a_day_are_refused(command: Command, tmp_path: Path) -> None:
     (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
     command.fails("growth", tmp_path / "masses.csv", "-o", tmp_path / "grown", named=["line 2", "day"])
+
+
+def test_a_mass_without_a_treatment_has_that_of_its_plant(command: Command, tmp_path: Path) -> None:
+    (tmp_path / "predicted.csv").write_text(PREDICTED.replace("a,P1,,,5", "a,P1,,low N,5"))
+    (tmp_path / "weighed.csv").write_text("plant,day,root_fresh_g\nP1,5,1.0\nP1,9,2.0\nP2,9,3.0\n")
+    masses, _ = mass_curves.read([tmp_path / "weighed.csv", tmp_path / "predicted.csv"])
+    assert {(one.plant, one.day): one.treatment for one in masses} == {("P1", 5.0): "low N", ("P1", 9.0): "low N", ("P2", 9.0): ""}
+    (tmp_path / "traits.csv").write_text("plant,treatment,day,tips\nP1,low N,5,9\nP2,control,5,9\n")
+    command.works("growth", tmp_path / "traits.csv", tmp_path / "weighed.csv", "-o", tmp_path / "grown")
+    rows = [row.split(",") for row in (tmp_path / "grown" / "masses.csv").read_text().splitlines()[1:]]
+    assert [(row[2], row[3], row[4]) for row in rows] == [("control", "9", "3"), ("low N", "5", "1"), ("low N", "9", "2")]
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("P1,control,9,1.0\n", "plant P1 has two treatments, 'low N' and 'control'"),
+        ("P1,,5,1.0\n", "the mass root_fresh of plant P1 on day 5 is listed twice"),
+    ],
+)
+def test_masses_that_contradict_each_other_are_refused(rows: str, words: str, tmp_path: Path) -> None:
+    head = "plant,treatment,day,root_fresh_g\n"
+    (tmp_path / "a.csv").write_text(f"{head}P1,low N,5,1.0\n")
+    (tmp_path / "b.csv").write_text(head + rows)
+    with pytest.raises(UserError, match=words):
+        mass_curves.read([tmp_path / "a.csv", tmp_path / "b.csv"])
