@@ -147,9 +147,10 @@ def _track(days: Sequence[Measured]) -> TrackedPlant | None:
         file = None if one.folder is None else one.folder / "roots.rsml"
         if file is not None and file.is_file():
             roots = read_rsml(file)
-            if len({root.plant for root in roots}) > 1:
+            if any(root.plant for root in roots):  # other plants in the canister may be the only ones whose roots were found
                 roots = rsml.plant_roots(roots, one.subject.plant)
-            known.append(Day(day=one.subject.day or 0.0, roots=roots))
+            if roots:
+                known.append(Day(day=one.subject.day or 0.0, roots=roots))
     return track_roots(known) if len(known) > 1 else None
 
 

@@ -14,10 +14,13 @@ from scipy.stats import ttest_ind
 
 from rhizotwin.experiment.alignment import align
 from rhizotwin.experiment.compare import Observation, differences, means, reason_not_comparable, relative_rates
+from rhizotwin.experiment.growth import measure
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
+from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes import files, rsml, series
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.sim.growth import grow
 from tests.command import Command
 
@@ -211,6 +214,27 @@ def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, comma
     assert "<unified>true</unified>" in text
     assert '<root id="1" label="1">' in text
     assert "data:image/png" in (out / "growth.html").read_text(encoding="utf-8")
+
+
+def test_roots_of_another_plant_in_the_canister_are_not_tracked(ball_result: Callable[..., Path]) -> None:
+    """On day 1 only the roots of B were found, and on day 2 those of neither A nor D."""
+    found, z = [], np.linspace(0.0, 1.0, 9)
+    for day, plants in ((1.0, "B"), (2.0, "BC"), (3.0, "ABC"), (4.0, "ABC")):
+        folder = ball_result(f"day{day:g}", subject={"plant": "", "day": day})
+        roots = [
+            Root(
+                points_mm=np.stack([20.0 * k + z**2, z**3, -9.0 * day * z], axis=1),
+                diameters_mm=z + 1.0,
+                order=0,
+                parent=-1,
+                plant=name,
+            )
+            for k, name in enumerate(plants)
+        ]
+        rsml.write_rsml(folder / "roots.rsml", roots)
+        found += [Measured(name=f"{day:g}", subject=Subject(plant=name, day=day), traits={"tips": 1.0}, folder=folder) for name in "AB"]
+    tracked = measure(found).tracked
+    assert {plant: [day.day for day in own.days] for plant, own in tracked.items()} == {"A": [3.0, 4.0], "B": [1.0, 2.0, 3.0, 4.0]}
 
 
 def test_a_treatment_is_not_a_formula(ball_result: Callable[..., Path], command: Command, tmp_path: Path) -> None:
