@@ -173,10 +173,7 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
             chosen = [pair for pair in found if kind in pair.weighed.grams and pair.measured.usable(trait) is not None]
             plants = len({pair.measured.subject.plant for pair in chosen})
             if plants >= LEAST_PLANTS:
-                values = {
-                    pair.measured.traits[trait] for pair in chosen
-                }  # a power law needs two different values after one plant is excluded
-                powers = (True, False) if len(values) > 2 else (True,)
+                powers = (True, False) if _varies(chosen, trait) else (True,)
                 tried += [_relation(chosen, kind, trait, held, balance_g) for held in powers]
             elif chosen and trait == "volume":
                 remarks.append(f"{kind}: {plants} plants have a volume and a mass, but a fit needs at least {LEAST_PLANTS}")
@@ -188,6 +185,12 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
             f"a fit needs {LEAST_PLANTS} plants with a mass and reliable traits, but the table matches {matched}: {'; '.join(why)}"
         )
     return Model(species=species, relations=best, tried=tuple(tried), notes=tuple(remarks))
+
+
+def _varies(chosen: Sequence[Pair], trait: str) -> bool:
+    """Return whether a trait has two different values even if a plant is excluded, as the fit of a power law needs."""
+    values = [(pair.measured.subject.plant, pair.measured.traits[trait]) for pair in chosen]
+    return all(len({value for plant, value in values if plant != excluded}) > 1 for excluded, _ in values)
 
 
 def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool, balance_g: float) -> Relation:

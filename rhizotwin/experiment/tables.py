@@ -28,7 +28,7 @@ class Row:
 
 
 def read_table(path: Path) -> list[Row]:
-    """Read a CSV file with a header. Empty lines and lines that start with ``#`` are ignored.
+    """Read a CSV file with a header. Lines without text in any cell and lines that start with ``#`` are ignored.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def read_table(path: Path) -> list[Row]:
         text = read_file(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise UserError(f"{path} is not a text file in UTF-8; save the table as CSV") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(' \t,"') and not line.startswith("#")]
     if len(lines) < 2:
         raise UserError(f"{path} contains no rows below the header; add one row per plant or scan")
     try:

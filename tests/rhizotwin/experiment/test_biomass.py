@@ -131,6 +131,12 @@ def test_what_is_left_on_the_foil_is_added(tmp_path: Path) -> None:
     assert (b.grams["root_dry"], b.residue_g) == (pytest.approx(0.004), {})
 
 
+def test_rows_without_text_are_ignored(tmp_path: Path) -> None:
+    """Spreadsheets often write them at the end of a table."""
+    (tmp_path / "m.csv").write_text('plant,day,root_fresh_g\nA,1,0.5\n,,\n , ,\n"","",""\n', encoding="utf-8")
+    assert [one.subject.plant for one in read_masses(tmp_path / "m.csv", balance_g=1e-4)] == ["A"]
+
+
 MISTAKES = {
     "twice": ("plant,root_fresh_g\nA,1\nA,2\n", "plant A is listed twice, first in"),
     "no plant": ("plant,root_fresh_g\nA,1\n,2\n", "line 3: the name of the plant is missing"),
@@ -201,6 +207,18 @@ def test_a_result_without_a_day_is_not_paired_with_two_weighings(tmp_path: Path)
     assert len(biomass.pairs([plant], weighed[:1])[0]) == 1
     (tmp_path / "shoots.csv").write_text("plant,day,shoot_fresh_g\nA,5,0.1\n", encoding="utf-8")
     assert len(biomass.pairs([plant], [weighed[0], *read_masses(tmp_path / "shoots.csv", balance_g=1e-4)])[0]) == 2
+
+
+def test_a_power_law_is_not_fitted_if_only_one_plant_differs() -> None:
+    """Two days of a plant have values of their own; without this plant, all values are equal."""
+    days = [("A", 5.0, 1000.0), ("A", 9.0, 2000.0), *((plant, 5.0, 500.0) for plant in "BCD")]
+    whose = [Subject(plant=plant, day=day) for plant, day, _ in days]
+    plants = [Measured(name="r", subject=own, traits={"volume": volume}) for own, (_, _, volume) in zip(whose, days, strict=True)]
+    masses = [
+        Weighed(where="m", subject=own, grams={"root_fresh": volume / 1000.0 + 0.01 * k}, residue_g={})
+        for k, (own, (_, _, volume)) in enumerate(zip(whose, days, strict=True))
+    ]
+    assert [one.proportional for one in biomass.fit(biomass.pairs(plants, masses)[0], balance_g=1e-4).tried] == [True]
 
 
 def test_an_interval_that_begins_at_zero_is_an_uncertainty() -> None:
