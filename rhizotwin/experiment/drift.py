@@ -180,7 +180,8 @@ def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:
     enough = len(x) >= LEAST_POINTS
     sigma = float(np.abs(np.diff(x)).mean()) / D2 if enough else None
     slope, p = _trend(t, x) if enough else (0.0, 1.0)
-    return Chart(times=tuple(t), values=tuple(x), centre=float(x.mean()), sigma=sigma, slope_per_day=slope, slope_p=p)
+    centre = float(np.clip(x.mean(), x.min(), x.max()))  # the mean of equal values may differ from them by rounding
+    return Chart(times=tuple(t), values=tuple(x), centre=centre, sigma=sigma, slope_per_day=slope, slope_p=p)
 
 
 def effect_of(chart: Chart, number: RigNumber, trait: str) -> float:

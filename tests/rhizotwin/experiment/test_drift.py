@@ -98,3 +98,11 @@ def test_scans_of_a_day_keep_their_order(ball_result):
         subject = {"plant": f"P{number % 5}", "day": 1.0 + number // 5}
         folders.append(ball_result(f"scan_{number}", subject=subject, rig={"table_correction_deg": value}))
     assert measure(read_all(folders)).drift["table_steps_deg"].values == tuple(values)
+
+
+def test_equal_values_are_within_their_limits():
+    """The mean of ten times 1.0003 is 1.0002999999999997."""
+    for value in (0.1, 0.7, 1.0003):
+        for count in range(4, 11):
+            chart = chart_of(range(count), [value] * count)
+            assert (chart.outside, chart.change) == ((), 0.0)
