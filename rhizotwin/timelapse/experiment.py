@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, timedelta, tzinfo
+from math import ceil
 from pathlib import Path
 from typing import Literal
 
@@ -217,7 +218,7 @@ class Experiment:
         found: list[tuple[datetime, int, str]] = []
         for number, one in enumerate(self.plants):
             every_h = one.every_h or self.schedule.every_h
-            count = max(1, round(length_h / every_h))
+            count = ceil(round(length_h / every_h, 6))  # rounded, because 168 / 0.7 is slightly above 240
             found += [(self.start_utc + timedelta(hours=every_h * k), number, one.name) for k in range(count)]
         return [(name, due.isoformat(timespec="seconds")) for due, _, name in sorted(found)]
 

@@ -25,12 +25,13 @@ def test_example_plans_six_plants_for_ten_days(tmp_path: Path):
     assert len({experiment.scan_folder(experiment.member(name), due) for name, due in visits}) == 60
 
 
-def test_phantom_has_an_interval_of_its_own(make_experiment):
-    path = make_experiment(plants=1, rounds=15)
+@pytest.mark.parametrize(("rounds", "days"), [(7, ["01"]), (8, ["01", "08"]), (10, ["01", "08"]), (15, ["01", "08", "15"])])
+def test_phantom_is_scanned_every_week_until_the_last_round(make_experiment, rounds: int, days: list[str]):
+    path = make_experiment(plants=1, rounds=rounds)
     path.write_text(path.read_text() + '[[plants]]\nname = "wires"\ncanister = 9\nevery_h = 168\n')
     experiment = load_experiment(path)
     due = [due for name, due in experiment.visits() if name == "wires"]
-    assert due == ["2026-12-01T09:00:00+00:00", "2026-12-08T09:00:00+00:00"]
+    assert due == [f"2026-12-{day}T09:00:00+00:00" for day in days]
 
 
 def test_each_scan_has_a_folder_at_the_shortest_interval(make_experiment):
