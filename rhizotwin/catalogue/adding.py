@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +30,38 @@ class Added:
     """Message for each dataset, result or table that could not be added."""
 
 
-def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
-    """Add datasets, results and mass tables (.csv) to a catalogue.
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """Datasets, results and mass tables that were found in folders."""
 
-    Folders are searched with all their subfolders. Entries that already exist are updated. A damaged file does not
-    prevent other files from being added. Datasets are added before results, because the brightness of the panel in a
-    scan is stored with the result.
+    scans: tuple[Path, ...]
+    results: tuple[Path, ...]
+    tables: tuple[Path, ...]
+
+
+def find_all(sources: Sequence[Path]) -> Found:
+    """Find datasets, results and mass tables (.csv). Folders are searched with all their subfolders.
 
     Raises
     ------
     UserError
-        If a source is missing, or contains nothing that can be added.
+        If a source is missing, or contains nothing that can be added to a catalogue.
     """
     found = [_find(source) for source in sources]
+    scans, results, tables = (tuple(dict.fromkeys(chain(*(kinds[k] for kinds in found)))) for k in range(3))
+    return Found(scans=scans, results=results, tables=tables)
+
+
+def add_all(catalogue: Catalogue, found: Found) -> Added:
+    """Add datasets, results and mass tables to a catalogue.
+
+    Entries that already exist are updated. A damaged file does not prevent other files from being added. Datasets are
+    added before results, because the brightness of the panel in a scan is stored with the result.
+    """
     done: list[list[Path]] = [[], [], []]
     failed = []
-    for number, add in enumerate((add_scan, add_result, add_masses)):
-        for path in dict.fromkeys(path for kinds in found for path in kinds[number]):
+    for number, (add, paths) in enumerate(((add_scan, found.scans), (add_result, found.results), (add_masses, found.tables))):
+        for path in paths:
             try:
                 add(catalogue, path)
                 done[number].append(path)

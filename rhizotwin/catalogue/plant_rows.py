@@ -10,6 +10,7 @@ from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.solution import Solution, check_solution
+from rhizotwin.scenes.subject import Subject, check_subject
 
 KEPT = ("notes", "solution")
 """Fields in which a new entry of a plant may differ from the existing one. New notes replace the existing notes. The
@@ -32,9 +33,12 @@ def plant_of(row: sqlite3.Row, *, where: str) -> Plant:
     Raises
     ------
     UserError
-        If the stored nutrient solution is damaged.
+        If the stored text, date or nutrient solution is damaged.
     """
-    place = Place(f"{where}, plant {row['name']!r}").at("solution")
+    whose = Place(f"{where}, plant {row['name']!r}")
+    about = Subject(plant=row["name"], species=row["species"], treatment=row["treated"] or "", date=row["sown"], notes=row["notes"])
+    check_subject(about, whose)
+    place = whose.at("solution")
     solution = Solution()
     if row["content"] is not None:
         try:

@@ -8,11 +8,12 @@ from datetime import date
 from pathlib import Path
 
 from rhizotwin.catalogue import export, schema
-from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.store import SCAN_OF_RESULT, Catalogue
 from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
 from rhizotwin.experiment.phantom import LEAST_MM, measure_wires
 from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.trait_table import csv_text, format_exact
@@ -39,9 +40,8 @@ class DriftPoint:
 def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
     """Return the time series of all rig parameters, keyed by parameter name.
 
-    The time is the number of days since the first scan, or the age of the plant if any scan has no date. Each scan
-    contributes only the most recently added uncorrected result, because repeated values would narrow the control
-    limits.
+    Each scan contributes only the most recently added uncorrected result, because repeated values would narrow the
+    control limits.
 
     Raises
     ------
@@ -49,21 +49,33 @@ def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
         If a date is invalid.
     """
     rows = catalogue.rows(
-        "SELECT n.name, x.path, coalesce(nullif(x.date, ''), s.date, '') AS date, x.day, n.value FROM rig_numbers n"
-        " JOIN results x ON x.id = n.result LEFT JOIN scans s ON s.id = x.scan WHERE x.corrected = 0 AND NOT EXISTS"
-        " (SELECT 1 FROM results y WHERE y.scan = x.scan AND y.corrected = 0 AND y.id > x.id) ORDER BY x.date, x.day, x.path"
+        "SELECT n.name, x.path, n.value FROM rig_numbers n JOIN results x ON x.id = n.result WHERE x.corrected = 0 AND NOT EXISTS"
+        f" (SELECT 1 FROM results y WHERE {SCAN_OF_RESULT.format('y')} = {SCAN_OF_RESULT.format('x')} AND y.corrected = 0 AND y.id > x.id)"
+        " ORDER BY x.date, x.day, x.path"
     )
-    try:
-        dates = {date.fromisoformat(row["date"]) for row in rows if row["date"]}
-    except ValueError as error:
-        raise schema.damaged(catalogue.path, error) from None
-    dated = len(dates) > 0 and all(row["date"] for row in rows)
+    days = _days(catalogue)
     found: dict[str, list[DriftPoint]] = {}
     for row in rows:
-        days = float((date.fromisoformat(row["date"]) - min(dates)).days) if dated else row["day"]
-        if days is not None:
-            found.setdefault(row["name"], []).append(DriftPoint(result=row["path"], day=days, value=row["value"]))
+        if row["path"] in days:
+            found.setdefault(row["name"], []).append(DriftPoint(result=row["path"], day=days[row["path"]], value=row["value"]))
     return found
+
+
+def _days(catalogue: Catalogue) -> dict[str, float]:
+    """Return the time of each result, in days since the first scan, keyed by stored path.
+
+    If a scan has no date, it is the age of the plant for all results. Results without an age are then omitted.
+    """
+    rows = catalogue.rows(
+        "SELECT x.path, coalesce(nullif(x.date, ''), s.date, '') AS date, x.day FROM results x LEFT JOIN scans s ON s.id = x.scan"
+    )
+    try:
+        dates = {row["path"]: date.fromisoformat(row["date"]) for row in rows if row["date"]}
+    except ValueError as error:
+        raise schema.damaged(catalogue.path, error) from None
+    if len(dates) == len(rows):
+        return {path: float((day - min(dates.values())).days) for path, day in dates.items()}
+    return {row["path"]: row["day"] for row in rows if row["day"] is not None}
 
 
 def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) -> dict[str, list[DriftPoint]]:
@@ -83,14 +95,19 @@ def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) 
     Raises
     ------
     UserError
-        If the catalogue has no such plant, or the folder of a result is missing.
+        If the catalogue has no such plant, or the folder or the time of a result is missing.
     """
     catalogue.plant(phantom)
+    days = _days(catalogue)
     found: dict[str, list[DriftPoint]] = {}
     for result in (one for one in catalogue.chosen_results() if phantom in one.plants):
+        stored = catalogue.stored_path(result.path)
+        if stored not in days:
+            advice = f"give every scan a date, or the scans of {phantom} a day, and add their results again"
+            raise UserError(f"{result.path}: the time of the scan is unknown; {advice}")
         for wire in measure_wires(result.path, wires_mm):
-            if result.day is not None and wire.length_mm >= LEAST_MM:
-                point = DriftPoint(result=catalogue.stored_path(result.path), day=result.day, value=1.0 + wire.error)
+            if wire.length_mm >= LEAST_MM:
+                point = DriftPoint(result=stored, day=days[stored], value=1.0 + wire.error)
                 found.setdefault(f"cross-section of the {wire.diameter_mm:g} mm wire, measured / true", []).append(point)
     return found
 

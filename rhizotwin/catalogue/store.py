@@ -17,6 +17,9 @@ from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject, check_subject
 
 MOST_LISTED = 5
+SCAN_OF_RESULT = "coalesce({0}.scan, nullif({0}.dataset_sha256, ''))"
+"""SQL expression that is equal for all results of a scan, also if the scan is not in the catalogue. It is NULL if the
+scan is unknown."""
 
 
 class Catalogue:
@@ -275,11 +278,10 @@ class Catalogue:
 
         It is the corrected result that was added last, or the result that was added last if none is corrected.
         """
-        order = {self.full_path(row["path"]): row["id"] for row in self.rows("SELECT id, path FROM results")}
-        found = self.results()
-        by_rank = sorted(found, key=lambda one: (one.corrected, order[one.path]))
-        chosen = {one.scan or one.path: one.path for one in by_rank}
-        return [one for one in found if chosen[one.scan or one.path] == one.path]
+        rows = self.rows(f"SELECT x.path, {SCAN_OF_RESULT.format('x')} AS scanned FROM results x ORDER BY x.corrected, x.id")
+        last = {row["path"] if row["scanned"] is None else row["scanned"]: self.full_path(row["path"]) for row in rows}
+        chosen = set(last.values())
+        return [one for one in self.results() if one.path in chosen]
 
     def masses(self, *, plant: str | None = None) -> list[Mass]:
         """Return the weighed masses of all plants or of one plant, sorted by plant, day and kind."""

@@ -84,11 +84,12 @@ def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
     --------
     rhizotwin catalogue add my.rhizotwin my_scans my_results my_masses.csv
     """
-    from rhizotwin.catalogue.adding import add_all
+    from rhizotwin.catalogue.adding import add_all, find_all
     from rhizotwin.catalogue.store import Catalogue
 
+    found = find_all(folders)  # before the file is created, so that a wrong folder leaves no empty catalogue
     with Catalogue.open_or_create(catalogue) as opened:
-        _report(catalogue, add_all(opened, folders))
+        _report(catalogue, add_all(opened, found))
 
 
 def plant(
@@ -157,11 +158,12 @@ def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
     --------
     rhizotwin catalogue rebuild my_new.rhizotwin my_scans my_results my_masses.csv
     """
-    from rhizotwin.catalogue.adding import add_all, set_tags
+    from rhizotwin.catalogue.adding import add_all, find_all, set_tags
     from rhizotwin.catalogue.store import Catalogue
 
+    found = find_all(folders)  # before the file is created, so that a wrong folder leaves no empty catalogue
     with Catalogue.create(catalogue) as opened:
-        made = add_all(opened, folders)
+        made = add_all(opened, found)
         if tagged := set_tags(opened):
             print(f"marker strips were assigned to the plants {', '.join(tagged)}")
         _report(catalogue, made)

@@ -63,6 +63,12 @@ def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Com
     command.fails("catalogue", "rebuild", rebuilt, tmp_path / "scans", named=["already exists"])
 
 
+def test_wrong_folder_leaves_no_catalogue(tmp_path: Path, command: Command):
+    for name in ("add", "rebuild"):
+        command.fails("catalogue", name, tmp_path / "my.rhizotwin", tmp_path / "sacns", named=["sacns: the folder or table"])
+        assert not (tmp_path / "my.rhizotwin").exists()
+
+
 def test_damaged_entry_is_reported(tmp_path: Path, command: Command, make_dataset):
     make_dataset("P1", plant="P1")
     (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
@@ -88,7 +94,7 @@ def test_catalogue_in_place_of_folders(tmp_path: Path, command: Command, make_da
 def test_phantoms_are_left_out_of_growth(tmp_path: Path, make_dataset, ball_result):
     _results(make_dataset, ball_result)
     with Catalogue.create(tmp_path / "my.rhizotwin") as opened:
-        adding.add_all(opened, [tmp_path / "scans", tmp_path / "results"])
+        adding.add_all(opened, adding.find_all([tmp_path / "scans", tmp_path / "results"]))
         opened.add_plant(Plant(name="P2", phantom=True))
         opened.add_plant(Plant(name="P2"))
         assert opened.plant("P2").phantom

@@ -72,7 +72,7 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
     masses = tmp_path / "masses.csv"
     masses.write_text("plant,day,root_fresh_g\nP1,5,0.4\n")
     for _ in range(2):  # adding again changes nothing
-        added = adding.add_all(catalogue, [tmp_path / "scans", tmp_path / "results", masses])
+        added = adding.add_all(catalogue, adding.find_all([tmp_path / "scans", tmp_path / "results", masses]))
         assert (len(added.scans), len(added.results), len(added.tables), added.failed) == (1, 1, 1, ())
         (scan,) = catalogue.scans(plant="P1", treatment="control", day=5.0)
         assert (scan.path, scan.plants, scan.pictures, scan.complete) == (dataset.folder, ("P1",), 2, True)
@@ -110,6 +110,30 @@ def test_chart_has_one_point_for_each_scan(catalogue: Catalogue, make_dataset, b
     assert [(one.day, one.value) for one in report.rig_history(catalogue)["focal_scale"]] == [(1.0, 1.001), (2.0, 1.002)]
 
 
+def test_one_result_is_chosen_for_a_scan_that_is_not_listed(catalogue: Catalogue, ball_result):
+    """All results are of the same dataset; the corrected one is chosen, and the latest other one is charted."""
+    edits = {"count": 1, "who": ["Anna"], "volume_share": 0.01}
+    for name, focal, changes in (("a", 1.001, {}), ("b", 1.002, {"edits": edits}), ("c", 1.003, {})):
+        subject, rig = {"plant": "P1", "day": 5.0}, {"focal_scale_found": focal}
+        adding.add_result(catalogue, ball_result(f"results/{name}", dataset_sha256="7" * 64, subject=subject, rig=rig, **changes))
+    assert [one.path.name for one in catalogue.chosen_results()] == ["b"]
+    assert [one.value for one in report.rig_history(catalogue)["focal_scale"]] == [1.003]
+
+
+def test_wires_are_charted_at_the_dates_of_their_scans(catalogue: Catalogue, ball_result):
+    z = np.linspace(0.0, 1.0, 5)
+    wire = Root(points_mm=np.stack([0.0 * z, 0.0 * z, -60.0 * z], axis=1), diameters_mm=0.4 + 0.0 * z, order=0, parent=-1)
+    for day in ("2026-12-01", "2026-12-08"):
+        folder = ball_result(f"results/{day}", subject={"plant": "wires", "date": day})
+        write_rsml(folder / "roots.rsml", [wire])
+        adding.add_result(catalogue, folder)
+    (points,) = report.wire_history(catalogue, "wires", (0.4,)).values()
+    assert [one.day for one in points] == [0.0, 7.0]
+    adding.add_result(catalogue, ball_result("results/undated", subject={"plant": "P1", "day": 3.0}))
+    with pytest.raises(UserError, match="give every scan a date, or the scans of wires a day"):
+        report.wire_history(catalogue, "wires", (0.4,))
+
+
 def test_wire_is_charted_where_enough_of_it_was_found(catalogue: Catalogue, ball_result):
     folder, z = ball_result("results/wires", subject={"plant": "wires", "day": 3.0}), np.linspace(0.0, 1.0, 5)
     roots = [
@@ -127,7 +151,7 @@ def test_paths_move_with_the_catalogue(tmp_path: Path, make_dataset):
     study = tmp_path / "study"
     make_dataset("../study/scans/P1", plant="P1")
     with Catalogue.create(study / "my.rhizotwin") as made:
-        adding.add_all(made, [study / "scans"])
+        adding.add_all(made, adding.find_all([study / "scans"]))
         assert made.rows("SELECT path FROM scans")[0][0] == "scans/P1"
     study.rename(tmp_path / "moved")
     with Catalogue.open(tmp_path / "moved" / "my.rhizotwin") as moved:
@@ -137,7 +161,7 @@ def test_paths_move_with_the_catalogue(tmp_path: Path, make_dataset):
 def test_damaged_dataset_does_not_stop_the_others(catalogue: Catalogue, tmp_path: Path, make_dataset):
     make_dataset("P1", plant="P1")
     (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
-    added = adding.add_all(catalogue, [tmp_path / "scans"])
+    added = adding.add_all(catalogue, adding.find_all([tmp_path / "scans"]))
     assert [path.name for path in added.scans] == ["P1"]
     assert len(added.failed) == 1
 
@@ -145,7 +169,7 @@ def test_damaged_dataset_does_not_stop_the_others(catalogue: Catalogue, tmp_path
 def test_check_names_differences(catalogue: Catalogue, tmp_path: Path, make_dataset, ball_result):
     kept, lost, changed = (make_dataset(name, plant=name) for name in ("P1", "P2", "P3"))
     result = ball_result("results/P1")
-    adding.add_all(catalogue, [tmp_path / "scans", tmp_path / "results"])
+    adding.add_all(catalogue, adding.find_all([tmp_path / "scans", tmp_path / "results"]))
     make_dataset("P4", plant="P4")
     (kept.folder / "images" / "view_000.png").write_bytes(b"")
     (changed.folder / "images" / "view_001.png").unlink()
@@ -164,7 +188,7 @@ def test_check_names_differences(catalogue: Catalogue, tmp_path: Path, make_data
 def test_tags_are_taken_from_strips_of_one_plant(catalogue: Catalogue, tmp_path: Path, make_dataset):
     for name, first, plant in (("a", 62, "P1"), ("b", 62, "P1"), ("c", 0, "P2"), ("d", 0, "P3")):
         make_dataset(name, scene=replace(SCENE, strip=MarkerStrip(first_id=first)), plant=plant)
-    adding.add_all(catalogue, [tmp_path / "scans"])
+    adding.add_all(catalogue, adding.find_all([tmp_path / "scans"]))
     assert adding.set_tags(catalogue) == ["P1"]
     assert catalogue.plant("P1").tag == TAG
 
@@ -234,10 +258,17 @@ def test_other_versions_and_tables_are_rejected(tmp_path: Path, change: str):
 @pytest.mark.parametrize("change", ["path = 'a' || char(0)", "date = 'soon'", "path = CAST(x'ff' AS TEXT)"])
 def test_damaged_text_is_named(catalogue: Catalogue, tmp_path: Path, ball_result, change: str):
     ball_result("results/P1", rig={"focal_scale_found": 1.001})
-    adding.add_all(catalogue, [tmp_path / "results"])
+    adding.add_all(catalogue, adding.find_all([tmp_path / "results"]))
     catalogue.connection.execute(f"UPDATE results SET {change}")
     with pytest.raises(UserError, match=r"damaged|cannot be used"):
         report.page(catalogue, report.charts(report.rig_history(catalogue)), [])
+
+
+def test_damaged_plant_is_named(catalogue: Catalogue):
+    catalogue.add_plant(Plant(name="P1"))
+    catalogue.connection.execute("UPDATE plants SET sown = 'soon'")
+    with pytest.raises(UserError, match="must be a date such as 2022-10-06"):
+        catalogue.plants()
 
 
 def test_linked_catalogue_has_the_paths_of_the_file(catalogue: Catalogue, tmp_path: Path, make_dataset):
