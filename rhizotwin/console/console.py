@@ -306,12 +306,12 @@ class Console:
         identify = self.plants.identity(scene.subject, scene.strip)
 
         def run() -> None:
-            self.rig.let_go()
             scan = self._show_scan(name, scene, paused=paused)
             observers = Observers(ask=self._ask, say=self._say_scan, observer=scan.live, identify=identify)
             try:
                 with ExitStack() as stack:
                     stack.callback(scan.live.close)
+                    self.rig.let_go()
                     devices = self.bench.open_devices(None, stack)
                     rigs.take_scan(
                         self.bench,

@@ -14,6 +14,7 @@ from rhizotwin.arguments import SubjectOptions
 from rhizotwin.catalogue.records import Plant
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.console.client import Console
+from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -125,6 +126,21 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     assert len(cells) % 3 == 1
     with pytest.raises(UserError, match="no scan is running"):
         console.pause_scan()
+
+
+def test_a_scan_that_cannot_begin_is_reported(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm that does not park ends the scan before the first device is opened; the scan before it is not shown in its place."""
+
+    def fail() -> None:
+        raise RigError("arm: no reply; switch it on")
+
+    monkeypatch.setattr(lab.console.rig, "let_go", fail)
+    console = lab.client("Anna")
+    console.start_scan(name="second")
+    with pytest.raises(UserError, match="arm: no reply; switch it on"):
+        console.wait_for_scan(timeout_s=LONG_S)
+    scan = console.state()["scan"]
+    assert (scan["name"], scan["state"], scan["error"]) == ("second", "ended", "arm: no reply; switch it on")
 
 
 def test_the_plant_of_the_scene_file_is_not_recorded_for_another_plant(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
