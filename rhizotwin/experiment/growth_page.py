@@ -23,16 +23,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
+NO_TREATMENT = "plants without a treatment"
 _STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}img{max-width:100%}"
 
 
 def draw(growth: Growth) -> bytes:
     """Draw the growth curves and return the figure as PNG."""
     drawn = figure(4.2 * len(growth.curves), 3.6)
+    treatments = sorted({point.treatment for points in growth.curves.values() for point in points})
     for axes, (trait, points) in zip(drawn.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
-        for treatment in dict.fromkeys(point.treatment for point in points):
+        for treatment in treatments:  # also without points, so that a treatment has the same colour in all axes
             own = [point for point in points if point.treatment == treatment]
-            plot_curve(axes, own, label=treatment or "all plants", marker="o")
+            plot_curve(axes, own, label=treatment or (NO_TREATMENT if len(treatments) > 1 else "all plants"), marker="o")
         axes.set_xlabel("day")
         axes.set_ylabel(_HEADINGS[trait])
         axes.set_ylim(bottom=0.0)
@@ -158,8 +160,9 @@ def sentences(growth: Growth) -> list[str]:
         for one in compared:
             low, high = (100.0 * (end - 1.0) for end in one.size_interval)
             apart = "differs" if one.is_significant else "does not differ significantly"
+            against = repr(one.against) if one.against else NO_TREATMENT
             found.append(
-                f"{trait}: {one.treatment!r} {apart} from {one.against!r}: {100.0 * (one.size - 1.0):+.0f} % on the mean day "
+                f"{trait}: {one.treatment!r} {apart} from {against}: {100.0 * (one.size - 1.0):+.0f} % on the mean day "
                 f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}); difference of the relative growth rate "
                 f"{one.rate_per_day:+.3f} per day (p = {one.rate_p:.2g}); significance level {SURE:g}."
             )

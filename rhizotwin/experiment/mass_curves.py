@@ -143,8 +143,9 @@ def draw(curves: Curves) -> bytes:
     shown = [quantity for quantity in QUANTITIES if any(key[1] == quantity for key in curves)]
     drawn = figure(4.2 * len(shown), 3.6)
     treatments = sorted({point.treatment for points in curves.values() for point in points})
+    parts = [part for part in PARTS if any(key[0] == part for key in curves)]
     for axes, quantity in zip(drawn.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
-        for part in PARTS:
+        for part in parts:
             points = curves.get((part, quantity), ())
             for number, treatment in enumerate(treatments):
                 own = [point for point in points if point.treatment == treatment]

@@ -46,6 +46,27 @@ def test_growth_compares_reliable_values_only(tmp_path: Path) -> None:
     assert {(row[7], row[9] == "") for row in rows if row[0] == "p1" and row[3] == "total_length_mm"} == {("not reliable", True)}
 
 
+def test_treatments_have_the_same_colours_in_all_axes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lengths of treatment a are not reliable, so that the first axes show only b."""
+    drawn = []
+    monkeypatch.setattr(growth_page, "png", lambda figure, **_: drawn.append(figure) or b"")
+    growth_page.draw(growth.measure(read_all([table(tmp_path, unreliable={"p0", "p2", "p4"})])))
+    lengths, volumes = drawn[0].axes
+    assert [text.get_text() for text in lengths.get_legend().get_texts()] == ["a", "b"]
+    colours = [[line[0].get_color() for line in axes.containers] for axes in (lengths, volumes)]
+    assert colours[0] == colours[1]
+    assert len(set(colours[0])) == 2
+
+
+def test_plants_without_a_treatment_are_named(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace(",a,", ",,"), encoding="utf-8")
+    assert any(
+        "total_length: 'b' differs from plants without a treatment: " in one
+        for one in growth_page.sentences(growth.measure(read_all([path])))
+    )
+
+
 def test_growth_without_a_reliable_value_is_no_comparison(tmp_path: Path) -> None:
     every = {f"p{k}" for k in range(6)}
     found = growth.measure(read_all([table(tmp_path, unreliable=every)]))
