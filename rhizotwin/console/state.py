@@ -44,8 +44,8 @@ class StateView:
             "live": console.rig.live_until_s > time.monotonic(),
             "picture": self._picture(),
             "scan": None if console.scan is None else console.scan.plain(),
+            "question_number": console.questions.number,  # read first, so that an answer to an earlier question is rejected
             "question": console.questions.text,
-            "question_number": console.questions.number,
             "sketch": self._sketch_state(),
             "plants": plants,
             "schedule": self._schedule(visits),
