@@ -30,6 +30,11 @@ class Console:
     password : str
         Password of the console.
 
+    Raises
+    ------
+    UserError
+        If the address is not an HTTP address.
+
     Examples
     --------
     >>> console = Console(address)  # doctest: +SKIP
@@ -40,6 +45,8 @@ class Console:
 
     def __init__(self, address: str, *, password: str = "") -> None:
         parts = urlsplit(address)
+        if parts.scheme not in ("http", "https") or not parts.netloc:
+            raise UserError(f"{address!r} is not the address of a console; use the address that 'rhizotwin console' prints")
         self._base = f"{parts.scheme}://{parts.netloc}"
         self._secret = password or parse_qs(parts.query).get("token", [""])[0]
         self._client = secrets.token_hex(16)

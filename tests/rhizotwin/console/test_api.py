@@ -337,3 +337,6 @@ def test_a_second_console_in_the_folder_is_refused(make_lab: Callable[..., Lab])
 def test_no_console_there() -> None:
     with pytest.raises(UserError, match="could not be reached"):
         Console("http://127.0.0.1:9/?token=x").state()
+    for address in ("laboratory", "localhost:8080", ""):
+        with pytest.raises(UserError, match="is not the address of a console"):
+            Console(address)
