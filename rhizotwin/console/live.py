@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.console.sketch import Sketch
 from rhizotwin.rig.scanning.observer import Look, Observer
+from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 
 CARVE_EVERY = 4
@@ -129,9 +130,13 @@ class Live(Observer):
         self._changed()
 
     def _add(self, look: Look, *, carve: bool) -> None:
-        frame = look.frame
-        if look.sighting is not None:
-            self._sketch.add(frame.file, frame.ring, look.image, look.sighting.cam_from_canister)
+        frame, tank = look.frame, self.scene.tank
+        if look.sighting is not None and (tank is None or frame.table_deg is not None):
+            cam_from_tank = None
+            if tank is not None and frame.table_deg is not None:  # the tank does not rotate with the table
+                cam_from_rig = look.sighting.cam_from_rig(frame.table_deg, direction=self.scene.turntable.direction)
+                cam_from_tank = cam_from_rig @ frames.rotation_z(np.deg2rad(tank.turn_deg))
+            self._sketch.add(frame.file, frame.ring, look.image, look.sighting.cam_from_canister, cam_from_tank)
             self.panel = self._sketch.evenness(frame.ring) or self.panel
         if carve:
             self._carve()

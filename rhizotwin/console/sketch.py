@@ -79,7 +79,7 @@ class Sketch:
         self._camera = scene.camera.resized((width, height))
         self._seen: dict[int, list[_Seen]] = {}
 
-    def add(self, file: str, ring: int, image: Grey, cam_from_canister: Array) -> None:
+    def add(self, file: str, ring: int, image: Grey, cam_from_canister: Array, cam_from_tank: Array | None = None) -> None:
         """Add a picture.
 
         Parameters
@@ -90,9 +90,11 @@ class Sketch:
             Picture with linear values.
         cam_from_canister : (4, 4) array
             Camera pose with OpenCV axes, mm.
+        cam_from_tank : (4, 4) array, optional
+            Pose of the tank relative to the camera, mm, which is needed if the scene has a tank.
         """
         small = cv2.resize(image, self._camera.image_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
-        view = View(camera=self._camera, cam_from_canister=cam_from_canister)
+        view = View(camera=self._camera, cam_from_canister=cam_from_canister, cam_from_tank=cam_from_tank)
         water = water_mask(view, self._optics, self._scene)
         self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max, water))
 

@@ -2,16 +2,21 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from rhizotwin.console.live import Live
 from rhizotwin.console.pictures import PICTURE_PX, show
 from rhizotwin.console.sketch import Sketch
+from rhizotwin.recon.optics.cameras import View, project_through_tank
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.rig.scanning.observer import Look
 from rhizotwin.rig.scanning.preflight import Exposure
+from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Frame, load_dataset, read_image
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene, Tank
 from tests.rhizotwin import plant as plants
 
 
@@ -32,6 +37,30 @@ def test_the_sketch_holds_every_root_and_little_else(tmp_path: Path):
     for frame in dataset.frames[:6]:
         sketch.drop(frame.file)
     assert len(sketch.carve()[0]) == 0  # two pictures give no shape
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 20.0])
+def test_the_sketch_in_a_tank_holds_a_ball_near_the_wall(turn_deg: float):
+    camera = Scene().camera.resized((400, 300))
+    scene = Scene(camera=camera, tank=Tank(turn_deg=turn_deg), plan=CapturePlan(rings=(Ring(views=8),)))
+    live, ball_mm = Live(scene), np.array([[0.0, 50.0, -80.0]])
+    for number in range(8):
+        table_deg = 45.0 * number
+        rig_from_canister = plan.rig_from_table(scene, table_deg)
+        pose = plan.views(scene)[number].cam_from_rig @ rig_from_canister
+        cam_from_tank = pose @ frames.invert(rig_from_canister) @ frames.rotation_z(np.deg2rad(turn_deg))
+        view = View(camera=camera, cam_from_canister=pose, cam_from_tank=cam_from_tank)
+        (at,), (seen,), _ = project_through_tank(view, Optics.from_scene(scene), ball_mm)
+        image = np.full((300, 400), 200, np.uint8)
+        if seen:
+            cv2.circle(image, np.round(at).astype(int).tolist(), 5, 20, -1)
+        sighting = Sighting(cam_from_canister=pose, markers=9, reprojection_px=0.1)
+        frame = Frame(file=f"images/view_{number:03d}.png", sha256="", table_deg=table_deg)
+        live.on_look(Look(frame=frame, image=image, exposure=Exposure(bright=0.8, saturated=0.0), sighting=sighting, motion=None))
+    live.close()
+    assert live.panel == pytest.approx((200 / 255, 200 / 255))
+    assert len(live.cells_mm)
+    assert np.linalg.norm(live.cells_mm - ball_mm, axis=1).max() < 10.0
 
 
 def test_pause_and_stop():
@@ -78,6 +107,4 @@ def test_measurements_of_a_picture():
     assert found["Motion"].value == "2.0 % of the picture still moves"
     assert "Focus" not in found
     assert shown.jpeg.startswith(b"\xff\xd8")
-    import cv2
-
     assert cv2.imdecode(np.frombuffer(shown.jpeg, np.uint8), cv2.IMREAD_COLOR).shape[1] == PICTURE_PX
