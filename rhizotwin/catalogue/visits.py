@@ -12,7 +12,7 @@ from rhizotwin.scenes.errors import UserError
 def plan_visits(catalogue: Catalogue, planned: Sequence[tuple[str, str]]) -> list[Visit]:
     """Replace the planned scans that are still due.
 
-    Scans of plants without a planned scan are not changed.
+    Scans that have begun or were missed are not changed, also if their plant has no planned scan any more.
 
     Parameters
     ----------
@@ -29,11 +29,12 @@ def plan_visits(catalogue: Catalogue, planned: Sequence[tuple[str, str]]) -> lis
     Raises
     ------
     UserError
-        If a scan that has begun or was missed is no longer planned.
+        If a scan that has begun or was missed is no longer planned, although other scans of its plant are.
     """
     plants, wanted = {plant for plant, _ in planned}, set(planned)
     with catalogue.writing():
-        dropped = [one for one in list_visits(catalogue) if one.plant in plants and (one.plant, one.due_utc) not in wanted]
+        others = [one for one in list_visits(catalogue) if (one.plant, one.due_utc) not in wanted]
+        dropped = [one for one in others if one.state == "due" or one.plant in plants]
         for one in dropped:
             if one.state != "due":
                 raise UserError(

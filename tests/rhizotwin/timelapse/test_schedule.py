@@ -113,3 +113,17 @@ def test_begun_schedule_is_extended_and_shortened_but_not_moved(make_experiment)
     path.write_text(text.replace("T09:00", "T10:00"))
     with pytest.raises(UserError, match=r"P1 planned for 2026-12-01T09:00:00\+00:00 is scanning, but not in the schedule; restore start"):
         planned(path)
+
+
+def test_plant_that_is_removed_is_no_longer_scanned(make_experiment):
+    path = make_experiment(plants=2, rounds=2)
+    calendar = VirtualCalendar(datetime.fromisoformat("2026-12-02T08:00:00+00:00"))
+    Runner(
+        load_experiment(path), calendar=calendar, listener=Listener(stop=lambda: calendar.now().hour > 8)
+    ).run()  # the first round is missed
+    text = path.read_text()
+    path.write_text(text[: text.rindex("[[plants]]")])
+    assert planned(path) == (
+        ["2026-12-01T09"] * 2 + ["2026-12-02T09"],
+        ["the schedule has changed: removed 1 planned scan that had not begun"],
+    )
