@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 from rhizotwin import command_steps, rigs
 from rhizotwin.arguments import OutputFolder, Page, SceneName, with_metavar
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.files import load_profile
 
 if TYPE_CHECKING:
     from rhizotwin.console.serve import Served
@@ -122,7 +121,7 @@ def _of_experiment(file: Path, rig: str | None, output: Path | None) -> _Place:
     twin = rigs.TwinPictures(profile=part.profile, seed=part.seed, fidelity=part.fidelity)
     if part.fidelity == "render":
         command_steps.start_engine(twin.device)
-    bench = rigs.twin_bench(replace(scene, disturbances=load_profile(part.profile)), twin)
+    bench = rigs.twin_bench(replace(scene, disturbances=loaded.disturbances()), twin)
     return _Place(bench=bench, folder=loaded.folder, twin=twin, experiment=loaded)
 
 

@@ -12,6 +12,7 @@ from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.schema import SUFFIX
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.limits import bounded
 from rhizotwin.scenes.model import Scene
@@ -191,8 +192,19 @@ class Experiment:
 
     def base_scene(self) -> Scene:
         """Return the scene of the rig."""
-        path = self.folder / self.scene
-        return files.load_scene(str(path) if path.suffix == ".toml" else self.scene)
+        return files.load_scene(self._resolve(self.scene))
+
+    def specimen_scene(self, member: Member) -> Scene:
+        """Return the scene with the specimen of a plant, for the emulated rig."""
+        return files.load_scene(self._resolve(member.scene or self.scene))
+
+    def disturbances(self) -> Disturbances:
+        """Return the simulated imperfections of the emulated rig."""
+        return files.load_profile(self._resolve(self.twin.profile))
+
+    def _resolve(self, name: str) -> str:
+        """Return the path of a file, which is relative to the folder of the experiment file, or the unchanged name."""
+        return str(self.folder / name) if name.endswith(".toml") else name
 
     def plant(self, member: Member) -> Plant:
         """Return the catalogue entry of a plant."""

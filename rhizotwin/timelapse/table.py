@@ -7,7 +7,7 @@ from rhizotwin.catalogue.identity import strip_for_canister
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.twin.carousel import TwinCarousel
 from rhizotwin.rig.twin.clock import VirtualClock
-from rhizotwin.scenes import files, series
+from rhizotwin.scenes import series
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.specimens import GrownSpecimen
@@ -78,7 +78,7 @@ class EmulatedTable:
             base = self._experiment.base_scene()
             strip = strip_for_canister(base.strip, self.canister) if self.canister else replace(base.strip, rows=0)
             true = replace(scene, strip=strip, specimen=base.specimen)
-        bench = rigs.twin_bench(replace(true, disturbances=files.load_profile(part.profile)), pictures)
+        bench = rigs.twin_bench(replace(true, disturbances=self._experiment.disturbances()), pictures)
         return replace(bench, scene=replace(scene, camera=bench.scene.camera)), pictures
 
 
@@ -91,7 +91,7 @@ def true_scene(experiment: Experiment, member: Member, expected: Subject) -> Sce
     older = (experiment.sown(experiment.member(expected.plant)) - experiment.sown(member)).days
     day = max(0.0, (expected.day or 0.0) + older)
     known = experiment.scene_at(member, day=day, date=expected.date)
-    own = experiment.base_scene() if not member.scene else files.load_scene(member.scene)
+    own = experiment.specimen_scene(member)
     if own.plants:  # for example the wires of a phantom, which is one member of the experiment
         return replace(known, specimen=None, plants=own.plants, subject=replace(known.subject, plant=""))
     if experiment.twin.fidelity == "sketch" or not isinstance(own.specimen, GrownSpecimen):

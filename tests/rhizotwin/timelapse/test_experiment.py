@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.example import EXAMPLE
 from rhizotwin.timelapse.experiment import EVERY_H, load_experiment
+from rhizotwin.timelapse.table import true_scene
 
 
 def test_example_plans_six_plants_for_ten_days(tmp_path: Path):
@@ -83,3 +85,15 @@ def test_mistakes_are_named(make_experiment, old: str, new: str, words: str):
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(UserError, match=words):
         load_experiment(path)
+
+
+def test_files_are_relative_to_the_experiment_file(make_experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = make_experiment(plants=1)
+    (tmp_path / "mine.toml").write_text("[disturbances]\ncanister_tilt_deg = 2.5\n")
+    (tmp_path / "ball.toml").write_text((tmp_path / "small.toml").read_text().replace("diameter_mm = 10.0", "diameter_mm = 7.0"))
+    path.write_text(path.read_text().replace('"clean"', '"mine.toml"') + 'scene = "ball.toml"\n')
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    experiment = load_experiment(path)
+    assert experiment.disturbances().canister_tilt_deg == 2.5
+    assert true_scene(experiment, experiment.plants[0], Subject(plant="P1", day=1.0)).specimen.diameter_mm == 7.0
