@@ -3,7 +3,8 @@
 The canister frame is defined by the marker strip on the net pot. A plant that stays in its pot is therefore already
 aligned up to pose errors and movements of the pot in the strip. The remaining rigid motion is estimated with the
 iterative closest point algorithm (Besl and McKay 1992, trimmed as in Chetverikov et al. 2002). It moves the younger
-plant's centre lines onto those of the older plant, which include them.
+plant's centre lines onto those of the older plant, which include them. A rotation that the centre lines do not
+determine, such as that of a single root about itself, is zero.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,10 @@ STEP_MM = 0.5
 KEPT = 0.7
 """Fraction of the younger plant's points that are used in the fit. These are the points nearest to the older plant,
 because the other points may lie on roots that moved or were traced at one age only."""
+STRIP_MM = 12.0
+"""Weight of the orientation that the marker strip gives, as the length, mm, of the three axes that are aligned together
+with the points. For points that are displaced by 0.15 mm over 2 mm, which are 4 sample points, it corresponds to a
+standard deviation of sqrt(4 / 2) 0.15 / 12 = 1 degree."""
 MOST_ROUNDS = 60
 """Maximum number of iterations of the registration."""
 STILL_MM = 1e-4
@@ -87,7 +92,8 @@ def _iterate_closest_points(young: Array, old: Array, tree: cKDTree, begin: Arra
         away, near = tree.query(moved)
         kept = away <= np.quantile(away, KEPT)
         middle, goal = moved[kept].mean(axis=0), old[near[kept]].mean(axis=0)
-        turn = Rotation.align_vectors(old[near[kept]] - goal, moved[kept] - middle)[0].as_matrix()
+        points = np.concatenate([moved[kept] - middle, STRIP_MM * motion[:3, :3].T])  # the last three are the rotated axes
+        turn = Rotation.align_vectors(np.concatenate([old[near[kept]] - goal, STRIP_MM * np.eye(3)]), points)[0].as_matrix()
         step = np.eye(4)
         step[:3, :3], step[:3, 3] = turn, goal - turn @ middle
         motion = step @ motion

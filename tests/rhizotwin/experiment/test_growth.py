@@ -84,6 +84,19 @@ def test_a_moved_plant_is_brought_back(plant: dict[float, list[Root]]) -> None:
     assert np.median(np.linalg.norm(away, axis=1)) < 0.05
 
 
+def test_a_plant_with_a_single_root_is_not_rotated_about_it() -> None:
+    """The errors of the centre lines alone gave rotations of up to 50 degrees, and laterals of later days followed them."""
+    rng, z = np.random.default_rng(0), np.linspace(0.0, 1.0, 200)
+    for _ in range(5):
+        wobble = [gaussian_filter1d(rng.normal(0.0, JITTER_MM / 0.38, (200, 3)), 2.0, axis=0) for _ in range(2)]
+        young, old = (
+            Root(points_mm=np.stack([0.0 * z, 0.0 * z, -length_mm * z], axis=1) + own, diameters_mm=1.0 + z, order=0, parent=-1)
+            for length_mm, own in zip((30.0, 60.0), wobble, strict=True)
+        )
+        turn = align([young], [old]).younger_from_older[:3, :3]
+        assert np.rad2deg(Rotation.from_matrix(turn).magnitude()) < 2.0
+
+
 def test_roots_keep_their_identity_through_noise_cuts_and_gaps(plant: dict[float, list[Root]]) -> None:
     rng = np.random.default_rng(8)
     shown = {day: seen_wrongly(roots, rng) for day, roots in plant.items()}
