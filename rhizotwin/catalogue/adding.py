@@ -136,8 +136,6 @@ def add_masses(catalogue: Catalogue, table: Path) -> None:
         connection.execute("DELETE FROM tables WHERE path = ?", (path,))
         source = connection.execute("INSERT INTO tables (path, sha256) VALUES (?, ?)", (path, file_sha256(table))).lastrowid
         for one in weighed:
-            if not one.grams:
-                continue
             _add_subject(catalogue, one.subject)
             plant = _plant_id(catalogue, one.subject.plant)
             for kind, grams in one.grams.items():

@@ -164,7 +164,7 @@ def _head(path: Path) -> set[str]:
 
 
 def _read_weighed(path: Path) -> list[tuple[str, Masses]]:
-    return [(one.where, _of(one.where, one.subject, one.grams)) for one in read_masses(path, balance_g=BALANCE_G) if one.grams]
+    return [(one.where, _of(one.where, one.subject, one.grams)) for one in read_masses(path, balance_g=BALANCE_G)]
 
 
 def _read_predicted(rows: Sequence[tables.Row]) -> list[tuple[str, Masses]]:

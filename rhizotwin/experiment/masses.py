@@ -46,7 +46,7 @@ def has_masses(head: Collection[str]) -> bool:
 
 
 def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
-    """Read a table of masses.
+    """Read a table of masses. Rows without a mass are ignored.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
     """
     rows = tables.read_table(path)
     columns = _columns(path, list(rows[0].cells))
-    weighed = [_read_row(row, columns, balance_g) for row in rows]
+    weighed = [one for row in rows if (one := _read_row(row, columns, balance_g)).grams]
     seen: dict[tuple[str, float | None], str] = {}
     for one in weighed:
         key = (one.subject.plant, one.subject.day)

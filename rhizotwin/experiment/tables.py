@@ -7,6 +7,7 @@ import csv
 import io
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import zip_longest
 from pathlib import Path
 
 from rhizotwin.scenes import atomic
@@ -24,7 +25,7 @@ class Row:
     where: str
     """File and line number of the row, quoted in error messages."""
     cells: dict[str, str]
-    """Texts of the cells, keyed by column name. Columns for which the row has no cell are omitted."""
+    """Texts of the cells, keyed by column name. They are empty for columns for which the row has no cell."""
 
 
 def read_table(path: Path) -> list[Row]:
@@ -56,7 +57,7 @@ def read_table(path: Path) -> list[Row]:
         where = f"{path}, line {number}"
         if len(cells) > len(head):
             raise UserError(f"{where}: the row has {len(cells)} cells, but the header has {len(head)}; replace decimal commas by points")
-        made.append(Row(where=where, cells=dict(zip(head, [cell.strip() for cell in cells], strict=False))))
+        made.append(Row(where=where, cells=dict(zip_longest(head, [cell.strip() for cell in cells], fillvalue=""))))
     return made
 
 

@@ -221,6 +221,14 @@ def test_a_power_law_is_not_fitted_if_only_one_plant_differs() -> None:
     assert [one.proportional for one in biomass.fit(biomass.pairs(plants, masses)[0], balance_g=1e-4).tried] == [True]
 
 
+def test_plants_that_are_not_weighed_yet_may_have_several_results(tmp_path: Path) -> None:
+    days = [Measured(name=f"r{day:g}", subject=Subject(plant="A", day=day), traits={"volume": 90.0 * day}) for day in (5.0, 9.0)]
+    (tmp_path / "m.csv").write_text("plant,day,root_fresh_g\nA\nA,,\nB,9,0.5\n", encoding="utf-8")
+    found, notes = biomass.pairs(days, read_masses(tmp_path / "m.csv", balance_g=1e-4))
+    assert found == []
+    assert sum("the table contains no mass that matches this result" in note for note in notes) == 2
+
+
 def test_an_interval_that_begins_at_zero_is_an_uncertainty() -> None:
     plant = Measured(
         name="r",
