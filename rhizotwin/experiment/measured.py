@@ -101,14 +101,9 @@ def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
     plants: dict[str, list[Measured]] = {}
     for one in found:
         if not one.subject.plant:
-            raise UserError(
-                f"{one.name}: the name of the plant is missing; set it with --plant "
-                "when the dataset is created, or as 'plant' in [subject] of the scene"
-            )
+            raise UserError(f"{one.name}: the name of the plant is missing; {_how_to_set('plant', one)}")
         if one.subject.day is None:
-            raise UserError(
-                f"{one.name}: the day of plant {one.subject.plant} is missing; set it with --day, or as 'day' in [subject] of the scene"
-            )
+            raise UserError(f"{one.name}: the day of plant {one.subject.plant} is missing; {_how_to_set('day', one)}")
         plants.setdefault(one.subject.plant, []).append(one)
     for plant, days in plants.items():
         days.sort(key=lambda one: one.subject.day or 0.0)
@@ -118,6 +113,12 @@ def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
                     f"plant {plant} occurs twice on day {after.subject.day:g}: {before.name} and {after.name}; remove one of them"
                 )
     return plants
+
+
+def _how_to_set(name: str, one: Measured) -> str:
+    if one.folder is None:
+        return f"enter it in the column {name!r}"
+    return f"set it with --{name} when the dataset is created, or as {name!r} in [subject] of the scene"
 
 
 def one_species(found: Sequence[Measured]) -> str:
@@ -235,4 +236,6 @@ def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Ass
         raise UserError(f"{row.where}: the verdict on {name} is {word!r}; a verdict must be one of: {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
     interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
+    if interval is not None and interval[0] > interval[1]:
+        raise UserError(f"{row.where}: the interval of {name} begins at {interval[0]:g}, but ends at {interval[1]:g}; correct the columns")
     return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

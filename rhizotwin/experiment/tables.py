@@ -34,8 +34,8 @@ def read_table(path: Path) -> list[Row]:
     Raises
     ------
     UserError
-        If the file cannot be read, is not text, has no rows or duplicate columns, or a row has more cells than the
-        header.
+        If the file cannot be read, is not text, has no rows, duplicate columns or other separators than commas, or a
+        row has more cells than the header.
     """
     try:
         text = read_file(path).decode("utf-8-sig")
@@ -49,6 +49,8 @@ def read_table(path: Path) -> list[Row]:
     except csv.Error as error:
         raise UserError(f"{path} could not be read as a CSV table ({error}); save the table again as CSV") from None
     head = [name.strip() for name in rows[0]]
+    if len(head) == 1 and any(mark in head[0] for mark in ";\t"):
+        raise UserError(f"{path}: the columns must be separated by commas, not by semicolons or tabs; save the table again as CSV")
     twice = sorted({name for name in head if name and head.count(name) > 1})
     if twice:
         raise UserError(f"{path} contains two columns with the name {twice[0]}; rename or remove one of them")

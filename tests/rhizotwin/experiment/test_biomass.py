@@ -149,6 +149,7 @@ MISTAKES = {
     "exceeds its fresh mass": ("plant,root_fresh_g,root_dry_g\nA,1,34\n", "exceeds its fresh mass"),
     "torn foil": ("plant,root_dry_g,root_foil_g,root_foil_scraped_g\nA,1,5,4\n", "was torn"),
     "comma decimals": ("plant,root_fresh_g\nA,0,5\n", "replace decimal commas by points"),
+    "semicolons": ("plant;root_fresh_g\nA;1\n", "must be separated by commas, not by semicolons or tabs"),
     "empty": ("plant,root_fresh_g\n", "contains no rows"),
 }
 

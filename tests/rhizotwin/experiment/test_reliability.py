@@ -138,6 +138,20 @@ def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
         read_all([path])
 
 
+def test_an_interval_with_exchanged_ends_is_refused(tmp_path: Path) -> None:
+    """It was ignored, and the value regarded as exact."""
+    (tmp_path / "traits.csv").write_text("plant,day,tips,tips_low,tips_high\nP,1,9,12,8\n", encoding="utf-8")
+    with pytest.raises(UserError, match="line 2: the interval of tips begins at 12, but ends at 8"):
+        read_all([tmp_path / "traits.csv"])
+
+
+@pytest.mark.parametrize(("columns", "name"), [("plant", "day"), ("day", "plant")])
+def test_a_table_without_plants_or_days_is_told_which_column_to_add(columns: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / "traits.csv").write_text(f"{columns},tips\n1,9\n", encoding="utf-8")
+    with pytest.raises(UserError, match=f"is missing; enter it in the column '{name}'"):
+        growth.measure(read_all([tmp_path / "traits.csv"]))
+
+
 @pytest.mark.parametrize("column", ["total_length (cm)", "total_length_low (cm)", "surface (cm2)", "solidity (%)", "volume_mm3 (ml)"])
 def test_a_column_in_another_unit_is_refused(column: str, tmp_path: Path) -> None:
     path = tmp_path / "traits.csv"
