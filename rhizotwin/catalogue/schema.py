@@ -159,7 +159,7 @@ def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
         ``.rhizotwin``, or the file cannot be written.
     """
     if path.exists() and not is_empty(path):
-        if exist_ok:
+        if exist_ok or path.is_dir():
             return open_file(path)
         raise UserError(f"{path} already exists; choose another name")
     if path.suffix != SUFFIX:
@@ -210,6 +210,8 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     UserError
         If the file does not exist, is not a catalogue, is damaged, or was written by another version of the program.
     """
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; give a catalogue file, whose name ends with {SUFFIX}")
     if not path.is_file():
         raise UserError(f"{path}: the file does not exist; create a catalogue with `rhizotwin catalogue add`")
     with _connecting(path) as connection:

@@ -13,10 +13,11 @@ from pathlib import Path
 from rhizotwin.experiment import tables
 from rhizotwin.experiment.compare import Observation, Point, means
 from rhizotwin.experiment.growth_page import plot_curve
-from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, has_masses, read_masses
+from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, Weighed, has_masses, read_masses
 from rhizotwin.scenes import assessment, subject
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.trait_table import csv_text, format_exact
 
 _PREDICTED = {"plant", "day", "mass", "mass (g)"}
@@ -68,8 +69,8 @@ def is_of_masses(path: Path) -> bool:
 def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> tuple[list[Masses], list[str]]:
     """Read tables of masses.
 
-    Predicted masses that are not reliable are excluded. A row without a treatment has the treatment of the other rows
-    of its plant.
+    Predicted masses that are not reliable, and masses without a plant or day, are excluded. A row without a treatment
+    has the treatment of the other rows of its plant.
 
     Parameters
     ----------
@@ -86,27 +87,31 @@ def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> 
     Raises
     ------
     UserError
-        If a table is damaged, a mass has no plant or day or is listed twice, or a plant has two treatments.
+        If a table is damaged, a mass is listed twice, or a plant has two treatments.
     """
     predicted = [path for path in paths if _head(path) >= _PREDICTED]
     rows = [row for path in predicted for row in tables.read_table(path)]
-    weighed = [one for path in paths if path not in predicted for one in _read_weighed(path)]
+    weighed = [one for path in paths if path not in predicted for one in read_masses(path, balance_g=BALANCE_G)]
     known = {plant: name for plant, name in (treatments or {}).items() if name}
     grams: dict[tuple[str, float], dict[str, float]] = {}
-    for group in (_read_predicted(rows), weighed):
+    undated = 0
+    for group in (_read_predicted(rows), weighed):  # weighed masses replace predicted ones
         listed: set[tuple[str, float, str]] = set()
-        for where, one in group:
-            if one.treatment and known.setdefault(one.plant, one.treatment) != one.treatment:
-                raise UserError(
-                    f"{where}: plant {one.plant} has two treatments, {known[one.plant]!r} and {one.treatment!r}; correct one of them"
-                )
+        for one in group:
+            plant, day, treatment = one.subject.plant, one.subject.day, one.subject.treatment
+            if not plant or day is None:
+                undated += 1
+                continue
+            if treatment and known.setdefault(plant, treatment) != treatment:
+                raise UserError(f"{one.where}: plant {plant} has two treatments, {known[plant]!r} and {treatment!r}; correct one of them")
             for kind in one.grams:
-                if (one.plant, one.day, kind) in listed:
-                    raise UserError(f"{where}: the mass {kind} of plant {one.plant} on day {one.day:g} is listed twice; remove one of them")
-                listed.add((one.plant, one.day, kind))
-            grams.setdefault((one.plant, one.day), {}).update(one.grams)
+                if (plant, day, kind) in listed:
+                    raise UserError(f"{one.where}: the mass {kind} of plant {plant} on day {day:g} is listed twice; remove one of them")
+                listed.add((plant, day, kind))
+            grams.setdefault((plant, day), {}).update(one.grams)
     masses = [Masses(plant=plant, day=day, treatment=known.get(plant, ""), grams=own) for (plant, day), own in grams.items()]
-    return masses, _notes(rows)
+    notes = [f"{count(undated, 'row')} of masses without a plant or day cannot be used for curves; enter plant and day"] if undated else []
+    return masses, [*_notes(rows), *notes]
 
 
 def measure(masses: Sequence[Masses]) -> Curves:
@@ -163,18 +168,14 @@ def _head(path: Path) -> set[str]:
     return set(tables.read_table(path)[0].cells)
 
 
-def _read_weighed(path: Path) -> list[tuple[str, Masses]]:
-    return [(one.where, _of(one.where, one.subject, one.grams)) for one in read_masses(path, balance_g=BALANCE_G)]
-
-
-def _read_predicted(rows: Sequence[tables.Row]) -> list[tuple[str, Masses]]:
+def _read_predicted(rows: Sequence[tables.Row]) -> list[Weighed]:
     found = []
     for row in rows:
         kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
             raise UserError(f"{row.where}: the row is not a predicted mass; specify a table written by 'rhizotwin biomass predict'")
         if not _is_unreliable(row):
-            found.append((row.where, _of(row.where, subject.from_cells(row.cells, row.where), {kind: grams})))
+            found.append(Weighed(where=row.where, subject=subject.from_cells(row.cells, row.where), grams={kind: grams}, residue_g={}))
     return found
 
 
@@ -189,9 +190,3 @@ def _notes(rows: Sequence[tables.Row]) -> list[str]:
     if beyond := sum(row.cells.get("extrapolated") == "yes" and not _is_unreliable(row) for row in rows):
         notes.append(f"predicted mass: {beyond} of {len(rows)} values are extrapolated; weigh plants of this size for the model")
     return notes
-
-
-def _of(where: str, whose: subject.Subject, grams: Mapping[str, float]) -> Masses:
-    if not whose.plant or whose.day is None:
-        raise UserError(f"{where}: the plant or the day is missing, but mass curves need both")
-    return Masses(plant=whose.plant, day=whose.day, treatment=whose.treatment, grams=grams)

@@ -67,6 +67,8 @@ def test_wrong_folder_leaves_no_catalogue(tmp_path: Path, command: Command):
     for name in ("add", "rebuild"):
         command.fails("catalogue", name, tmp_path / "my.rhizotwin", tmp_path / "sacns", named=["sacns: the folder or table"])
         assert not (tmp_path / "my.rhizotwin").exists()
+        (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
+        command.fails("catalogue", name, tmp_path, tmp_path / "masses.csv", named=["is a folder; give a catalogue file"])
 
 
 def test_damaged_entry_is_reported(tmp_path: Path, command: Command, make_dataset):

@@ -55,9 +55,13 @@ def test_predicted_masses_that_are_not_reliable_are_excluded(command: Command, t
     command.fails("growth", tmp_path / "predicted.csv", "-o", tmp_path / "none", named=["1 of 1 values are excluded"])
 
 
-def test_masses_without_a_day_are_refused(command: Command, tmp_path: Path) -> None:
+def test_masses_without_a_day_are_noted(command: Command, tmp_path: Path) -> None:
+    """They are sufficient for `biomass fit`, and a catalogue passes all its tables to `growth`."""
+    note = "1 row of masses without a plant or day cannot be used for curves; enter plant and day"
     (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
-    command.fails("growth", tmp_path / "masses.csv", "-o", tmp_path / "grown", named=["line 2", "day"])
+    command.fails("growth", tmp_path / "masses.csv", "-o", tmp_path / "grown", named=[note])
+    (tmp_path / "traits.csv").write_text("plant,day,tips\nP1,5,9\n")
+    assert note in command.works("growth", tmp_path / "traits.csv", tmp_path / "masses.csv", "-o", tmp_path / "grown").out
 
 
 def test_a_mass_without_a_treatment_has_that_of_its_plant(command: Command, tmp_path: Path) -> None:
