@@ -65,7 +65,9 @@ def measure(found: Sequence[Measured]) -> Growth:
     notes = exclusion_notes(found, CURVES)
     tracked = {plant: one for plant, days in plants.items() if (one := _track(days)) is not None}
     if lost := [plant for plant in plants if plant not in tracked]:
-        notes.append(f"the roots of these plants were not tracked, because they were found on fewer than two days: {', '.join(lost)}")
+        notes.append(
+            f"the roots of these plants were not tracked, because centre lines are available for fewer than two days: {', '.join(lost)}"
+        )
     seen = {trait: values for trait in CURVES if (values := _seen(plants, trait))}
     if not seen and not tracked:
         raise UserError("; ".join(exclusion_notes(found, CURVES)) or f"the results contain none of the traits {', '.join(CURVES)}")

@@ -56,9 +56,11 @@ def plot_curve(axes: "Axes", points: Sequence[Point], *, label: str, **style: An
     **style : object
         Further arguments of ``Axes.errorbar``, such as the colour.
     """
+    text = label.replace("$", r"\$")
+    text = f" {text}" if text.startswith("_") else text  # the legend omits texts that begin with an underscore
     mean = [point.mean for point in points]
     reach = [[point.mean - max(point.low, 0.0) for point in points], [point.high - point.mean for point in points]]
-    axes.errorbar([point.day for point in points], mean, yerr=reach, capsize=3, label=label.replace("$", r"\$"), **style)
+    axes.errorbar([point.day for point in points], mean, yerr=reach, capsize=3, label=text, **style)
 
 
 def draw_responses(growth: Growth) -> bytes:
