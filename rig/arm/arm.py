@@ -123,7 +123,7 @@ class ServoArm:
             self._rests_at = now
             self._check_torque()
         except BaseException:
-            self._stop_once()
+            self._stop_once(self._ids)
             raise
 
     def read_joints(self) -> tuple[float, ...]:
@@ -167,13 +167,15 @@ class ServoArm:
                 to = {servo: round(start[servo] + (target[servo] - start[servo]) * k / parts) for servo in self._ids}
                 here = self._move_one(here, to, total_s / parts)
         except BaseException:
-            self._stop_once()
+            self._stop_once(self._ids)
             raise
         self._rests_at = here
         return self._joints_deg(here)
 
     def turn_filter(self, angle_deg: float) -> None:
         """Rotate the filter wheel in front of the lens to an angle, and check that the angle was reached.
+
+        A wheel that does not reach it is stopped.
 
         Raises
         ------
@@ -190,15 +192,18 @@ class ServoArm:
         goal = round(wheel.zero_counts + wheel.sign * angle_deg * wheel.counts_per_deg)
         way_deg = abs(goal - self._bus.positions((wheel.servo,))[wheel.servo]) / wheel.counts_per_deg
         duration_s = min(MAX_MOVE_S, max(way_deg / self._part.max_speed_deg_per_s, self._bus.least_move_s))
-        self._bus.move({wheel.servo: goal}, duration_s)
-        self._clock.sleep(duration_s + _STILL_PAUSE_S)
-        there = self._bus.positions((wheel.servo,))[wheel.servo]
-        if abs(there - goal) / wheel.counts_per_deg > self._part.tolerance_deg:
-            raise UnsafeError(
-                f"arm: the filter wheel (servo {wheel.servo}) was commanded to {angle_deg:g} deg but is at {_to_deg(wheel, there):.1f} "
-                "deg; "
-                "check that the wheel can move freely and that its cable is connected"
-            )
+        try:
+            self._bus.move({wheel.servo: goal}, duration_s)
+            self._clock.sleep(duration_s + _STILL_PAUSE_S)
+            there = self._bus.positions((wheel.servo,))[wheel.servo]
+            if abs(there - goal) / wheel.counts_per_deg > self._part.tolerance_deg:
+                raise UnsafeError(
+                    f"arm: the filter wheel (servo {wheel.servo}) was commanded to {angle_deg:g} deg but is at "
+                    f"{_to_deg(wheel, there):.1f} deg; check that the wheel can move freely and that its cable is connected"
+                )
+        except BaseException:
+            self._stop_once((wheel.servo,))  # a blocked servo overloads the supply
+            raise
 
     def health(self) -> None:
         """Check the supply voltage and the temperatures of the servos, and that the torque of every servo is still on.
@@ -267,10 +272,10 @@ class ServoArm:
                 )
             before = now
 
-    def _stop_once(self) -> None:
-        """Try to stop the arm after an error. A failure to stop is ignored, so that the original error is reported."""
+    def _stop_once(self, servos: tuple[int, ...]) -> None:
+        """Try to stop servos after an error. A failure to stop is ignored, so that the original error is reported."""
         try:
-            self._bus.stop(self._ids)
+            self._bus.stop(servos)
         except RigError:
             return
 

@@ -88,7 +88,7 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     rig : RigFile
         Arm, clearances and obstacles.
     scene : Scene
-        Canister, net pot and panel.
+        Scene with canister, net pot and tank.
     joints_deg : (N, 5) array
         Configurations of the arm.
 
@@ -146,7 +146,7 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
     rig : RigFile
         Arm, clearances and obstacles.
     scene : Scene
-        Canister, net pot and panel.
+        Scene with canister, net pot and tank.
     joints_path_deg : sequence of Joints
         Configurations, starting with the present configuration.
 
@@ -180,7 +180,7 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
     rig : RigFile
         Arm, clearances and obstacles.
     scene : Scene
-        Canister, net pot and panel.
+        Scene with canister, net pot and tank.
     start_deg, goal_deg : Joints
         Present and final configuration.
 

@@ -102,9 +102,9 @@ class LxBus:
         """Start the moves of all given servos simultaneously, and return immediately.
 
         The target of each servo is first sent as a command that waits for a start signal. All targets are read back, so
-        that a servo that does not reply is detected before any motion. One broadcast then starts every servo with a
-        waiting command. Therefore ``targets`` should include all servos of the arm. Servos that do not report the new
-        command afterwards are started individually.
+        that a servo that does not reply is detected before any motion. One broadcast then starts all servos. It would
+        also start other servos whose target was sent in a move that failed, so that a single servo is started by its
+        number. Servos that do not report the new command afterwards are started individually.
 
         Raises
         ------
@@ -118,7 +118,8 @@ class LxBus:
         orders = {servo: counts.to_bytes(2, "little") + time_ms.to_bytes(2, "little") for servo, counts in targets.items()}
         for servo, order in orders.items():
             self._write_verified(servo, MOVE_TIME_WAIT_WRITE, order, MOVE_TIME_WAIT_READ)
-        receivers, late = [BROADCAST], list(orders)
+        late = list(orders)
+        receivers = [BROADCAST] if len(late) > 1 else late
         for _ in range(_WRITE_TRIES):
             for receiver in receivers:
                 self._wire.write(frame(receiver, MOVE_START))

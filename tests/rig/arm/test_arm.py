@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from rhizotwin.rig.arm.arm import open_arm
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rhizotwin.rig.rig_file import Joint
 from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, SILENT, ScriptedLine, arm_and_bus
 
 
@@ -51,6 +52,20 @@ def test_refuses_to_move_unprepared_or_relaxed() -> None:
     assert not any(bus.on.values())
     with pytest.raises(LostError, match="prepare the arm"):
         arm.move_to(MIDDLE)
+
+
+@pytest.mark.parametrize("blocked", [False, True])
+def test_a_filter_wheel_that_is_blocked_is_stopped(blocked: bool) -> None:
+    arm, bus = arm_and_bus(part=replace(PART, filter=Joint(servo=1)))
+    bus.at[1] = 500.0
+    if not blocked:
+        arm.turn_filter(45.0)
+        assert bus.log[-1] == ("positions", None)
+        return
+    bus.blocked = {1: 550.0}
+    with pytest.raises(UnsafeError, match=r"filter wheel \(servo 1\) was commanded to 45 deg but is at 12\.0 deg"):
+        arm.turn_filter(45.0)
+    assert bus.log[-1] == ("stop", (1,))
 
 
 @given(st.tuples(*[st.floats(joint.min_deg, joint.max_deg) for joint in PART.joints]), st.floats(1.0, 270.0))

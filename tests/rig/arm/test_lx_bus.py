@@ -87,6 +87,11 @@ def test_a_servo_that_missed_the_start_is_started_by_number() -> None:
         bus.move(TO_500_AND_600, 1.0)
 
 
+def test_a_single_servo_is_started_by_number_so_that_no_target_of_a_failed_move_starts() -> None:
+    with scripted(LxBus, *ARMED[2:], (START_2, SILENT), (ASK_MOVE_2, MOVE_2_IS)) as bus:
+        bus.move({2: 600}, 1.0)
+
+
 def test_servos_that_never_report_a_start_are_left_to_their_positions() -> None:
     not_started = [(ASK_MOVE_1, MOVE_1_IS_NOT), (ASK_MOVE_2, MOVE_2_IS_NOT)]
     one_by_one = [("55 55 01 03 0b f0", SILENT), (START_2, SILENT), *not_started]
