@@ -101,11 +101,11 @@ class PreparedDevices:
     def leave(self) -> None:
         """Leave the rig in a safe state: lamps off, arm parked and without torque.
 
-        The table's motor remains on if its angle is known.
+        The motor of a Marlin board remains on if the table's angle is known. That of the hat goes off with the program.
         """
         known = False
         try:
-            known = self._board_ready and self._devices.table.knows_zero()
+            known = self._board_ready and self.rig.turntable.kind == "marlin" and self._devices.table.knows_zero()
         except RigError:
             known = False
         finally:

@@ -309,7 +309,8 @@ class _Scan:
         with suppress(Exception):
             self._note("stopped", str(error) or type(error).__name__, quiet=True)
             done = len(self._session.save().frames)
-            motor = "" if self._turntable.lost else "; the table's motor remains on, so that the angle is not lost"
+            off = self._turntable.lost or self._devices.rig.turntable.kind == "hat"
+            motor = "" if off else "; the table's motor remains on, so that the angle is not lost"
             if done:
                 self._say(f"{done} pictures are kept{motor}; finish the scan with --resume")
 

@@ -6,6 +6,7 @@ motor is switched off. After the start of a program it must be determined from t
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -126,8 +127,13 @@ class HatTurntable:
         self._pins.output(self._hat.enable_pin, 1)
 
     def close(self) -> None:
-        """Release the pins, which switches the motor off."""
-        self._steps, self._on = None, False
+        """Switch the motor off, and release the pins.
+
+        The level of a released pin may change, and the DRV8825 is on unless its enable pin is high.
+        """
+        if self._on:
+            with suppress(RigError):
+                self.release()
         self._pins.close()
 
     def _run(self, here: int, goal: int) -> int:
@@ -203,7 +209,4 @@ class HatLights:
             self._pins.output(output, int(band is not None and output == band.output))
         for strip, colour, level in self._part.strips(panel, front, band):
             red, green, blue = (round(level * share) for share in colour)
-            try:
-                self._pixels.fill(strip, (red, green, blue))
-            except OSError as error:
-                raise RigError(f"lights: the NeoPixels cannot be set ({error}); check their pins and supply") from None
+            self._pixels.fill(strip, (red, green, blue))

@@ -4,6 +4,7 @@ The packages `lgpio` and `rpi_ws281x` are imported when they are first used.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Any, Protocol
 
@@ -11,6 +12,8 @@ from rhizotwin.rig.errors import NoAnswerError, RigError
 
 PIXEL_HZ = 800_000
 """Bit rate of WS2812B pixels, Hz."""
+BRIGHTNESS = 255
+"""Factor of all colours, from 0 to 255. The default of rpi_ws281x depends on its version; it was 128 in some."""
 DMA = (10, 11)
 """Numbers of the DMA channels of the two strips. They are those of the rpi_ws281x example for two strips."""
 HIGH_S = 2e-6
@@ -47,9 +50,6 @@ class Pixels(Protocol):
 
     def fill(self, strip: int, rgb: tuple[int, int, int]) -> None:
         """Set all pixels of strip 0 (panel) or strip 1 (front light) to a colour."""
-
-    def close(self) -> None:
-        """Switch both strips off."""
 
 
 class LgpioPins:
@@ -100,8 +100,12 @@ class LgpioPins:
         return bool(self._call("tx_busy", pin, self._library.TX_WAVE))
 
     def close(self) -> None:
-        """Release all pins."""
-        self._library.gpiochip_close(self._chip)
+        """Release all pins.
+
+        If they are already released, nothing happens.
+        """
+        with suppress(self._library.error):
+            self._library.gpiochip_close(self._chip)
 
     def _call(self, name: str, *arguments: Any) -> Any:
         try:
@@ -120,7 +124,7 @@ class Ws281xPixels:
         library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5, which requires a Marlin board)")
         self._colour = library.Color
         self._strips = [
-            library.PixelStrip(count, pin, PIXEL_HZ, DMA[strip], channel=strip)
+            library.PixelStrip(count, pin, PIXEL_HZ, DMA[strip], brightness=BRIGHTNESS, channel=strip)
             for strip, (pin, count) in enumerate(zip(pins, counts, strict=True))
         ]
         for strip in self._strips:
@@ -136,12 +140,10 @@ class Ws281xPixels:
         one = self._strips[strip]
         for pixel in range(one.numPixels()):
             one.setPixelColor(pixel, self._colour(*rgb))
-        one.show()
-
-    def close(self) -> None:
-        """Switch both strips off."""
-        for strip in range(len(self._strips)):
-            self.fill(strip, (0, 0, 0))
+        try:
+            one.show()
+        except RuntimeError as error:
+            raise RigError(f"lights: the NeoPixels cannot be set ({error}); check their pins and supply") from None
 
 
 def _load(name: str, install: str) -> Any:

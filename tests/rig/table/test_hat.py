@@ -35,6 +35,8 @@ class _Driver:
     fault_after: int = 10**9
     ends_s: float = 0.0
     taken: frozenset[int] = frozenset()
+    released: dict[int, int] = field(default_factory=dict)
+    """Levels of the pins when they were released."""
 
     error = RefusedError
     SET_PULL_UP, TX_WAVE = 32, 1
@@ -43,6 +45,9 @@ class _Driver:
         return number
 
     def gpiochip_close(self, _: int) -> None:
+        if self.released:
+            raise RefusedError("unknown handle")
+        self.released = dict(self.level)
         self.level.clear()
 
     def gpio_claim_output(self, _: int, pin: int, level: int) -> None:
@@ -51,6 +56,8 @@ class _Driver:
         self.level[pin] = level
 
     def gpio_write(self, _: int, pin: int, level: int) -> None:
+        if self.released:
+            raise RefusedError("unknown handle")
         self.level[pin] = level
 
     def gpio_claim_input(self, _: int, pin: int, flags: int) -> None:
@@ -87,6 +94,8 @@ class _Strip:
     hz: int
     dma: int
     channel: int
+    brightness: int = 128
+    fails: bool = False
     next: dict[int, Any] = field(default_factory=dict)
     shown: dict[int, Any] = field(default_factory=dict)
 
@@ -100,6 +109,8 @@ class _Strip:
         self.next[pixel] = colour
 
     def show(self) -> None:
+        if self.fails:
+            raise RuntimeError("ws2811_render failed with code -10 (Failed to map)")
         self.shown = dict(self.next)
 
 
@@ -167,10 +178,24 @@ def test_lamps(bench: Any) -> None:
     lights.set(panel=0.5, front=1.0)
     panel, front = strips
     assert (panel.pin, panel.channel, front.pin, front.channel) == (18, 0, 13, 1)
+    assert panel.brightness == front.brightness == 255
     assert panel.shown == dict.fromkeys(range(300), (128, 128, 128))
     assert front.shown == dict.fromkeys(range(18), (255, 255, 255))
     lights.off()
     assert set(panel.shown.values()) | set(front.shown.values()) == {(0, 0, 0)}
+    panel.fails = True
+    with pytest.raises(RigError, match="the NeoPixels cannot be set"):
+        lights.off()
+
+
+def test_a_closed_table_is_off_and_can_be_closed_again(bench: Any) -> None:
+    table, _, driver, _ = bench
+    for _ in range(2):
+        table.close()
+    assert driver.released[HAT.enable_pin] == 1
+    with pytest.raises(RigError, match="GPIO 23 failed"):
+        table.prepare()
+    table.close()
 
 
 def test_a_band_has_its_colours_and_its_own_pin(bench: Any) -> None:
