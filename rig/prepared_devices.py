@@ -3,7 +3,7 @@
 from rhizotwin.rig.arm.clearance import check_path, plan_path
 from rhizotwin.rig.arm.placement import Joints, check_limits, require_arm
 from rhizotwin.rig.devices import Arm, Lights, Turntable
-from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.errors import LostError, RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
@@ -22,6 +22,7 @@ class PreparedDevices:
         self._say = say
         self.rig = devices.rig
         self._board_ready = self._camera_ready = self._arm_ready = False
+        self._arm_used = False  # whether the torque may be on
         self.commanded_deg: Joints | None = None
         """Joint angles at the end of the arm's last path, deg. They are None if the arm may have moved since."""
 
@@ -45,6 +46,7 @@ class PreparedDevices:
         """
         arm = self._connected_arm()
         if not self._arm_ready:
+            self._arm_used = True
             self._say(preflight.check_arm(arm))
             self._arm_ready = True
         return arm
@@ -80,8 +82,13 @@ class PreparedDevices:
         arm, part = self.arm(), require_arm(self.rig)
         check_limits(part, path[-1])
         check_path(self.rig, self._scene, [arm.read_joints(), *path])
-        for joints_deg in path:
-            read = arm.move_to(joints_deg)
+        self.commanded_deg = None
+        try:
+            for joints_deg in path:
+                read = arm.move_to(joints_deg)
+        except LostError:
+            self._arm_ready = False
+            raise
         self._devices.clock.sleep(part.settle_s)
         self.commanded_deg = path[-1]
         return read
@@ -96,7 +103,7 @@ class PreparedDevices:
     def relax(self) -> None:
         """Switch the arm's torque off, even if the arm was not prepared."""
         self._connected_arm().relax()
-        self._arm_ready, self.commanded_deg = False, None
+        self._arm_ready, self._arm_used, self.commanded_deg = False, False, None
 
     def leave(self) -> None:
         """Leave the rig in a safe state: lamps off, arm parked and without torque.
@@ -109,7 +116,15 @@ class PreparedDevices:
         except RigError:
             known = False
         finally:
-            make_safe(self._devices, self._scene, say=self._say, board=self._board_ready, arm=self._arm_ready, finished=not known)
+            make_safe(
+                self._devices,
+                self._scene,
+                say=self._say,
+                board=self._board_ready,
+                arm=self._arm_used,
+                finished=not known,
+                arm_failed=not self._arm_ready,
+            )
         if known:
             self._say("turntable: the motor remains on, so that the table's angle is not lost")
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import rhizotwin.rig.align_camera
+from rhizotwin.rig.arm.arm import ServoArm
 from rhizotwin.rig.bench import check
+from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
@@ -84,12 +86,18 @@ class Bench:
         self.twin = twin_of(rig=rig, profile=profile)
         self.said: list[str] = []
 
-    def types(self, *lines: str, stop_at_mistake: bool = False, before_leaving: Callable[[], object] = lambda: None) -> list[str]:
-        """Type lines at the twin's bench; return what was said."""
+    def types(
+        self, *lines: str | Callable[[], object], stop_at_mistake: bool = False, before_leaving: Callable[[], object] = lambda: None
+    ) -> list[str]:
+        """Type lines at the twin's bench, with what happens in between; return what was said."""
         devices = open_devices(self.twin.rig, self.twin.calibrated_scene(), clock=self.twin.clock, camera=self.twin.open_camera())
 
         def typed() -> Iterator[str]:
-            yield from lines
+            for line in lines:
+                if isinstance(line, str):
+                    yield line
+                else:
+                    line()
             before_leaving()
 
         try:
@@ -202,6 +210,26 @@ def test_refused_with_the_reason_and_nothing_moves() -> None:
 
 def test_a_rig_without_an_arm_says_so() -> None:
     assert Bench(rig=RigFile(arm=None)).types("park", "relax", "joint 1 +3", "go 400 0").count("this rig has no arm") == 4
+
+
+def test_an_arm_that_lost_its_torque_is_prepared_again_and_one_that_was_not_ready_is_left_without_torque(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench()
+    said = bench.types("joint 1 +3", lambda: bench.twin.world.brown_out(0.0), "joint 1 +3", "joint 1 +3")
+    assert sum("has lost its torque" in line for line in said) == 1
+    assert sum(line.startswith("joints at") for line in said) == 2
+    assert bench.is_safe()
+    bench = Bench()
+    prepare = ServoArm.prepare
+
+    def fail(arm: ServoArm) -> None:
+        prepare(arm)
+        raise UnsafeError("arm: the base moved while its torque was switched on")
+
+    monkeypatch.setattr(ServoArm, "prepare", fail)
+    assert "arm: the base moved while its torque was switched on" in bench.types("joint 1 +3")
+    assert bench.is_safe()
 
 
 def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
