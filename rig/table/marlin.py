@@ -13,7 +13,7 @@ import re
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.serial_line.port import Wire
 from rhizotwin.rig.table.marlin_exchange import BUSY_EVERY_S, TRAILING_S, Exchange, Journal
-from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind
+from rhizotwin.rig.table.marlin_lines import FIRMWARE, POSITION, Kind
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
@@ -34,7 +34,6 @@ class MarlinLink:
         self._lost: str | None = f"{self._wire.name}: not connected yet"
         self.firmware = ""
         """Firmware reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
-        self.capabilities: frozenset[str] = frozenset()
         self.sessions = 0
         """Number of times the link was started. The board may have been reset between two starts, so that its state has
         to be read again."""
@@ -128,7 +127,16 @@ class MarlinLink:
         NoAnswerError, LostError, RigError
             See `command`; also if the replies are invalid.
         """
-        return self._ask(text, pattern, expect_s=expect_s)[0]
+        output: list[str] = []
+        for _ in range(ASKS):
+            output = self._exchange_guarded(text, expect_s=expect_s, optional=False, awaited=pattern)
+            for line in reversed(output):
+                if found := pattern.search(line):
+                    return found
+        heard = repr(output[-1]) if output else "nothing"
+        raise NoAnswerError(
+            f"{self._wire.name}: the reply to {text} is not that of a Marlin board ({heard}); check port, baud rate and cable"
+        )
 
     def send_unheard(self, *texts: str) -> None:
         """Send commands to a board whose replies cannot be received.
@@ -138,24 +146,6 @@ class MarlinLink:
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
-
-    def quick_stop(self) -> bool:
-        """Stop a move immediately if the firmware supports it (EMERGENCY_PARSER).
-
-        Return whether it is supported. The table angle is unknown afterwards.
-        """
-        if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
-            return False
-        try:
-            self._wire.send(b"M410\n")  # executed on reception, regardless of the queue
-        except LostError as error:
-            self._lost = str(error)
-            raise
-        self._unsettled_s = self._unsettled_s or 0.0
-        self.sessions += 1
-        self.command("G92 X0")
-        self.ask("M114", POSITION)
-        return True
 
     def close(self) -> None:
         """Close the port.
@@ -171,9 +161,7 @@ class MarlinLink:
         self._unsettled_s = None
         Exchange(self._wire, self._journal, expect_s=0.0, awaited=None).run()
         self._lost = None
-        about, lines = self._ask("M115", FIRMWARE, expect_s=0.0)
-        self.firmware = about[1]
-        self.capabilities = frozenset(found[1] for line in lines if (found := CAPABILITY.search(line)))
+        self.firmware = self.ask("M115", FIRMWARE)[1]
         self.sessions += 1
         self.command(f"M113 S{BUSY_EVERY_S}", optional=True)
         for reports in ("M155 S0", "M154 S0"):  # unsolicited reports would interfere with the replies
@@ -197,18 +185,6 @@ class MarlinLink:
             if greeted:
                 until_s = min(clock.now_s() + TRAILING_S, latest_s)
         self._wire.forget()
-
-    def _ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float) -> tuple[re.Match[str], list[str]]:
-        output: list[str] = []
-        for _ in range(ASKS):
-            output = self._exchange_guarded(text, expect_s=expect_s, optional=False, awaited=pattern)
-            for line in reversed(output):
-                if found := pattern.search(line):
-                    return found, output
-        heard = repr(output[-1]) if output else "nothing"
-        raise NoAnswerError(
-            f"{self._wire.name}: the reply to {text} is not that of a Marlin board ({heard}); check port, baud rate and cable"
-        )
 
     def _exchange_guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
         if self._lost is not None:

@@ -16,7 +16,6 @@ POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
 the colons. A truncated line has no Count and does not match."""
 FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
 """Pattern of the reply to M115."""
-CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]+):1$")
 
 
 class Kind(Enum):

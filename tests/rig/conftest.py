@@ -15,7 +15,7 @@ Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
 Fault = Callable[[bytes], list[Piece]]
 SPEED_DEG_PER_S = 30.0
-COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 106, 107, 110, 113, 114, 115, 150, 154, 155, 204, 211, 400, 410))}
+COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 106, 107, 110, 113, 114, 115, 150, 154, 155, 204, 211, 400))}
 
 
 @dataclass
@@ -140,8 +140,6 @@ class _Board:
                 self.waiting.append((busy_s, b"echo:busy: processing\n"))
                 busy_s += 2.0
             self.free_s = max(self.done_s, now_s)
-        elif name == "M410":
-            self.done_s = self.free_s = self.clock.at_s
         elif name == "G92":
             self.x_deg = values["X"]
         elif name in ("M17", "M18") and "S" not in values:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, encode_line, read_line
+from rhizotwin.rig.table.marlin_lines import FIRMWARE, POSITION, Kind, encode_line, read_line
 
 SENT = [
     (0, "M110 N0", b"N0 M110 N0*125\n"),
@@ -61,10 +61,8 @@ def test_positions_of_every_version_are_read_and_cut_ones_refused() -> None:
     assert {line: found and found[1] for line in POSITIONS for found in [POSITION.search(line)]} == POSITIONS
 
 
-def test_firmware_and_capabilities_are_read() -> None:
+def test_firmware_is_read() -> None:
     about = "FIRMWARE_NAME:Marlin 2.1.3 (Oct 1 2023) SOURCE_CODE_URL:github.com/x PROTOCOL_VERSION:1.0 MACHINE_TYPE:3D Printer"
     assert (FIRMWARE.search(about) or [""])[1] == "Marlin 2.1.3 (Oct 1 2023)"
     assert (FIRMWARE.search("FIRMWARE_NAME:Marlin 1.1.9") or [""])[1] == "Marlin 1.1.9"
     assert FIRMWARE.search("FIRMWARE_NAME:Repetier_1.0") is None
-    assert (CAPABILITY.search("Cap:EMERGENCY_PARSER:1") or [""])[1] == "EMERGENCY_PARSER"
-    assert CAPABILITY.search("Cap:EMERGENCY_PARSER:0") is None
