@@ -287,6 +287,8 @@ def check_rig(rig: RigFile, place: Place) -> None:
             raise place.at("poses", i, "name").error("must be a unique name of letters and digits that does not begin with a digit", name)
     if rig.arm is not None:
         _check_arm(rig.arm, place.at("arm"))
+        if rig.turntable.kind == "marlin" and rig.arm.port == rig.turntable.port:
+            raise place.at("arm", "port").error("must differ from the port of [turntable], because each device has its own", rig.arm.port)
 
 
 def _check_hat(hat: HatPart, place: Place) -> None:

@@ -88,17 +88,12 @@ def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: Exi
     from rhizotwin.rig.first_day import FirstDay
 
     devices = bench.open_devices(recorder, stack)
-    findings = FirstDay(devices, bench.scene, ask=_answer, say=print, folder=folder).walk(wrong_devices=wrong)
-    print(f"wrote {folder}/first_day.md and first_day.json; to get help, send this folder with your observations")
-    return sum(one.verdict == "wrong" for one in findings)
-
-
-def _answer(question: str) -> str:
-    """Print a question, and read the answer from the terminal or a pipe."""
     try:
-        return input(question)
+        findings = FirstDay(devices, bench.scene, ask=input, say=print, folder=folder).walk(wrong_devices=wrong)
     except EOFError:
         raise UserError("a question was not answered; run the command again and answer all questions") from None
+    print(f"wrote {folder}/first_day.md and first_day.json; to get help, send this folder with your observations")
+    return sum(one.verdict == "wrong" for one in findings)
 
 
 def jog(

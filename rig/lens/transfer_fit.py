@@ -70,10 +70,9 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
         )
     if len({image.shape for image in images}) > 1:
         raise RigError("the pictures differ in size; take all pictures of one scene with one camera")
-    full = float(np.iinfo(images[0].dtype).max)
     order = np.argsort(images[int(np.argsort(times)[len(times) // 2])], axis=None, kind="stable")
     chosen = order[np.linspace(0, order.size - 1, min(PIXELS, order.size)).astype(np.int64)]
-    number = np.stack([image.ravel()[chosen] / full for image in images])
+    number = np.stack([image.ravel()[chosen] / float(np.iinfo(image.dtype).max) for image in images])
     use = (number > USABLE[0]) & (number < USABLE[1])
     use &= use.sum(axis=0) >= 2
     if use.sum() < 10 * KNOTS:

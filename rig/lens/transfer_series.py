@@ -1,5 +1,6 @@
 """Input of exposure series, and output of the measured transfer curve for a scene file."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
         times = [float(part) for part in exposures_s.split(",")]
     except ValueError:
         raise UserError(f"--exposures-s {exposures_s}: must be comma-separated numbers, such as 0.002,0.004,0.008") from None
-    if len(times) != len(paths) or not all(time > 0.0 for time in times):
+    if len(times) != len(paths) or not all(0.0 < time < math.inf for time in times):
         raise UserError(
             f"--exposures-s {exposures_s}: {len(times)} exposure times for {len(paths)} pictures; specify a positive exposure time for "
             "each picture"

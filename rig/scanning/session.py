@@ -70,6 +70,7 @@ class Session:
 
     def next_placement(self, ring: int) -> int:
         """Return the number of the camera's next placement in a ring."""
+        self.flush()
         return 1 + max((frame.placement for frame in self._frames.values() if frame.ring == ring), default=-1)
 
     def frames_of(self, ring: int) -> list[Frame]:

@@ -243,6 +243,13 @@ def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
     assert bench.is_safe()
 
 
+def test_one_port_for_two_devices_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(EXAMPLE.replace("/dev/ttyUSB1", "/dev/ttyUSB0"))
+    with pytest.raises(UserError, match=r"port.*must differ from the port of"):
+        load_rig(path)
+
+
 def test_the_example_is_a_whole_rig_file_of_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(EXAMPLE)

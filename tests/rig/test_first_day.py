@@ -2,18 +2,23 @@
 
 import json
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rhizotwin import rigs
+from rhizotwin.commands import rig as rig_commands
 from rhizotwin.rig.first_day import Finding, FirstDay, edge_width_px, panel_evenness
 from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, Scene, Turntable
 from tests.rig.fake_devices import STRIP
@@ -116,6 +121,15 @@ def test_an_answer_that_is_missing_leaves_the_rig_safe_and_the_report(tmp_path: 
 
     with pytest.raises(KeyboardInterrupt):
         walked(tmp_path, rig=TRIPOD, ask=answer)
+    assert (tmp_path / "first_day.md").exists()
+
+
+def test_the_end_of_the_input_ends_the_checklist_before_anything_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", StringIO("yes\n"))
+    bench = rigs.open_bench("twin", None, errors=rigs.TwinErrors())
+    with ExitStack() as stack, pytest.raises(UserError, match="a question was not answered"):
+        rig_commands._walk(bench, tmp_path, None, 0, stack)
+    assert bench.twin.world.table.steps == 0
     assert (tmp_path / "first_day.md").exists()
 
 

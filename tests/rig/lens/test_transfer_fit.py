@@ -1,11 +1,16 @@
 """A camera's curve from exposures: pictures made by known curves, with noise and clipping, give them back."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.lens.transfer_fit import fit_transfer
+from rhizotwin.rig.lens.transfer_series import read_series
 from rhizotwin.scenes import transfer
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.picture_codec import encode_png
 from rhizotwin.scenes.transfer import LINEAR, SRGB, Curve
 
 TIMES = (0.002, 0.004, 0.008, 0.016, 0.032)
@@ -29,6 +34,21 @@ def test_a_curve_comes_back(curve: Curve) -> None:
     np.testing.assert_allclose(found.curve.of(share), factor * curve.of(share), atol=0.015)
     assert found.residual < 0.05
     assert (found.curve in (LINEAR, SRGB)) == (curve in (LINEAR, SRGB))
+
+
+def test_pictures_of_different_depths_have_the_same_curve() -> None:
+    taken = pictures(SRGB)
+    taken[0] = taken[0].astype(np.uint16) * 257
+    assert fit_transfer(taken, TIMES).curve == SRGB
+
+
+@pytest.mark.parametrize("exposures", ["0.002,inf,0.008", "0.002,nan,0.008", "0.002,0,0.008", "0.002,0.008"])
+def test_impossible_exposure_times_are_refused(exposures: str, tmp_path: Path) -> None:
+    paths = [tmp_path / f"{k}.png" for k in range(3)]
+    for path in paths:
+        path.write_bytes(encode_png(np.zeros((16, 16), np.uint8)))
+    with pytest.raises(UserError, match="specify a positive exposure time for each picture"):
+        read_series(paths, exposures)
 
 
 def test_exposures_that_are_too_alike_are_refused() -> None:

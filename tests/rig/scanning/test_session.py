@@ -1,6 +1,7 @@
 """What is on the disk at every moment of a scan, and what is taken up."""
 
 import json
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,20 @@ def test_the_list_is_written_before_the_picture(tmp_path: Path, monkeypatch: pyt
     made.record(frame(1), picture(1))
     made.close()
     assert order == ["list of 1", "view_000.png", "list of 2", "view_001.png"]
+
+
+def test_the_picture_that_is_being_written_counts_for_the_next_placement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, asked = encode_png, threading.Event()
+
+    def slowly(image: np.ndarray) -> bytes:
+        asked.wait(0.2)
+        return write(image)
+
+    monkeypatch.setattr(session_module, "encode_png", slowly)
+    made = begin(tmp_path / "d")
+    made.record(frame(0, placement=2), picture(0))
+    assert made.next_placement(0) == 3
+    made.close()
 
 
 def test_a_listed_frame_without_its_picture_is_taken_again(tmp_path: Path) -> None:
