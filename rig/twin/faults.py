@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from rhizotwin.rig.rig_file import JOINTS
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import suggestion
 
@@ -205,6 +206,8 @@ def draw_faults(
 def parse_fault(text: str) -> Fault:
     """Parse a fault from text such as ``reset``, ``reply_late table amount=3 at_s=20`` or ``stalled joint=2``.
 
+    Joints are numbered from 1 to 5, as in ``rhizotwin rig jog``.
+
     Raises
     ------
     UserError
@@ -223,9 +226,9 @@ def parse_fault(text: str) -> Fault:
                 values[key] = float(number)
             except ValueError:
                 raise UserError(f'fault "{text}": {key} must be a number, not {number!r}') from None
-            counts = key in ("at_message", "count", "joint")
-            if not int(counts) <= values[key] <= FOR_GOOD or (counts and values[key] % 1.0):
-                must = f"a whole number from 1 to {FOR_GOOD}" if counts else f"a number from 0 to {FOR_GOOD}"
+            counts, most = key in ("at_message", "count", "joint"), JOINTS if key == "joint" else FOR_GOOD
+            if not int(counts) <= values[key] <= most or (counts and values[key] % 1.0):
+                must = f"a whole number from 1 to {most}" if counts else f"a number from 0 to {most}"
                 raise UserError(f'fault "{text}": {key} must be {must}, not {number}')
         else:
             raise UserError(
@@ -238,7 +241,7 @@ def parse_fault(text: str) -> Fault:
         at_message=int(values["at_message"]) if "at_message" in values else None,
         at_s=values.get("at_s"),
         count=int(values.get("count", 1)),
-        joint=int(values.get("joint", 1)),
+        joint=int(values.get("joint", 2)) - 1,
     )
 
 

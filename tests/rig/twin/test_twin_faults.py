@@ -136,7 +136,8 @@ def test_every_kind_is_drawn_within_its_menu() -> None:
 def test_faults_are_read_from_words() -> None:
     assert parse_fault("reset") == Fault(kind="reset", device="table", amount=0.1)
     assert parse_fault("reply_late arm amount=3 at_s=20 count=2") == Fault(kind="reply_late", device="arm", at_s=20.0, amount=3.0, count=2)
-    words = [("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')]
+    assert [parse_fault(f"stalled joint={number}").joint for number in (1, 5)] == [0, 4]
+    words = [("stalled joint=6", "from 1 to 5"), ("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')]
     for text, named in (*words, ("reset at_s=nan", "at_s"), ("reset amount=inf", "amount")):
         with pytest.raises(UserError, match=named):
             parse_fault(text)
