@@ -111,7 +111,7 @@ def _pictures(axes: "Axes", made: Calibration) -> None:
     rms = [_rms(made, name) for name in names]
     axes.barh(range(len(names)), rms, color="#6080a0")
     axes.axvline(made.fit.rms_px, color="#a03020", linewidth=1.0)
-    axes.set_yticks(range(len(names)), [name[-40:] for name in names], fontsize=7)
+    axes.set_yticks(range(len(names)), [name[-40:] for name in names], fontsize=7, parse_math=False)
     axes.invert_yaxis()
     axes.set_xlabel("residual of each picture, px rms; the line marks the residual of all pictures", fontsize=9)
 

@@ -95,6 +95,7 @@ def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Pa
     scene : Scene
         Scene whose ``net_pot.outer_radius_mm`` is the outer radius of the wrapped paper at the markers.
     paper : Paper
+        Paper size, orientation, and measured scale of the printer.
     paper_mm : float
         Thickness of the paper, mm.
 

@@ -278,6 +278,12 @@ def test_the_lens_of_the_twin_is_found_and_bad_pictures_are_named(twin: Path, tm
     assert all(name in page for name in [*made.fit.views, *made.rejected, "data:image/png;base64,"])
 
 
+def test_names_of_pictures_are_no_formulas_in_the_report(tmp_path: Path) -> None:
+    views = {f"a$_^$ <{name}>": view for name, view in seen_views(SMALL.camera).items()}
+    path = write_report(calibrate_views(views, BOARD, SMALL.camera.image_wh), tmp_path)
+    assert "a$_^$ &lt;" in path.read_text(encoding="utf-8")
+
+
 def test_no_usable_picture_at_all_is_one_sentence(tmp_path: Path) -> None:
     for k in range(3):
         write_image(tmp_path / f"{k}.png", np.full((300, 400), 100, np.uint8))
