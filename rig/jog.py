@@ -22,6 +22,8 @@ from rhizotwin.scenes.model import Ring, Scene
 from rhizotwin.scenes.picture_codec import Grey, encode_png
 
 JOINT_COUNT = 5
+MOST_TURN_DEG = 720.0
+"""Maximum turn of the table by one command, deg. A wrongly typed angle could otherwise turn it for hours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +136,13 @@ class Jog:
             raise RigError(
                 "turntable: the table's angle is unknown; enter home, or home 0 if the seam of the marker strip faces the camera"
             )
-        goal_deg = angle_deg + (table.position_deg() if text[0] in "+-" else 0.0)
+        here_deg = table.position_deg()
+        goal_deg = angle_deg + (here_deg if text[0] in "+-" else 0.0)
+        if goal_deg - here_deg > MOST_TURN_DEG:
+            raise RigError(
+                f"turntable: the table would turn by {goal_deg - here_deg:g} deg, but at most {MOST_TURN_DEG:g} deg are permitted, because a "
+                "turn is completed even if the program is stopped"
+            )
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
     def _home(self, words: list[str]) -> None:
@@ -250,10 +258,8 @@ class Jog:
         path = Path(name)
         if path.suffix.lower() != ".png":
             raise UserError(f"{name}: pictures are written as PNG; choose a name that ends in .png")
-        if path.exists():
-            raise UserError(f"{name} already exists; choose another name")
         image = self.shot()
-        write_bytes(path, encode_png(image))
+        write_bytes(path, encode_png(image), new=True)
         found = preflight.measure_exposure(image)
         self._say(f"{path}: {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated")
 

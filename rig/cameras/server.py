@@ -101,7 +101,7 @@ class CameraServer:
         self._service = CameraService(camera, reopen=reopen)
         try:
             self._server = RequestServer(host, port, self._service, say)
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise RigError(f"camera server: cannot listen on {host} port {port} ({reason}); choose another --host or --port") from error
         self._host = host

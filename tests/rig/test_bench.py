@@ -115,11 +115,12 @@ class Bench:
 def test_table_is_turned_by_hand_once_its_angle_is_known() -> None:
     bench = Bench()
     start_deg = bench.twin.world.table_deg
-    said = bench.types("table +9", "home 40", "table +9", "table 30  # back", "table -130", "help", "quit", "table 0")
+    said = bench.types("table +9", "home 40", "table +9", "table 30  # back", "table -130", "table 9000", "help", "quit", "table 0")
     assert "turntable: the table's angle is unknown; enter home, or home 0 if the seam of the marker strip faces the camera" in said
     assert "table at 49.000 deg" in said
     assert {"home", "lights", "go", "park", "relax", "pose", "markers", "picture", "quit"} <= {line.split()[0] for line in said if line}
     assert "table at 30.000 deg" in said
+    assert any("the table would turn by 8970 deg, but at most 720 deg" in line for line in said)
     assert any("the angle is -100 deg but must be finite and at least -90 deg" in line for line in said)
     assert bench.twin.world.table_deg - start_deg == pytest.approx(-10.0, abs=0.06)  # a microstep
     assert said[-1] == "turntable: the motor remains on, so that the table's angle is not lost"
@@ -172,7 +173,8 @@ def test_misalignment_is_that_of_the_optical_axis() -> None:
 def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> None:
     bench, seen, file = Bench(), list[tuple[float, ...]](), tmp_path / "look.png"
     lines = ("lights 1 1", "go 400 -20", "markers", "home", "pose", f"picture {file}", "joint 1 +3")
-    said = bench.types(*lines, before_leaving=lambda: seen.append(bench.twin.world.joints_deg))
+    said = bench.types(*lines, f"picture {file}", before_leaving=lambda: seen.append(bench.twin.world.joints_deg))
+    assert f"{file} already exists; choose another name" in said
     assert any("markers, " in line and "reprojection error" in line for line in said), said
     assert any("from the markers, the camera is 4" in line or "from the markers, the camera is 39" in line for line in said)
     assert decode_grey(file.read_bytes(), where="look").shape == (300, 400)

@@ -27,6 +27,8 @@ def test_another_computer_takes_the_camera_and_a_port_is_taken_once(server: Came
     port = urlsplit(server.url).port or 0
     with pytest.raises(RigError, match=rf"cannot listen on 127.0.0.1 port {port} \(.*in use\); choose another"):
         CameraServer(camera, port=port)
+    with pytest.raises(RigError, match=r"cannot listen on raspberry\.\.pi port 0"):
+        CameraServer(camera, host="raspberry..pi")
 
 
 def test_two_requests_for_one_picture_at_once(camera: NumberedCamera) -> None:
