@@ -140,8 +140,8 @@ class Jog:
         goal_deg = angle_deg + (here_deg if text[0] in "+-" else 0.0)
         if goal_deg - here_deg > MOST_TURN_DEG:
             raise RigError(
-                f"turntable: the table would turn by {goal_deg - here_deg:g} deg, but at most {MOST_TURN_DEG:g} deg are permitted, because a "
-                "turn is completed even if the program is stopped"
+                f"turntable: the table would turn by {goal_deg - here_deg:g} deg, but at most {MOST_TURN_DEG:g} deg are permitted, because "
+                "a turn is completed even if the program is stopped"
             )
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 

@@ -344,7 +344,10 @@ class ScanTurntable:
         self._note("homed", f"turntable: the table is at {angle.table_deg:.2f} deg ({angle.source})")
 
     def _compare(self, wanted_deg: float, read_deg: float) -> None:
-        if not abs(read_deg - wanted_deg) <= self._devices.rig.turntable.tolerance_deg:
+        rig = self._devices.rig
+        # the hat stops at the nearest microstep
+        rounded_deg = rig.turntable.full_step_deg / rig.hat.microsteps / 2.0 if rig.turntable.kind == "hat" else 0.0
+        if not abs(read_deg - wanted_deg) <= rig.turntable.tolerance_deg + rounded_deg:
             raise BoardFaultError(LostError(f"turntable: the table is at {read_deg:.3f} deg instead of {wanted_deg:.3f} deg"))
 
     def _reconnect(self, cause: RigError) -> None:

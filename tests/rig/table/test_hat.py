@@ -12,10 +12,12 @@ import pytest
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import open_board
 from rhizotwin.rig.rig_file import BandPart, HatPart, RigFile, TurntablePart, load_rig
+from rhizotwin.rig.scanning.scan_turntable import BoardFaultError, ScanTurntable
 from rhizotwin.rig.table.hat import HatLights, HatTurntable
 from rhizotwin.rig.table.ramp import step_times_s
 from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
 
 HAT = HatPart()
 RIG = RigFile(turntable=TurntablePart(kind="hat", full_step_deg=0.18), hat=HAT)
@@ -147,6 +149,20 @@ def test_the_motor_stands_where_the_table_says_and_every_move_arrives_from_below
     assert table.knows_zero()
     with pytest.raises(UnsafeError, match="at least -90 deg"):
         table.move_to(-91.0)
+
+
+def test_a_scan_accepts_angles_between_the_microsteps(bench: Any) -> None:
+    rig = replace(RIG, turntable=replace(RIG.turntable, full_step_deg=1.8))
+    table, _ = open_board(rig, clock=bench[2].clock)
+    table.prepare()
+    table.declare(0.0)
+    devices: Any = SimpleNamespace(rig=rig, table=table)
+    turntable = ScanTurntable(devices, Scene(), SimpleNamespace(), ask=None, given_deg=None, note=lambda *_: None)  # type: ignore[arg-type]
+    for angle_deg in np.arange(7) * 360.0 / 7.0:
+        turntable.turn(angle_deg)
+        turntable.verify(angle_deg)
+    with pytest.raises(BoardFaultError, match="instead of"):
+        turntable.verify(300.0)
 
 
 def test_a_fault_loses_the_angle(bench: Any) -> None:
