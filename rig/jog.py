@@ -13,6 +13,7 @@ from rhizotwin.rig.arm.placement import camera_position, compute_joints, compute
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.prepared_devices import PreparedDevices
+from rhizotwin.rig.rig_file import JOINTS
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.homing import facing_angle
 from rhizotwin.rig.scanning.safety import Say
@@ -21,7 +22,6 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Ring, Scene
 from rhizotwin.scenes.picture_codec import Grey, encode_png
 
-JOINT_COUNT = 5
 MOST_TURN_DEG = 720.0
 """Maximum turn of the table by one command, deg. A wrongly typed angle could otherwise turn it for hours."""
 
@@ -178,7 +178,7 @@ class Jog:
     def _joint(self, words: list[str]) -> None:
         number, text = words
         k = int(number) - 1
-        if not 0 <= k < JOINT_COUNT:
+        if not 0 <= k < JOINTS:
             raise ValueError(number)
         angle_deg = parse_number(text)
         here = self._devices.arm().read_joints()

@@ -11,7 +11,8 @@ from rhizotwin.scenes.files import read_toml
 from rhizotwin.scenes.limits import bounded
 from rhizotwin.scenes.schema import Place, from_plain
 
-JOINTS = 5
+JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
+JOINTS = len(JOINT_NAMES)
 Rgb: TypeAlias = tuple[int, int, int]
 LSC_BAUD = 9600
 
@@ -327,7 +328,7 @@ def _check_bands(rig: RigFile, place: Place) -> None:
 
 def _check_arm(arm: ArmPart, place: Place) -> None:
     if len(arm.joints) != JOINTS:
-        raise place.at("joints").error(f"must have {JOINTS} entries: base, shoulder, elbow, wrist pitch, wrist roll", len(arm.joints))
+        raise place.at("joints").error(f"must have {JOINTS} entries: {', '.join(JOINT_NAMES)}", len(arm.joints))
     if len({joint.servo for joint in arm.joints}) != JOINTS:
         raise place.at("joints").error("must have different servo numbers", [joint.servo for joint in arm.joints])
     if arm.filter is not None and arm.filter.servo in {joint.servo for joint in arm.joints}:

@@ -13,10 +13,8 @@ from rhizotwin.rig.arm.lx_bus import LxBus
 from rhizotwin.rig.arm.servo_bus import MAX_COUNTS, MAX_MOVE_S, MIN_COUNTS, ServoBus
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
-from rhizotwin.rig.rig_file import JOINTS, ArmPart, Joint
+from rhizotwin.rig.rig_file import JOINT_NAMES, JOINTS, ArmPart, Joint
 from rhizotwin.rig.serial_line.port import Wire
-
-JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 
 _HOLD_S = 1.0
 """Duration of the move to the measured position that switches the torque on, s. The arm may have sagged since the

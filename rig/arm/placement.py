@@ -10,14 +10,13 @@ from rhizotwin.rig.arm.inverse import Branches, NewtonSolution, inverse, newton
 from rhizotwin.rig.arm.kinematics import forward, rig_from_arm
 from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent_pose
 from rhizotwin.rig.errors import RigError, UnsafeError
-from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.rig.rig_file import JOINT_NAMES, ArmPart, RigFile
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Ring
 
 Joints = tuple[float, ...]
 
-JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 LEFT_OVER_RAD = 1e-9
 MOST_AZIMUTH_DEG = 15.0
 """Maximum azimuth of the camera about the table's axis, deg. A camera at a larger azimuth would not face the
@@ -80,7 +79,7 @@ def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
     arm_from_rig = frames.invert(rig_from_arm(part))
     target = arm_from_rig @ frames.invert(cam_from_rig)
     branches = inverse(part, target)
-    _refuse_beyond_reach(part, branches, cam_from_rig)
+    _check_reach(part, branches, cam_from_rig)
     joints_rad = branches.joints_rad
     if branches.left_over_rad > LEFT_OVER_RAD:
         joints_rad = _rotate_about_table(part, arm_from_rig, target, branches, cam_from_rig)
@@ -313,7 +312,7 @@ def _limits_deg(part: ArmPart) -> tuple[Array, Array]:
     return np.array([joint.min_deg for joint in part.joints]), np.array([joint.max_deg for joint in part.joints])
 
 
-def _refuse_beyond_reach(part: ArmPart, branches: Branches, cam_from_rig: Array) -> None:
+def _check_reach(part: ArmPart, branches: Branches, cam_from_rig: Array) -> None:
     if not np.isnan(branches.joints_rad).any():
         return
     _, upper, fore, _ = part.links_mm

@@ -57,7 +57,7 @@ class CameraService:
         Repeating the call for the same session has no effect.
         """
         with self._turn:
-            self._refuse_closed()
+            self._check_open()
             if session != self._session:
                 self._session = ""
                 self._pictures.clear()
@@ -81,7 +81,7 @@ class CameraService:
             If the camera fails. In this case the request can be repeated.
         """
         with self._turn:
-            self._refuse_closed()
+            self._check_open()
             if not self._session or session != self._session:
                 raise LostError(
                     "the camera server was restarted, or another computer has taken over the camera; finish the scan with --resume"
@@ -106,6 +106,6 @@ class CameraService:
         png = encode_png(shot.image)
         return Picture(png=png, sha256=hashlib.sha256(png).hexdigest(), exposure_s=shot.exposure_s, gain=shot.gain)
 
-    def _refuse_closed(self) -> None:
+    def _check_open(self) -> None:
         if self._closed:
             raise RigError("the camera server is stopping; start rhizotwin camera again")

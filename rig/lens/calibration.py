@@ -164,7 +164,7 @@ def calibrate_views(
         coverage=float(np.mean(covered_cells(fit, image_wh))),
         tilts_deg={name: _tilt_deg(pose) for name, pose in fit.cam_from_board.items()},
     )
-    _refuse(made)
+    _check_pictures(made)
     return replace(made, warnings=tuple(_warnings(made)))
 
 
@@ -292,7 +292,7 @@ def _ways(fit: LensFit) -> int:
     return len(different)
 
 
-def _refuse(made: Calibration) -> None:
+def _check_pictures(made: Calibration) -> None:
     """Raise an error if the pictures are insufficient for a useful calibration."""
     fit = made.fit
     if fit.rms_px > MOST_RMS_PX[0]:

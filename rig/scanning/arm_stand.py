@@ -76,7 +76,7 @@ class ArmStand:
         self.failed = False
         """Whether the arm has failed. It must then not be moved."""
 
-    def refuse(self, rings: Sequence[Ring]) -> None:
+    def check_rings(self, rings: Sequence[Ring]) -> None:
         """Raise an error before any motion if the arm cannot reach the position of every ring without collisions."""
         at: Joints = self._part.park_deg
         for ring in rings:

@@ -44,7 +44,7 @@ def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Gre
     stand: Stand = Tripod(scene, camera, ask=observers.ask, note=note)
     if devices.arm is not None and devices.rig.arm is not None:
         stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, camera, note=note)
-    stand.refuse([ring])
+    stand.check_rings([ring])
     used = False
     try:
         preflight.check_table(devices.table)

@@ -129,7 +129,7 @@ class _Scan:
             self._say(f"{self._session.folder}: all {len(planned)} pictures exist")
             return self._session.save(complete=True)
         rings = sorted({view.ring for view in remaining})
-        self._stand.refuse([self._scene.plan.rings[ring] for ring in rings])
+        self._stand.check_rings([self._scene.plan.rings[ring] for ring in rings])
         finished = False
         try:
             self._observer.on_plan(len(planned), len(planned) - len(remaining))
@@ -188,20 +188,20 @@ class _Scan:
             self._wait()
             take = partial(self._views.take, view, twice=self._observer.watches_motion)
             (frame, image), others, again = self._run_with_recovery(take, near_deg=view.table_deg)
-            self._refuse_still()
+            self._check_previous_picture()
             for one in ((frame, image), *others):
                 self._session.record(*one)
             self._turntable.add_picture(view.table_deg, self._session.folder / frame.file)
             self._watch.begin_look(frame, image, again)
             step()
-        self._refuse_still()
+        self._check_previous_picture()
 
     def _wait(self) -> None:
         """Wait as long as the observer pauses the scan, and monitor the arm during this time."""
         while self._observer.holds():
             self._stand.joints()
 
-    def _refuse_still(self) -> None:
+    def _check_previous_picture(self) -> None:
         """Raise an error if the previous picture does not confirm that the table has rotated.
 
         Before, all pictures at wrong angles are removed. If there are none, the previous picture is removed.

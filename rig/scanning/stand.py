@@ -22,7 +22,7 @@ class Stand(Protocol):
 
     failed: bool
 
-    def refuse(self, rings: Sequence[Ring]) -> None:
+    def check_rings(self, rings: Sequence[Ring]) -> None:
         """Raise an error before any motion if the plan is impossible with this stand."""
 
     def place(self, ring: Ring) -> None:
@@ -65,7 +65,7 @@ class Tripod:
         self._ring = scene.plan.rings[0]
         self.failed = False
 
-    def refuse(self, rings: Sequence[Ring]) -> None:
+    def check_rings(self, rings: Sequence[Ring]) -> None:
         """Raise an error if the plan has several rings but there is no user to move the camera."""
         if self._ask is None and any(ring != self._scene.plan.rings[0] for ring in rings):
             raise RigError(
@@ -79,7 +79,7 @@ class Tripod:
         if ring == self._scene.plan.rings[0]:
             return
         if self._ask is None:
-            self.refuse([ring])
+            self.check_rings([ring])
             return
         self._ask(f"Move the camera: {describe_ring(ring)}. Press Enter when done: ")
 

@@ -53,7 +53,7 @@ class MarlinLights:
             If the board is no longer connected.
         """
         try:
-            self._surely_off()
+            self._switch_off()
         except NoAnswerError:
             strips = (f"M150 S{strip} R0 U0 B0 P0" for strip in (self._part.panel_strip, self._part.front_strip))
             self._link.send_unheard(*strips, *(f"M107 P{output}" for output in self._outputs))
@@ -63,7 +63,7 @@ class MarlinLights:
         """Close the port, which the turntable and the lights share."""
         self._link.close()
 
-    def _surely_off(self) -> None:
+    def _switch_off(self) -> None:
         if not self._link.ready:
             self._link.start()
         try:

@@ -176,7 +176,7 @@ class MarlinLink:
         If the board is already running, wait for the timeout.
         """
         clock = self._wire.clock
-        self._wire.fresh()
+        self._wire.reset_count()
         until_s = clock.now_s() + BOOT_S
         latest_s = until_s + BOOT_S
         greeted = False

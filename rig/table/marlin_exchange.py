@@ -113,7 +113,7 @@ class Exchange:
         LostError
             If the board was reset, halted or unplugged.
         """
-        self._wire.fresh()
+        self._wire.reset_count()
         self._send()
         for _ in range(MOST_LINES):
             if self._acknowledged and self._copies <= 0 and self._answered:

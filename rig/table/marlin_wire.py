@@ -36,7 +36,7 @@ class MarlinWire:
         Raises
         ------
         NoAnswerError
-            If too many bytes were received since `fresh` or `drain`.
+            If too many bytes were received since `reset_count` or `drain`.
         """
         while not self._lines:
             data = self._port.read(max(until_s - self.clock.now_s(), 0.0))
@@ -51,7 +51,7 @@ class MarlinWire:
             self._lines.extend(read_line(bytes(raw)) for raw in whole)
         return self._lines.popleft()
 
-    def fresh(self) -> None:
+    def reset_count(self) -> None:
         """Reset the count of received bytes, which is limited in `next`."""
         self._heard = 0
 
@@ -68,7 +68,7 @@ class MarlinWire:
         LostError
             If the discarded lines contain the greeting of a board that was reset.
         """
-        self.fresh()
+        self.reset_count()
         while (line := self.next(self.clock.now_s())) is not None:
             self.check(line)
         self.forget()

@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 import serial
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.rig_file import ArmPart, BandPart, CameraPart, RigFile
+from rhizotwin.rig.rig_file import LSC_BAUD, ArmPart, BandPart, CameraPart, RigFile
 from rhizotwin.rig.twin import protocol_twin
 from rhizotwin.rig.twin import rendered_pictures as rendering
 from rhizotwin.rig.twin.adapter import Adapter
@@ -32,7 +32,6 @@ from rhizotwin.scenes.picture_codec import Grey, decode_grey
 
 PictureKind = Literal["render", "sketch"]
 ArmProtocol = Literal["lx", "lsc"]
-LSC_BAUD = 9600
 _NUMBERS = itertools.count(1)
 
 
