@@ -21,11 +21,12 @@ from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, 
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents
+from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, encode_png
 from rhizotwin.scenes.plan import View
 from rhizotwin.scenes.provenance import versions
-from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 PROGRAM = "rhizotwin scan"
 _VERSIONED = ("numpy", "opencv-python-headless", "pyserial")
@@ -177,7 +178,7 @@ def _load_stopped(folder: Path, resume: bool) -> Dataset:
     if before.origin.get("program") != PROGRAM:
         raise UserError(f"{folder} contains a dataset that was not created by a scan; choose a new folder for the scan")
     if not resume:
-        state = "a finished scan" if before.origin.get("complete") else f"a scan that was interrupted after {len(before.frames)} pictures"
+        state = "a finished scan" if before.origin.get("complete") else f"a scan that was interrupted after {count(len(before.frames), 'picture')}"
         hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
         raise UserError(f"{folder} contains {state}; {hint}choose a new folder")
     return before
@@ -264,13 +265,21 @@ def _check_differences(before: Dataset, now: Dataset) -> None:
     """Raise an error if the scene, the plan, the rig or the settings have changed since a scan began."""
     found = _differences(to_plain(before.scene), to_plain(now.scene), ())
     found = [("scene", *path) for path in found if path not in (("name",), ("description",))]
-    rig = _differences(before.origin.get("rig", {}), now.origin["rig"], ())
+    rig = _differences(_with_new_keys(before.origin.get("rig", {})), now.origin["rig"], ())
     found += [("rig", *path) for path in rig if path not in _MAY_CHANGE]
     settings = json.loads(json.dumps(now.origin["settings"]))
     found += _differences({**before.origin.get("settings", {}), "seed": before.seed}, {**settings, "seed": now.seed}, ())
     if found:
         names = ", ".join(".".join(path) for path in found[:_MOST_NAMED]) + (" and more" if len(found) > _MOST_NAMED else "")
         raise UserError(f"{now.folder} contains a scan with different values of {names}; use the same values, or choose a new folder")
+
+
+def _with_new_keys(rig: Any) -> Any:
+    """Return the rig of an earlier run, with defaults for keys that an update of the program has added."""
+    try:
+        return to_plain(from_plain(RigFile, rig, Place("rig")))
+    except UserError:
+        return rig
 
 
 def _differences(before: Any, now: Any, path: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -114,7 +114,7 @@ def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_
     for named, changes in DIFFERENCES.items():
         with pytest.raises(UserError, match=f"a scan with different values of {named}; use the same"):
             begin(tmp_path / "d", resume=True, **changes)
-    with pytest.raises(UserError, match="interrupted after 1 pictures; add --resume"):
+    with pytest.raises(UserError, match="interrupted after 1 picture; add --resume"):
         begin(tmp_path / "d")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("x")
@@ -126,6 +126,19 @@ def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_
     made.close()
     save_dataset(replace(load_dataset(tmp_path / "d"), origin={"program": "rhizotwin simulate"}))
     with pytest.raises(UserError, match="was not created by a scan"):
+        begin(tmp_path / "d", resume=True)
+
+
+def test_a_scan_is_resumed_after_an_update_that_added_a_key_of_the_rig_file(tmp_path: Path) -> None:
+    taken(tmp_path / "d", 0)
+    path = tmp_path / "d" / "dataset.json"
+    plain = json.loads(path.read_text())
+    del plain["origin"]["rig"]["turntable"]["rest"]
+    path.write_text(json.dumps(plain))
+    begin(tmp_path / "d", resume=True).close()
+    plain["origin"]["rig"]["turntable"]["older"] = 1.0
+    path.write_text(json.dumps(plain))
+    with pytest.raises(UserError, match=r"different values of rig\.turntable\.older, rig\.turntable\.rest"):
         begin(tmp_path / "d", resume=True)
 
 
