@@ -1,7 +1,7 @@
 """Alignment of the camera with the canister by the arm (thesis, appendix C.2)."""
 
 from rhizotwin.rig.arm.placement import correct_joints, require_arm
-from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.prepared_devices import PreparedDevices
 from rhizotwin.rig.scanning.alignment import ALL_JOINTS, MOST_MOVES, misalignment, single_move
 from rhizotwin.rig.scanning.arm_stand import tilted_joints
@@ -45,11 +45,15 @@ def align_camera(devices: PreparedDevices, *, say: Say) -> None:
 def _measure_pose(devices: PreparedDevices, *, search: bool = False) -> Array:
     """Take a picture, and return the pose (4, 4) of the camera in the canister frame.
 
-    With ``search``, the camera is tilted until the strip is visible.
+    With ``search``, the camera is tilted until the strip is visible. Tilts that the arm cannot reach are omitted.
     """
     seen, why = devices.read_markers()
     if seen is None and search:
         for goal in tilted_joints(devices.arm().read_joints()):
+            try:
+                devices.check_clear([goal])
+            except UnsafeError:
+                continue
             devices.move_along([goal])
             seen, _ = devices.read_markers()
             if seen is not None:

@@ -71,6 +71,11 @@ class PreparedDevices:
         """Move the arm to joint angles on a path around all obstacles, and return the measured joint angles, deg."""
         return self.move_along(plan_path(self.rig, self._scene, self.arm().read_joints(), goal_deg))
 
+    def check_clear(self, path: list[Joints]) -> None:
+        """Raise an error if a path of the arm ends beyond a limit of a joint, or something is in the way."""
+        check_limits(require_arm(self.rig), path[-1])
+        check_path(self.rig, self._scene, [self.arm().read_joints(), *path])
+
     def move_along(self, path: list[Joints]) -> Joints:
         """Check a path of the arm for collisions, move along it, and return the measured joint angles, deg.
 
@@ -80,8 +85,7 @@ class PreparedDevices:
             If the rig has no arm, the path ends beyond a limit of a joint, or something is in the way.
         """
         arm, part = self.arm(), require_arm(self.rig)
-        check_limits(part, path[-1])
-        check_path(self.rig, self._scene, [arm.read_joints(), *path])
+        self.check_clear(path)
         self.commanded_deg = None
         try:
             for joints_deg in path:

@@ -178,9 +178,10 @@ def _load_stopped(folder: Path, resume: bool) -> Dataset:
     if before.origin.get("program") != PROGRAM:
         raise UserError(f"{folder} contains a dataset that was not created by a scan; choose a new folder for the scan")
     if not resume:
-        state = "a finished scan" if before.origin.get("complete") else f"a scan that was interrupted after {count(len(before.frames), 'picture')}"
-        hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
-        raise UserError(f"{folder} contains {state}; {hint}choose a new folder")
+        if before.origin.get("complete"):
+            raise UserError(f"{folder} contains a finished scan; choose a new folder")
+        taken = count(len(before.frames), "picture")
+        raise UserError(f"{folder} contains a scan that was interrupted after {taken}; add --resume to finish it, or choose a new folder")
     return before
 
 

@@ -10,13 +10,16 @@ import pytest
 
 import rhizotwin.rig.align_camera
 from rhizotwin.rig.arm.arm import ServoArm
+from rhizotwin.rig.arm.placement import compute_joints, planned_camera_pose
 from rhizotwin.rig.bench import check
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.prepared_devices import PreparedDevices
 from rhizotwin.rig.rig_file import ArmPart, Pose, RigFile, load_rig
 from rhizotwin.rig.scanning import alignment
+from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes import frames
@@ -148,6 +151,25 @@ def test_an_arm_that_cannot_be_aligned_is_an_error(monkeypatch: pytest.MonkeyPat
     with pytest.raises(UserError, match="not aligned after 1 moves"):
         bench.types("lights 1 1", "align 400 -42", stop_at_mistake=True)
     assert bench.is_safe()
+
+
+def test_the_search_for_the_strip_omits_tilts_beyond_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default arm at the ring, with a wrist that can only raise the camera, which sees the strip once it is raised by 10 degrees."""
+    arm = ArmPart()
+    wrist_deg = compute_joints(RigFile(arm=arm), planned_camera_pose(SCENE.plan.rings[0]))[3]
+    joints = (*arm.joints[:3], replace(arm.joints[3], max_deg=wrist_deg + 2.0), arm.joints[4])
+    park_deg = (*arm.park_deg[:3], wrist_deg, 0.0)
+    bench = Bench(rig=replace(twin_of().rig, arm=replace(arm, joints=joints, park_deg=park_deg)))
+    read = PreparedDevices.read_markers
+
+    def hidden(devices: PreparedDevices) -> tuple[Sighting | None, str]:
+        raised = devices.commanded_deg is not None and devices.commanded_deg[3] < wrist_deg - 7.0
+        return read(devices) if raised else (None, "no markers were found")
+
+    monkeypatch.setattr(PreparedDevices, "read_markers", hidden)
+    ring = SCENE.plan.rings[0]
+    said = bench.types("lights 1 1", f"align {ring.distance_mm} {ring.height_mm}")
+    assert any(line.startswith("before: axis") for line in said), said
 
 
 def test_a_named_pose_is_gone_to() -> None:
