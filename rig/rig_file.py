@@ -214,7 +214,7 @@ class Bar:
 class Clearance:
     """Dimensions used in the collision checks of the arm, and additional obstacles.
 
-    The canister and the net pot of the scene are always obstacles.
+    The canister, the net pot and the tank of the scene are always obstacles.
     """
 
     margin_mm: float = bounded(15.0, 0.0, 500.0)
