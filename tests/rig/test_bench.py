@@ -267,10 +267,13 @@ def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
     assert bench.is_safe()
 
 
-def test_one_port_for_two_devices_is_refused(tmp_path: Path) -> None:
+def test_rig_files_that_cannot_work_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(EXAMPLE.replace("/dev/ttyUSB1", "/dev/ttyUSB0"))
     with pytest.raises(UserError, match=r"port.*must differ from the port of"):
+        load_rig(path)
+    path.write_text(EXAMPLE.replace("tolerance_deg = 0.02", "tolerance_deg = 0.004"))  # less than the rounding of a reported angle
+    with pytest.raises(UserError, match=r"tolerance_deg = 0.004"):
         load_rig(path)
 
 
