@@ -36,8 +36,8 @@ class TurntablePart:
     """Overshoot of moves against the approach direction, after which the table returns, deg. The backlash is thus
     always on the same side."""
     tolerance_deg: float = bounded(0.02, 0.01, 5.0)
-    """Maximum difference between the commanded and the measured table angle, deg. A Marlin board reports angles with two
-    decimals."""
+    """Maximum difference between the commanded and the measured table angle, deg. A Marlin board reports angles with
+    two decimals."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
     """Pause between a move and the next picture, s. During this pause the water comes to rest."""
     rest: Literal["given", "measured"] = "given"
