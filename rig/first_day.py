@@ -288,7 +288,7 @@ class FirstDay:
     def _cell_px(self) -> float:
         """Return the expected side length of a cell of a marker in the pictures of the first ring, px.
 
-        A marker consists of 8x8 cells including its border (AprilTag 36h11: 10x10 cells).
+        A marker of AprilTag 36h11 consists of 6x6 cells and a black border of one cell, thus of 8x8 cells.
         """
         from rhizotwin.scenes.markers import get_dictionary
 
