@@ -225,7 +225,8 @@ class _Residual:
     missing_px3: float
     """Volume of coverage far from tubes, in cubic pixels. It includes an estimate of the roots that tubes hide.
 
-    For opaque roots, the volume is the covered area times a quarter of pi times the width."""
+    It is the covered area times the depth, which is a quarter of pi times the width. Faint translucent roots are deeper:
+    their opacity is less than their attenuation times the depth."""
     unexplained: float
     """Fraction of all covered area that is far from tubes."""
     fill: float
@@ -306,9 +307,9 @@ class _ViewResidual:
         zone = np.s_[top : bottom + 1, first : last + 1]
         inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
         width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
-        if evidence.mu_per_mm is None:
-            volume = 0.25 * np.pi * float((far * width_px).sum(dtype=np.float64))
-        else:  # absorption of faint roots is proportional to their volume
-            volume = rest.beyond * px_a_mm / evidence.mu_per_mm
+        depth_px = 0.25 * np.pi * width_px
+        if evidence.mu_per_mm is not None:  # absorption of faint roots is proportional to their volume
+            depth_px = np.maximum(depth_px, px_a_mm / evidence.mu_per_mm)
+        volume = float((far * depth_px).sum(dtype=np.float64))
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
         return replace(rest, has_roots=True, fill=float(np.where(known, picture.coverage, 0.0)[zone].mean()), missing_px3=missing)
