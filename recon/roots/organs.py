@@ -49,8 +49,9 @@ class Core:
 def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
     """Set the radii of the nodes inside a core.
 
-    The radius of a node is that of the largest sphere that fits into the core and contains the node. A branch that runs
-    inside the core for more than its own width is a thick root. Other branches merely begin inside a thick root.
+    The radius of a node is the largest radius of a section through it of a sphere in the core. A branch that runs
+    inside the core for more than the width of these spheres is a thick root. Other branches merely begin inside a thick
+    root.
 
     Parameters
     ----------
@@ -69,28 +70,30 @@ def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
         Mask of the nodes of thick roots.
     """
     thick, radius = np.zeros(len(start.radius_mm), bool), start.radius_mm.copy()
-    inner = _inner_radius(core, start.centre_mm)
+    inner, section = _inner_radius(core, start.centre_mm, _RIM_PX / px_a_mm)
     for k in range(len(start.branches)):
         own = start.own(k)
         buried = inner[own] > 0.0
         run, count = ndimage.label(buried | ndimage.binary_closing(buried, np.ones(_GAP_NODES, bool)))
         for number in range(1, count + 1):
             nodes = own[run == number]
-            inside = inner[nodes] > 0.0
-            wide = np.interp(np.arange(len(nodes)), np.flatnonzero(inside), inner[nodes][inside]) + _RIM_PX / px_a_mm
-            if len(nodes) * SPACING_MM > 2.0 * float(np.median(wide)):
-                thick[nodes], radius[nodes] = True, wide
+            at, inside = np.arange(len(nodes)), np.flatnonzero(inner[nodes] > 0.0)
+            if len(nodes) * SPACING_MM > 2.0 * float(np.median(np.interp(at, inside, inner[nodes][inside]))):
+                thick[nodes], radius[nodes] = True, np.interp(at, inside, section[nodes][inside])
     return tubes.with_geometry(start, start.centre_mm, radius), thick
 
 
-def _inner_radius(core: Core, points_mm: Array) -> Array:
-    """Return the radius (N,) of the largest sphere that contains each point (N, 3) and fits into a core, mm.
+def _inner_radius(core: Core, points_mm: Array, rim_mm: float) -> tuple[Array, Array]:
+    """Return two radii for each point (N, 3), mm: of spheres in a core that contain it, and of their sections at it.
 
-    The radius is 0 if there is no such sphere.
+    The spheres extend beyond the core by ``rim_mm``. A section is perpendicular to the line from the sphere's centre to
+    the point, like the section of a ball at a point of its axis. Both radii (N,) are the largest ones. They are 0 at
+    points outside the core.
     """
-    found, depth, edge_mm = np.zeros(len(points_mm)), core.depth_mm, core.cells.grid.size_mm
+    found, section = np.zeros(len(points_mm)), np.zeros(len(points_mm))
+    depth, edge_mm = core.depth_mm, core.cells.grid.size_mm
     if not len(depth):
-        return found
+        return found, section
     highest = depth.copy()  # maximum depth around each cell
     for _, here, there in CellSet.from_cells(core.cells.index).neighbours():
         np.maximum.at(highest, here, depth[there])
@@ -102,8 +105,10 @@ def _inner_radius(core: Core, points_mm: Array) -> Array:
         near = place.sparse_distance_matrix(cKDTree(some.cells.centre_mm), float(some.depth_mm.max()), output_type="ndarray")
         size = some.depth_mm[near["j"]]
         inside = near["v"] < size
-        np.maximum.at(found, near["i"][inside], size[inside] - 0.5 * edge_mm)
-    return found
+        radius = size[inside] - 0.5 * edge_mm + rim_mm
+        np.maximum.at(found, near["i"][inside], radius)
+        np.maximum.at(section, near["i"][inside], np.sqrt(np.maximum(radius**2 - near["v"][inside] ** 2, 0.0)))
+    return found, section
 
 
 def find_solids(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:

@@ -225,8 +225,8 @@ class _Residual:
     missing_px3: float
     """Volume of coverage far from tubes, in cubic pixels. It includes an estimate of the roots that tubes hide.
 
-    It is the covered area times the depth, which is a quarter of pi times the width. Faint translucent roots are deeper:
-    their opacity is less than their attenuation times the depth."""
+    It is the covered area times the depth, which is a quarter of pi times the width. For faint translucent roots, the
+    covered area is smaller, but the volume is still proportional to the absorption."""
     unexplained: float
     """Fraction of all covered area that is far from tubes."""
     fill: float

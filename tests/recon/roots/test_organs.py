@@ -38,6 +38,20 @@ def test_a_cone_is_as_wide_as_its_core_and_a_lateral_on_it_stays_thin() -> None:
     assert np.all(started.radius_mm[started.own(1)] < 0.5)
 
 
+def test_an_axis_through_a_bulb_is_as_wide_as_the_bulb() -> None:
+    """It began as wide as the widest sphere nearly everywhere; the excess at both ends pushed the axis aside and along."""
+    count, semi_mm = (60, 60, 100), np.array([5.0, 5.0, 9.0])
+    places = np.argwhere(np.ones(count)).astype(np.int32)
+    index = places[np.linalg.norm((CELL_MM * (places + 0.5) - [6.0, 6.0, 10.0]) / semi_mm, axis=1) < 1.0]
+    cells = Cells(Grid(np.zeros(3), CELL_MM, 1, count), index, np.zeros(len(index), np.float32))
+    bulb = Core(cells, tracing.core_depth(cells, index, reach_mm=0.0))
+    started, thick = organs.thicken(strung(line((6.0, 6.0, 18.8), (6.0, 6.0, 0.5))), bulb, PX_A_MM)
+    z = started.centre_mm[:, 2] - 10.0
+    inner = np.abs(z) < 7.5
+    assert thick[inner].all()
+    np.testing.assert_allclose(started.radius_mm[inner], 5.0 * np.sqrt(1.0 - (z[inner] / 9.0) ** 2) + RIM_MM, atol=0.4)
+
+
 def test_parts_without_a_root_are_solids() -> None:
     core = core_of(4.0, 3.0)
     tree, thick = organs.thicken(strung(line((6.0, 6.0, 23.5), (6.0, 6.0, 3.0))), core, PX_A_MM)
