@@ -32,6 +32,9 @@ their union is too low by up to 1/128 of the radius, and the mean error is compe
 _DENT = 24.0
 """Denominator in the mean error of a union of spheres. If the spheres have the radius r and the spacing s, the radius
 of the union is too small by s^2 / (24 r) on average."""
+_SHORT_NODES = 0.5
+"""Maximum distance between the rim of a cross-section and the spheres that fill it, in node edges. At blunt ends,
+spheres that stay inside all other cross-sections cannot touch the rim; there, points fill the tube."""
 _SLACK_PX = 0.05
 """Change of the tube radii from which the bounds of the volume are computed, px."""
 
@@ -55,10 +58,10 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
     Where they overlap, the larger occupancy of a node is used. Thick tubes are clipped to the hull.
     """
     tubes, grid = system.tubes, solids.grid
-    wide = _is_wide(tubes, grid.size_mm) & ~system.solid
+    inscribed, filled = _inscribe_spheres(tubes, _is_wide(tubes, grid.size_mm) & ~system.solid, _SHORT_NODES * grid.size_mm)
     spacing_mm = max(grid.size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
-    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
-    thick = unite(solids, intersect(unite(spheres.fill(_wide_spheres(tubes, wide), grid), flanks), hull))
+    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=system.solid | filled | gone), grid) for gone in (system.thick, ~system.thick))
+    thick = unite(solids, intersect(unite(spheres.fill(inscribed, grid), flanks), hull))
     leaves = unite(thick, thin)
     slack_mm = _SLACK_PX / system.px_a_mm
     free = np.where(system.solid, 0.0, tubes.radius_mm)
@@ -80,28 +83,46 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
     return wide
 
 
-def _wide_spheres(tubes: Tubes, wide: Mask) -> Spheres:
-    """Return spheres that fill the wide parts of all branches.
+def _inscribe_spheres(tubes: Tubes, wide: Mask, short_mm: float) -> tuple[Spheres, Mask]:
+    """Return spheres inside the wide parts of all branches, and the mask (N,) of the nodes whose discs they fill.
 
-    A part of a branch is wide if the nodes at both of its ends are wide. ``wide`` is the mask (N,) of these nodes.
+    Parameters
+    ----------
+    wide : (N,) bool array
+        Mask of wide nodes. A part of a branch is wide if the nodes at both of its ends are wide.
+    short_mm : float
+        Maximum distance between the rim of a filled disc and the spheres, mm.
     """
-    found = [_inscribe(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
-    centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.zeros((0, 3)), np.zeros(0))
-    return Spheres(centre, radius)
+    found, filled = [(np.zeros((0, 3)), np.zeros(0))], wide.copy()
+    for branch, nodes in enumerate(tubes.branches):
+        if wide[nodes].any():
+            centre, radius, section = _inscribe(tubes, branch, wide)
+            own = tubes.own(branch)
+            filled[own] &= section[-len(own) :] > tubes.radius_mm[own] - short_mm
+            found.append((centre, radius))
+    centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Spheres(centre, radius), filled
 
 
-def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
-    """Return centres (M, 3) and radii (M,) of the spheres that touch the surface of a branch from inside, mm.
+def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array, Array]:
+    """Return the spheres that touch the surface of a branch from inside.
 
     The cross-section of a branch at position s along its axis is a disc with the radius r. The sphere that touches the
     surface at a disc has its centre at s + q and the radius sqrt(r^2 + q^2), with q = (r^2)' / 2. A sphere with the
     centre and the radius of the disc would protrude from a tapering branch. No sphere extends beyond the rim of another
     disc.
+
+    Returns
+    -------
+    centre_mm : (M, 3) float64 array
+        Centres of the spheres, mm.
+    radius_mm : (M,) float64 array
+        Their radii, mm.
+    section_mm : (n,) float64 array
+        Radius of the largest section of the spheres at each of the branch's nodes, mm.
     """
     nodes = tubes.branches[branch]
-    way, square = polyline.arc_length_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
-    if branch > 0:
-        square[0] = square[1]  # the first node of a branch has its parent's radius
+    way, square = polyline.arc_length_mm(tubes.centre_mm[nodes]), np.square(tubes.radii(branch))
     step, both = np.diff(way), wide[nodes[:-1]] & wide[nodes[1:]]
     count = np.maximum(np.ceil(step / (_APART * np.sqrt(np.minimum(square[:-1], square[1:])))), 1).astype(np.int64)
     segment = np.repeat(np.arange(len(step)), count)
@@ -112,7 +133,8 @@ def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
     middle = np.clip(at + shift, way[0], way[-1])[inside]
     radius = np.sqrt([(np.square(at - place) + disc).min() for place in middle])
     radius += np.square(apart[inside]) / (_DENT * radius)  # mean dent between spheres
-    return np.stack([np.interp(middle, way, axis) for axis in tubes.centre_mm[nodes].T], axis=1), radius
+    section = np.sqrt([(np.square(radius) - np.square(middle - place)).max(initial=0.0) for place in way])
+    return np.stack([np.interp(middle, way, axis) for axis in tubes.centre_mm[nodes].T], axis=1), radius, section
 
 
 def _leaves(filled: FillPoints, grid: Grid) -> Leaves:

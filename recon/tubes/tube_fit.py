@@ -67,10 +67,6 @@ _STRETCH_NODES = 21
 _BULGE = 1.12
 """Maximum ratio of a radius to the median radius of the surrounding nodes, and of the median to the radius. A larger
 radius would be due to another root beside the root."""
-_SWELL = 1.2
-"""Maximum ratio of a radius to the median radius of the surrounding nodes for thick roots, which may have swellings. A
-ball as long as `_STRETCH_NODES` has a ratio of 1.15. Without the limit, the radius of a carrot's top, which few views
-show, grew to twice the true radius."""
 
 
 @dataclass(frozen=True)
@@ -184,30 +180,29 @@ def flank_motion(tubes: Tubes) -> sparse.csr_matrix:
     If a branch turns, the flanks beside a node also move along the branch. Where the radius r changes along the branch,
     this displaces them sideways by r dr/ds times the angle, s being the distance along the branch. The centre line of a
     ball can therefore turn about its middle without any change in the pictures.
+
+    Returns
+    -------
+    (4 N, 4 N) csr_matrix
+        Each node has three coordinates and a radius, mm; radii are not affected.
     """
-    count = len(tubes.radius_mm)
-    line, first, last = tubes.flattened
-    place = np.arange(len(line))
-    radius = tubes.radius_mm[line]
-    begin = np.flatnonzero((place == first) & (first > 0))
-    radius[begin] = radius[begin + 1]  # the first node of a branch has its parent's radius
-    before, after = np.maximum(place - 1, first), np.minimum(place + 1, last)
-    chord = np.maximum(np.linalg.norm(tubes.centre_mm[line[after]] - tubes.centre_mm[line[before]], axis=1), 1e-9)
-    slope = np.clip((radius[after] - radius[before]) / chord, -1.0, 1.0)  # steeper flanks are inside a neighbouring sphere
-    lever = radius * slope / chord
-    own = (place > first) | (first == 0)
-    turn = _differences(np.stack([line[before], line[after]], axis=1)[own], np.array([-1.0, 1.0]), count)
-    aside = sparse.csr_matrix((lever[own], (line[own], np.arange(own.sum()))), shape=(count, own.sum())) @ turn
+    count, neighbours = len(tubes.radius_mm), tubes.neighbours
+    beside = tubes.radius_mm[neighbours]
+    child = np.array([nodes[1] for nodes in tubes.branches[1:]], np.int64)
+    beside[child, 0] = tubes.radius_mm[child]  # the first node of a branch has its parent's radius
+    chord = np.maximum(np.linalg.norm(np.diff(tubes.centre_mm[neighbours], axis=1)[:, 0], axis=1), 1e-9)
+    slope = np.clip(np.diff(beside, axis=1)[:, 0] / chord, -1.0, 1.0)  # steeper flanks are inside a neighbouring sphere
+    aside = sparse.diags(tubes.radius_mm * slope / chord) @ _differences(neighbours, np.array([-1.0, 1.0]), count)
     return (sparse.identity(4 * count) + sparse.kron(aside, sparse.diags([1.0, 1.0, 1.0, 0.0]))).tocsr()
 
 
 def _limit_radii(tubes: Tubes, thick: NDArray[np.bool_]) -> Array:
     """Return the radii (N,), limited to a range around the median radius of the surrounding nodes, mm.
 
-    A larger radius would be due to another root beside the root.
+    Thick roots may have swellings of any length.
     """
     typical = _median_radii(tubes)
-    return np.clip(tubes.radius_mm, np.where(thick, 0.0, typical / _BULGE), np.where(thick, _SWELL, _BULGE) * typical)
+    return np.where(thick, tubes.radius_mm, np.clip(tubes.radius_mm, typical / _BULGE, typical * _BULGE))
 
 
 def _median_radii(tubes: Tubes) -> Array:

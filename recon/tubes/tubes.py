@@ -106,14 +106,23 @@ class Tubes:
         return tuple(nodes[max(first, 0) :] for nodes, first in zip(self.branches, last, strict=True))
 
     @property
-    def tangents(self) -> Array:
-        """Return unit vectors (N, 3) along the branches, towards their tips."""
+    def neighbours(self) -> Index:
+        """Return the preceding and the following node (N, 2) of each node on its branch.
+
+        At the end of a branch, the node itself is returned instead.
+        """
         line, first, last = self.flattened
         place = np.arange(len(line))
-        slope = self.centre_mm[line[np.minimum(place + 1, last)]] - self.centre_mm[line[np.maximum(place - 1, first)]]
         own = (place > first) | (first == 0)
-        tangent = np.zeros_like(self.centre_mm)
-        tangent[line[own]] = slope[own]
+        found = np.zeros((len(self.centre_mm), 2), np.int64)
+        found[line[own]] = np.stack([line[np.maximum(place - 1, first)], line[np.minimum(place + 1, last)]], axis=1)[own]
+        return found
+
+    @property
+    def tangents(self) -> Array:
+        """Return unit vectors (N, 3) along the branches, towards their tips."""
+        before, after = self.neighbours.T
+        tangent = self.centre_mm[after] - self.centre_mm[before]
         return np.asarray(tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12))
 
     def radii(self, branch: int) -> Array:

@@ -75,6 +75,21 @@ def test_a_ball_on_a_rod_has_the_volume_of_its_cross_sections():
     assert left.volume_mm3() == pytest.approx(0.5 * painted.volume_mm3(), rel=0.01)
 
 
+@pytest.mark.parametrize("wide_mm", [4.5, 6.0, 8.0])
+def test_a_blunt_bulb_has_the_volume_of_its_discs(wide_mm: float) -> None:
+    """Spheres cannot touch the ends of a bulb that is wider than long without leaving its discs."""
+    grid = Grid(np.array([-12.0, -12.0, -48.0]), 0.125, 3, (24, 24, 32))
+    path = line((0.0, 0.0, -18.0), (0.0, 0.0, -46.0))
+    radius = np.where(np.abs(path[:, 2] + 30.0) < 4.0, wide_mm, 1.0)
+    system = at_rest(tubes.place_nodes([path], [radius]), px_a_mm=4.0)
+    none = Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    painted = tube_volume.combine(none, system, everything(grid)).leaves
+    nodes, found = system.tubes.branches[0], system.tubes.radii(0)
+    step, (a, b) = np.linalg.norm(np.diff(system.tubes.centre_mm[nodes], axis=0), axis=1), (found[:-1], found[1:])
+    frustums = np.pi / 3.0 * float(step @ (a**2 + a * b + b**2)) + half_ball(1.0)
+    assert painted.volume_mm3() == pytest.approx(frustums, rel=0.015)
+
+
 @pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.75, 1.05), (0.75, 1.6)])
 def test_tubes_side_by_side_count_their_overlap_once(radius_mm: float, apart_mm: float) -> None:
     """Two upright tubes share a lens (of two circles), and their tips one of two balls, however thick they are."""
