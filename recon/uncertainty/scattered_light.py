@@ -122,7 +122,7 @@ def _relative_to_others(views: Sequence[Silhouette], reduction: int) -> Iterator
     if len(views) <= _OTHERS:
         yield from (_beside(view, reduction)[1:] for view in views)
         return
-    shape = _beside(views[0], reduction)[0].shape
+    shape: tuple[int, ...] = tuple(size // reduction for size in views[0].coverage.shape)
     total, darkness, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int32)
     for view in views:  # two passes over the views, to limit memory
         beside, about, dark = _beside(view, reduction)

@@ -157,7 +157,8 @@ def test_a_scan_accepts_angles_between_the_microsteps(bench: Any) -> None:
     table.prepare()
     table.declare(0.0)
     devices: Any = SimpleNamespace(rig=rig, table=table)
-    turntable = ScanTurntable(devices, Scene(), SimpleNamespace(), ask=None, given_deg=None, note=lambda *_: None)  # type: ignore[arg-type]
+    unused: Any = None
+    turntable = ScanTurntable(devices, Scene(), unused, ask=None, given_deg=None, note=lambda *_: None)
     for angle_deg in np.arange(7) * 360.0 / 7.0:
         turntable.turn(angle_deg)
         turntable.verify(angle_deg)
