@@ -59,14 +59,14 @@ def intervals(given: argparse.Namespace) -> int:
     if failures and len(failures) == len(table):
         say(_failed_scans(failures, len(table)))
         return 1
-    factors = conformal.calibrate(table)
+    factors = conformal.calibrate(table, widest=TrustSettings.widest)
     text = intervals_page.page(table, factors, widest=TrustSettings.widest)
     say("\n" + text)
     output = (given.output or results_folder() / "intervals.csv").with_suffix(".csv")
     for path in (output, *([HERE / "intervals.csv"] if given.calibrate else [])):
         atomic.write_text(path, table.to_csv(index=False))
     atomic.write_text(output.with_suffix(".md"), text)
-    intervals_page.draw(table, output.with_suffix(".png"))
+    intervals_page.draw(table, output.with_suffix(".png"), widest=TrustSettings.widest)
     if given.calibrate:
         source = f"benchmarks/intervals.csv: conformal prediction from {len(table) - len(failures)} random scans"
         atomic.write_json(calibration.TABLE, {"source": source, "confidence": conformal.CONFIDENCE, "factors": factors})

@@ -31,31 +31,47 @@ def is_first_half(table: pd.DataFrame) -> pd.Series:
     return (table["number"] // 6) % 2 == 0
 
 
-def is_eligible(table: pd.DataFrame) -> pd.Series:
-    """Return which volumes no check refuses: those that are not reliable at most because of a wide interval."""
-    codes = table["reasons"].fillna("").str.split()
-    return codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found)) & table["regime"].notna()
+def is_eligible(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
+    """Return in which scans a trait is reliable, or would be if its interval were narrower.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Scans with intervals.
+    trait : str
+        One of `TRAITS`.
+    widest : float
+        Maximum relative half-width of the interval of a reliable trait.
+    """
+    if trait == "volume_mm3":
+        codes = table["reasons"].fillna("").str.split()
+        passes = codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found))
+    else:
+        passes = table[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(table, trait, widest)
+    return passes.astype(bool) & table["regime"].notna()
 
 
-def calibrate(table: pd.DataFrame) -> Factors:
+def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
     """Return the factor on the half-widths by regime and trait.
 
     Parameters
     ----------
     table : DataFrame
         Calibration scans (`benchmarks.intervals_table`).
+    widest : float
+        Maximum relative half-width of the interval of a reliable trait.
 
     Returns
     -------
     dict of dict of float
         Factors by regime and trait. A factor is 1 if the coverage without it does not differ significantly from
         `CONFIDENCE`, since the scatter of the factor would then be larger than the correction. Regimes with fewer than
-        `LEAST_SCANS` scans are missing.
+        `LEAST_SCANS` eligible scans are missing.
     """
     found: dict[str, dict[str, float]] = {}
     for trait in TRAITS:
         ratio = ratios(table, trait).abs()
-        for regime, some in ratio[is_eligible(table) & ratio.notna()].groupby(table["regime"]):
+        for regime, some in ratio[is_eligible(table, trait, widest) & ratio.notna()].groupby(table["regime"]):
             if len(some) >= LEAST_SCANS:
                 low, high = binomial_band(int((some <= 1.0).sum()), len(some))
                 nominal = low <= CONFIDENCE <= high
@@ -91,16 +107,12 @@ def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFra
         factor = table["regime"].map({regime: own.get(trait, 1.0) for regime, own in factors.items()}).astype(float).fillna(1.0)
         made[f"{trait}.low"] = (value - factor * (value - low)).clip(lower=0.0)
         made[f"{trait}.high"] = value + factor * (high - value)
-        if trait == "volume_mm3":
-            passed = is_eligible(table)
-        else:
-            passed = table[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(table, trait, widest)
-        made[f"{trait}.reliable"] = passed & ~_is_wide(made, trait, widest)
+        made[f"{trait}.reliable"] = is_eligible(table, trait, widest) & ~_is_wide(made, trait, widest)
     return made
 
 
 def _is_wide(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
-    """Return which intervals are too wide for a reliable trait, see `apply`."""
+    """Return which intervals are too wide for a reliable trait, see `is_eligible`."""
     value, low, high = (table[f"{trait}.{name}"] for name in ("value", "low", "high"))
     return np.maximum(value - low, high - value) > widest * value
 
@@ -108,7 +120,7 @@ def _is_wide(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
 def cross_apply(table: pd.DataFrame, *, widest: float) -> pd.DataFrame:
     """Return a table in which each half of the scans has intervals calibrated on the other half."""
     first = is_first_half(table)
-    halves = [apply(table[mine], calibrate(table[~mine]), widest=widest) for mine in (first, ~first)]
+    halves = [apply(table[mine], calibrate(table[~mine], widest=widest), widest=widest) for mine in (first, ~first)]
     return pd.concat(halves).sort_values("number", ignore_index=True)
 
 

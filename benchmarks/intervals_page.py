@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -107,7 +106,7 @@ def _names_cause(row: pd.Series) -> bool:
     return any(cause in present for code in str(row["reasons"]).split() for cause in CAUSES.get(code, ()))
 
 
-def draw(table: pd.DataFrame, path: Path) -> None:
+def draw(table: pd.DataFrame, path: Path, *, widest: float) -> None:
     """Draw reliability diagrams and histograms of the probability integral transform, by trait and regime.
 
     Parameters
@@ -116,15 +115,18 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         All scans, with intervals without calibration.
     path : Path
         PNG file to write.
+    widest : float
+        Maximum relative half-width of the interval of a reliable trait.
     """
-    judged = conformal.cross_apply(table[conformal.is_eligible(table)], widest=math.inf)
+    table = table.sort_values("number", ignore_index=True)
+    judged = conformal.cross_apply(table, widest=widest)
     drawn = figure(13.0, 6.2)
     axes = drawn.subplots(2, len(TRAITS))
     for column, (trait, label) in enumerate(LABELS.items()):
-        diagram, histogram = axes[0, column], axes[1, column]
+        diagram, histogram, eligible = axes[0, column], axes[1, column], conformal.is_eligible(table, trait, widest)
         values, names = [], []
         for regime in sorted(judged["regime"].dropna().unique()):
-            some = judged[(judged["regime"] == regime) & ratios(judged, trait).notna()]
+            some = judged[eligible & (judged["regime"] == regime) & ratios(judged, trait).notna()]
             if not len(some):
                 continue
             pit = conformal.probability_integral(some, trait)

@@ -46,7 +46,7 @@ def scans(count: int, *, seed: int, true_sigma: float = 0.02, half: float = 0.1)
 
 def test_factors_make_wide_and_narrow_intervals_nominal() -> None:
     for half in (0.1, 0.005):
-        factors = conformal.calibrate(scans(2000, seed=1, half=half))
+        factors = conformal.calibrate(scans(2000, seed=1, half=half), widest=0.25)
         assert factors["clear"]["volume_mm3"] == pytest.approx(1.645 * 0.02 / half, rel=0.06)
         fresh = conformal.apply(scans(4000, seed=2, half=half), factors, widest=0.25)
         assert conformal.holds(fresh, "volume_mm3").mean() == pytest.approx(0.9, abs=0.02)
@@ -76,9 +76,9 @@ def test_failed_scans_are_counted_and_set_the_exit_code(
 
 
 def test_a_factor_is_one_unless_the_coverage_differs_significantly() -> None:
-    assert conformal.calibrate(scans(12, seed=1, half=0.1))["clear"]["tips"] == 1.0  # 12 of 12 hold: may be nominal
-    assert conformal.calibrate(scans(60, seed=1, half=0.1))["clear"]["tips"] < 0.5
-    assert conformal.calibrate(scans(12, seed=1, half=0.004))["clear"]["tips"] > 2.0
+    assert conformal.calibrate(scans(12, seed=1, half=0.1), widest=0.25)["clear"]["tips"] == 1.0  # 12 of 12 hold: may be nominal
+    assert conformal.calibrate(scans(60, seed=1, half=0.1), widest=0.25)["clear"]["tips"] < 0.5
+    assert conformal.calibrate(scans(12, seed=1, half=0.004), widest=0.25)["clear"]["tips"] > 2.0
 
 
 def test_rank_of_the_quantile_by_hand() -> None:
@@ -105,13 +105,16 @@ def test_scans_that_a_check_refuses_are_not_calibrated_on() -> None:
     some = scans(40, seed=0)
     some.loc[:19, "reasons"] = "dirty_canister"
     some.loc[20:29, "reasons"] = "wide_interval high_occluded"
-    assert conformal.is_eligible(some).sum() == 20
+    assert conformal.is_eligible(some, "volume_mm3", 0.25).sum() == 20
+    some.loc[:29, "tips.reliable"] = False
+    some.loc[:9, "tips.high"] = 130.0
+    assert conformal.is_eligible(some, "tips", 0.25).sum() == 20
 
 
 def test_the_committed_factors_follow_from_the_committed_table() -> None:
     table = intervals_table.read(COMMITTED)
     stored = json.loads(calibration.TABLE.read_text(encoding="utf-8"))
-    assert conformal.calibrate(table) == stored["factors"]
+    assert conformal.calibrate(table, widest=TrustSettings.widest) == stored["factors"]
     text = intervals_page.page(table, stored["factors"], widest=TrustSettings.widest)
     documented = (Path(__file__).parents[2] / "docs" / "intervals.md").read_text(encoding="utf-8")
     assert all(line in documented for line in text.strip().splitlines() if line), (
