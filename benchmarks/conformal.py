@@ -31,8 +31,8 @@ def is_first_half(table: pd.DataFrame) -> pd.Series:
     return (table["number"] // 6) % 2 == 0
 
 
-def is_eligible(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
-    """Return in which scans a trait is reliable, or would be if its interval were narrower.
+def is_reliable(table: pd.DataFrame, trait: str, widest: float, *, measured: pd.DataFrame | None = None) -> pd.Series:
+    """Return in which scans a trait is reliable: no check refuses it, and its interval is not too wide.
 
     Parameters
     ----------
@@ -42,13 +42,15 @@ def is_eligible(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
         One of `TRAITS`.
     widest : float
         Maximum relative half-width of the interval of a reliable trait.
+    measured : DataFrame, optional
+        The same scans with the intervals to which their column ``reliable`` applies. Default: ``table``.
     """
-    if trait == "volume_mm3":
-        codes = table["reasons"].fillna("").str.split()
-        passes = codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found))
-    else:
-        passes = table[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(table, trait, widest)
-    return passes.astype(bool) & table["regime"].notna()
+    measured = table if measured is None else measured
+    codes = measured["reasons"].fillna("").str.split()
+    passes = codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found))
+    if trait != "volume_mm3":
+        passes &= measured[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(measured, trait, widest)
+    return passes.astype(bool) & measured["regime"].notna() & ~_is_wide(table, trait, widest)
 
 
 def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
@@ -57,7 +59,7 @@ def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
     Parameters
     ----------
     table : DataFrame
-        Calibration scans (`benchmarks.intervals_table`).
+        Calibration scans (`benchmarks.intervals_table`). Only traits that are reliable without calibration are used.
     widest : float
         Maximum relative half-width of the interval of a reliable trait.
 
@@ -66,12 +68,12 @@ def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
     dict of dict of float
         Factors by regime and trait. A factor is 1 if the coverage without it does not differ significantly from
         `CONFIDENCE`, since the scatter of the factor would then be larger than the correction. Regimes with fewer than
-        `LEAST_SCANS` eligible scans are missing.
+        `LEAST_SCANS` reliable scans are missing.
     """
     found: dict[str, dict[str, float]] = {}
     for trait in TRAITS:
         ratio = ratios(table, trait).abs()
-        for regime, some in ratio[is_eligible(table, trait, widest) & ratio.notna()].groupby(table["regime"]):
+        for regime, some in ratio[is_reliable(table, trait, widest) & ratio.notna()].groupby(table["regime"]):
             if len(some) >= LEAST_SCANS:
                 low, high = binomial_band(int((some <= 1.0).sum()), len(some))
                 nominal = low <= CONFIDENCE <= high
@@ -107,12 +109,12 @@ def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFra
         factor = table["regime"].map({regime: own.get(trait, 1.0) for regime, own in factors.items()}).astype(float).fillna(1.0)
         made[f"{trait}.low"] = (value - factor * (value - low)).clip(lower=0.0)
         made[f"{trait}.high"] = value + factor * (high - value)
-        made[f"{trait}.reliable"] = is_eligible(table, trait, widest) & ~_is_wide(made, trait, widest)
+        made[f"{trait}.reliable"] = is_reliable(made, trait, widest, measured=table)
     return made
 
 
 def _is_wide(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
-    """Return which intervals are too wide for a reliable trait, see `is_eligible`."""
+    """Return which intervals are too wide for a reliable trait, see `is_reliable`."""
     value, low, high = (table[f"{trait}.{name}"] for name in ("value", "low", "high"))
     return np.maximum(value - low, high - value) > widest * value
 

@@ -123,10 +123,10 @@ def draw(table: pd.DataFrame, path: Path, *, widest: float) -> None:
     drawn = figure(13.0, 6.2)
     axes = drawn.subplots(2, len(TRAITS))
     for column, (trait, label) in enumerate(LABELS.items()):
-        diagram, histogram, eligible = axes[0, column], axes[1, column], conformal.is_eligible(table, trait, widest)
+        diagram, histogram, reliable = axes[0, column], axes[1, column], conformal.is_reliable(table, trait, widest)
         values, names = [], []
         for regime in sorted(judged["regime"].dropna().unique()):
-            some = judged[eligible & (judged["regime"] == regime) & ratios(judged, trait).notna()]
+            some = judged[reliable & (judged["regime"] == regime) & ratios(judged, trait).notna()]
             if not len(some):
                 continue
             pit = conformal.probability_integral(some, trait)

@@ -105,10 +105,9 @@ def test_scans_that_a_check_refuses_are_not_calibrated_on() -> None:
     some = scans(40, seed=0)
     some.loc[:19, "reasons"] = "dirty_canister"
     some.loc[20:29, "reasons"] = "wide_interval high_occluded"
-    assert conformal.is_eligible(some, "volume_mm3", 0.25).sum() == 20
-    some.loc[:29, "tips.reliable"] = False
-    some.loc[:9, "tips.high"] = 130.0
-    assert conformal.is_eligible(some, "tips", 0.25).sum() == 20
+    assert conformal.is_reliable(some, "volume_mm3", 0.25).sum() == 20
+    some.loc[30:34, "tips.reliable"] = False
+    assert conformal.is_reliable(some, "tips", 0.25).sum() == 15
 
 
 def test_the_committed_factors_follow_from_the_committed_table() -> None:
