@@ -31,26 +31,19 @@ def is_first_half(table: pd.DataFrame) -> pd.Series:
     return (table["number"] // 6) % 2 == 0
 
 
-def is_reliable(table: pd.DataFrame, trait: str, widest: float, *, measured: pd.DataFrame | None = None) -> pd.Series:
+def is_reliable(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
     """Return in which scans a trait is reliable: no check refuses it, and its interval is not too wide.
 
     Parameters
     ----------
     table : DataFrame
-        Scans with intervals.
+        Scans with intervals without calibration.
     trait : str
         One of `TRAITS`.
     widest : float
         Maximum relative half-width of the interval of a reliable trait.
-    measured : DataFrame, optional
-        The same scans with the intervals to which their column ``reliable`` applies. Default: ``table``.
     """
-    measured = table if measured is None else measured
-    codes = measured["reasons"].fillna("").str.split()
-    passes = codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found))
-    if trait != "volume_mm3":
-        passes &= measured[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(measured, trait, widest)
-    return passes.astype(bool) & measured["regime"].notna() & ~_is_wide(table, trait, widest)
+    return _passes_checks(table, trait, widest) & ~_is_wide(table, trait, widest)
 
 
 def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
@@ -109,8 +102,17 @@ def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFra
         factor = table["regime"].map({regime: own.get(trait, 1.0) for regime, own in factors.items()}).astype(float).fillna(1.0)
         made[f"{trait}.low"] = (value - factor * (value - low)).clip(lower=0.0)
         made[f"{trait}.high"] = value + factor * (high - value)
-        made[f"{trait}.reliable"] = is_reliable(made, trait, widest, measured=table)
+        made[f"{trait}.reliable"] = _passes_checks(table, trait, widest) & ~_is_wide(made, trait, widest)
     return made
+
+
+def _passes_checks(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:
+    """Return in which scans no check refuses a trait, whatever the width of its interval, see `is_reliable`."""
+    codes = table["reasons"].fillna("").str.split()
+    passes = codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found))
+    if trait != "volume_mm3":
+        passes &= table[f"{trait}.reliable"].astype("boolean").fillna(False) | _is_wide(table, trait, widest)
+    return passes.astype(bool) & table["regime"].notna()
 
 
 def _is_wide(table: pd.DataFrame, trait: str, widest: float) -> pd.Series:

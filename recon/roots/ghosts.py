@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.roots.node_support import Support
-from rhizotwin.recon.tubes.tubes import Index, Tubes
+from rhizotwin.recon.tubes.branch_graph import Index
+from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.roots import orientation
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, parents_first
+from rhizotwin.recon.tubes.branch_graph import Index, ancestors, parents_first
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, list_children, owners
+from rhizotwin.recon.tubes.branch_graph import Index, ancestors, list_children, owners
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Tubes
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.tubes.tubes import Index, Tubes
+from rhizotwin.recon.tubes.branch_graph import Index
+from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from rhizotwin.recon.tubes.branch_graph import Index, list_children
 from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SPACING_MM = 0.6
 """Distance between adjacent nodes of a branch, mm."""
@@ -111,11 +110,10 @@ class Tubes:
 
         At the end of a branch, the node itself is returned instead.
         """
-        line, first, last = self.flattened
-        place = np.arange(len(line))
-        own = (place > first) | (first == 0)
+        (before, here), after = self.segments.T, self.segment_neighbours[:, 1]
         found = np.zeros((len(self.centre_mm), 2), np.int64)
-        found[line[own]] = np.stack([line[np.maximum(place - 1, first)], line[np.minimum(place + 1, last)]], axis=1)[own]
+        found[here] = np.stack([before, after], axis=1)
+        found[self.branches[0][0]] = self.branches[0][:2]
         return found
 
     @property
@@ -342,65 +340,3 @@ def trim_inside_parents(tubes: Tubes) -> Tubes:
 def with_geometry(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
     """Return tubes with new centres (N, 3) and radii (N,), mm."""
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
-
-
-def owners(branches: Sequence[Index | None], count: int) -> Index:
-    """Return the index (N,) of the branch that contains each of N nodes.
-
-    N is ``count``. The index is -1 if no branch contains the node. Removed branches are None.
-    """
-    owner = np.full(count, -1)
-    for k, nodes in enumerate(branches):
-        if nodes is not None:
-            owner[nodes if k == 0 else nodes[1:]] = k
-    return owner
-
-
-def ancestors(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
-    """Return the indices of a branch, its parent, and all further ancestors up to the first branch.
-
-    The first branch has the index 0. The list ends earlier if a parent is missing or the branches form a cycle.
-
-    Parameters
-    ----------
-    owner : Index
-        Index (N,) of the branch that contains each node, or -1 for none.
-    """
-    found: list[int] = []
-    while branch >= 0 and branch not in found and (nodes := branches[branch]) is not None:
-        found.append(branch)
-        branch = int(owner[nodes[0]]) if branch > 0 else -1
-    return found
-
-
-def list_children(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
-    """Return the children of each branch that has children, keyed by the branch.
-
-    Parameters
-    ----------
-    owner : Index
-        Index (N,) of the branch that contains each node.
-    """
-    children: dict[int, list[int]] = {}
-    for k, nodes in enumerate(branches):
-        if nodes is not None and k > 0:
-            children.setdefault(int(owner[nodes[0]]), []).append(k)
-    return children
-
-
-def parents_first(branches: Sequence[Index | None], count: int) -> list[int]:
-    """Return the indices (K,) of all branches connected to the first branch.
-
-    Parents come before children.
-
-    Parameters
-    ----------
-    count : int
-        Number of nodes.
-    """
-    children = list_children(branches, owners(branches, count))
-    order, waiting = [], deque([0])
-    while waiting:
-        order.append(waiting.popleft())
-        waiting.extend(children.get(order[-1], []))
-    return order

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.roots import linking
 from rhizotwin.recon.tubes import tubes
-from rhizotwin.recon.tubes.tubes import Index, Tubes
+from rhizotwin.recon.tubes.branch_graph import Index, parents_first
+from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.sim import growth
@@ -46,7 +47,7 @@ def right(found: Tubes, kept: np.ndarray, true: Tubes) -> float:
 
 def hanging(true: Tubes, branches: list[Index]) -> Tubes | None:
     """Return the tree of the same nodes with other branches; None where some hang on themselves."""
-    order = tubes.parents_first(branches, len(true.centre_mm))
+    order = parents_first(branches, len(true.centre_mm))
     return Tubes(true.centre_mm, true.radius_mm, tuple(branches[k] for k in order)) if len(order) == len(branches) else None
 
 
