@@ -59,8 +59,9 @@ def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
     Returns
     -------
     dict of dict of float
-        Factors by regime and trait. A factor is 1 if the coverage without it does not differ significantly from
-        `CONFIDENCE`, since the scatter of the factor would then be larger than the correction. Regimes with fewer than
+        Factors by regime and trait. A factor is 1 if the coverage without it is not significantly lower than
+        `CONFIDENCE`: otherwise the scatter of the factor would be larger than the correction. Intervals are not
+        narrowed, since real scans may have disturbances that the simulated ones lack. Regimes with fewer than
         `LEAST_SCANS` reliable scans are missing.
     """
     found: dict[str, dict[str, float]] = {}
@@ -68,9 +69,8 @@ def calibrate(table: pd.DataFrame, *, widest: float) -> Factors:
         ratio = ratios(table, trait).abs()
         for regime, some in ratio[is_reliable(table, trait, widest) & ratio.notna()].groupby(table["regime"]):
             if len(some) >= LEAST_SCANS:
-                low, high = binomial_band(int((some <= 1.0).sum()), len(some))
-                nominal = low <= CONFIDENCE <= high
-                factor = 1.0 if nominal else conformal_quantile(some.to_numpy())
+                _, high = binomial_band(int((some <= 1.0).sum()), len(some))
+                factor = max(1.0, conformal_quantile(some.to_numpy())) if high < CONFIDENCE else 1.0
                 found.setdefault(str(regime), {})[trait] = float(f"{factor:.3g}")
     return found
 

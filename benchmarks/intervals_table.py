@@ -37,7 +37,7 @@ def table_of(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
 def read(path: Path) -> pd.DataFrame:
     """Read a table that was written as CSV."""
-    return pd.read_csv(path, keep_default_na=False, na_values=[""], dtype={"troubles": "string", "reasons": "string", "regime": "string"})
+    return pd.read_csv(path, keep_default_na=False, na_values=[""], dtype={"troubles": "string", "reasons": "string", "regime": "str"})
 
 
 def failures(table: pd.DataFrame) -> list[str]:
