@@ -10,11 +10,13 @@ import cv2
 import numpy as np
 
 from rhizotwin.exports import write_nerfstudio
-from rhizotwin.scenes import files
+from rhizotwin.scenes import atomic, files, key_descriptions
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import load_truth
 
 SCENE, VIEWS, IMAGE_WH = "bean", 60, (1000, 1000)
+_SECTIONS = "canister", "water", "net_pot", "camera"
+"""Sections of the scene that determine silhouettes in air."""
 _HALF = 32768
 """Fraction of full scale from which a mask's pixel is root."""
 
@@ -56,7 +58,10 @@ def write(folder: Path) -> tuple[str, ...]:
             cv2.imwrite(str(masks / name), np.where(coverage >= _HALF, 255, 0).astype(np.uint8))
             posed.append((name, np.asarray(view.cam_from_canister)))
     write_nerfstudio(folder / "transforms.json", scene.camera.as_pinhole(), posed)
-    files.save_scene(replace(scene, specimen=None), folder / "scene.toml")
+    # an older commit does not read keys that were added since, which have their default values here
+    usual, plain = (files.scene_to_dict(one) for one in (Scene(), scene))
+    given = {name: {key: value for key, value in plain[name].items() if value != usual[name][key]} for name in _SECTIONS}
+    atomic.write_text(folder / "scene.toml", key_descriptions.to_commented_toml(given))
     return (
         "import",
         str(masks),
