@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -10,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.device import Float, UInt32, numbers, vectors, wholes
-from rhizotwin.recon.hull.leaves import Grid, Leaves
+from rhizotwin.recon.device import Float, UInt32, vectors
+from rhizotwin.recon.hull.bins import Bins
+from rhizotwin.recon.hull.leaves import Leaves
 
 Array = NDArray[np.float64]
 
-_HALF_DIAGONAL = 0.87
+HALF_DIAGONAL = 0.87
 """Half the diagonal of a cube with an edge length of 1, sqrt(3) / 2, rounded up. If the depth of a cube's centre below
 a surface exceeds this multiple of the edge length, the whole cube lies below the surface."""
-_BIN_MM = 4.0
-"""Edge length of the bins used to look up spheres, mm. A sphere with a diameter up to this length overlaps at most
-eight bins."""
 _NEIGHBOURS = 4
 """Number of nearest sphere centres that are tested in the search for the nearest sphere. They are searched separately
 in each group of spheres whose radii differ by less than a factor of two."""
@@ -34,6 +33,17 @@ class Spheres:
     """Centres of the spheres, shape (N, 3), canister frame, mm."""
     radius_mm: Array
     """Radii of the spheres, shape (N,), mm."""
+
+    def select(self, which: NDArray[np.bool_] | slice) -> Spheres:
+        """Return a subset of the spheres, selected by a mask (N,) or a slice."""
+        return Spheres(self.centre_mm[which], self.radius_mm[which])
+
+
+def concatenate(parts: Sequence[Spheres]) -> Spheres:
+    """Return all spheres of several sets."""
+    none = np.zeros((0, 3)), np.zeros(0)
+    centres, radii = zip(none, *((part.centre_mm, part.radius_mm) for part in parts), strict=True)
+    return Spheres(np.concatenate(centres), np.concatenate(radii))
 
 
 def subdivide_leaves(
@@ -54,7 +64,7 @@ def subdivide_leaves(
     """
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
-    listed = _Bins.build(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
+    listed = list_spheres(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
     done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
@@ -62,35 +72,14 @@ def subdivide_leaves(
         index = np.concatenate([carried[0], leaves.index[chosen]])
         hull = np.concatenate([carried[1], leaves.occupancy[chosen]])
         size_mm = edge * finest_mm
-        depth = listed.depth_mm(origin + index * finest_mm + 0.5 * size_mm)
+        depth = depth_mm(listed, origin + index * finest_mm + 0.5 * size_mm)
         inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
-        whole = depth > _HALF_DIAGONAL * size_mm if edge > 1 else np.ones(len(index), bool)
+        whole = depth > HALF_DIAGONAL * size_mm if edge > 1 else np.ones(len(index), bool)
         done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
         offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
         carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
     index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
     return index, size, hull, inside
-
-
-def fill(spheres: Spheres, grid: Grid) -> Leaves:
-    """Fill spheres with leaves. The leaves are as large as possible inside, and finest nodes at the surface."""
-    low, shape = np.asarray(grid.origin_mm), np.array(grid.coarse_shape)
-    edge = 2**grid.levels
-    if not len(spheres.radius_mm):
-        return Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    listed = _Bins.build(spheres, low, low + shape * edge * grid.size_mm, _HALF_DIAGONAL * edge * grid.size_mm)
-    index, done = np.argwhere(np.ones(shape, bool)).astype(np.int32) * edge, list[tuple[NDArray[np.generic], ...]]()
-    offset = np.array(list(np.ndindex(2, 2, 2)), np.int32)
-    while edge >= 1:
-        size_mm = edge * grid.size_mm
-        depth = listed.depth_mm(low + index * grid.size_mm + 0.5 * size_mm)
-        share = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
-        whole = depth > _HALF_DIAGONAL * size_mm if edge > 1 else share > 0.0
-        done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), share[whole]))
-        cut = index[~whole & (depth > -_HALF_DIAGONAL * size_mm)]
-        edge //= 2
-        index = (cut[:, None] + offset * edge).reshape(-1, 3)
-    return Leaves(grid, *(np.concatenate(column) for column in zip(*done, strict=True)))
 
 
 def shared_volume_mm3(spheres: Spheres, leaves: Leaves) -> float:
@@ -103,55 +92,35 @@ def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
     """Return the depth (N,) of points (N, 3) inside the union of spheres, mm. It is negative outside."""
     if not len(points_mm) or not len(spheres.radius_mm):
         return np.full(len(points_mm), -np.inf, np.float32)
-    return _Bins.build(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
+    return depth_mm(list_spheres(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0), points_mm)
 
 
-@dataclass(frozen=True)
-class _Bins:
-    """Spatial index of spheres: cubic bins, each with a list of the spheres that overlap it."""
+def list_spheres(spheres: Spheres, low_mm: Array, high_mm: Array, beside_mm: float) -> Bins:
+    """Create the index of spheres for the box between two corners.
 
-    low_mm: Array
-    shape: NDArray[np.int64]
-    entries: UInt32
-    """Centre coordinates and radii of the spheres in all bins, flattened and ordered by bin (mi.Float)."""
-    begins: UInt32
-    """Index of the first entry of each bin, followed by the total number of entries (mi.UInt32)."""
+    Parameters
+    ----------
+    low_mm, high_mm : (3,) float64 array
+        Corners of the box, mm.
+    beside_mm : float
+        Distance from the surface of a sphere within which it is listed, mm.
+    """
+    reach = spheres.radius_mm[:, None] + beside_mm
+    parameters = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)
+    return Bins.build(parameters, spheres.centre_mm - reach, spheres.centre_mm + reach, low_mm, high_mm)
 
-    @staticmethod
-    def build(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Bins:
-        """Create the index for the box between the corners ``low`` and ``high``.
 
-        A sphere is listed in all bins within ``beside_mm`` of its surface.
-        """
-        shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
-        reach = spheres.radius_mm[:, None] + beside_mm
-        first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
-        extent = np.clip(np.floor((spheres.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
-        count = extent.prod(axis=1)
-        sphere = np.repeat(np.arange(len(count)), count)
-        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[sphere]
-        offset = np.stack([place // (e[:, 1] * e[:, 2]), place // e[:, 2] % e[:, 1], place % e[:, 2]], axis=1)
-        bins = ((first[sphere] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
-        order = np.argsort(bins, kind="stable")
-        begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
-        packed = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)[sphere[order]].astype(np.float32)
-        return _Bins(low, shape, numbers(packed), wholes(begins))
+def depth_mm(listed: Bins, points_mm: Array) -> NDArray[np.float32]:
+    """Return the depth (N,) of points (N, 3) inside the union of listed spheres, mm. It is negative outside."""
+    if not len(points_mm):
+        return np.zeros(0, np.float32)
+    (begin, end), centre = listed.find(points_mm), mi.Point3f(vectors(points_mm))
 
-    def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
-        """Return the depth (N,) of points (N, 3) inside the union of spheres, mm. It is negative outside."""
-        if not len(points_mm):
-            return np.zeros(0, np.float32)
-        shape = self.shape
-        cell = np.clip(np.floor((points_mm - self.low_mm) / _BIN_MM), 0, shape - 1).astype(np.int64)
-        bin_ = wholes(cell @ [shape[1] * shape[2], shape[2], 1])
-        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(vectors(points_mm))
+    def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
+        sphere = dr.gather(mi.Vector4f, listed.entries, k)
+        return k + 1, dr.maximum(depth, sphere.w - dr.norm(centre - mi.Point3f(sphere.x, sphere.y, sphere.z)))
 
-        def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
-            sphere = dr.gather(mi.Vector4f, self.entries, k)
-            return k + 1, dr.maximum(depth, sphere.w - dr.norm(centre - mi.Point3f(sphere.x, sphere.y, sphere.z)))
-
-        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(points_mm)))
-        return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
+    return np.array(dr.while_loop((begin, dr.full(mi.Float, -1e3, len(points_mm))), lambda k, _: k < end, body)[1])
 
 
 def beyond_mm(spheres: Spheres, points: Array) -> Array:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.hull import spheres
+from rhizotwin.recon.hull import frustums
 from rhizotwin.recon.hull.boxes import Box
+from rhizotwin.recon.hull.frustums import Frustums
 from rhizotwin.recon.hull.leaves import Grid, Leaves, intersect, unite
-from rhizotwin.recon.hull.spheres import Spheres
+from rhizotwin.recon.hull.spheres import Spheres, concatenate
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes.filling import FillPoints, fill, limit_occupancy
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -24,17 +25,10 @@ _SAMPLES_A_NODE = 1.8
 _FINEST_SPACING_MM = 0.05
 """Minimum spacing of points that fill a tube, mm, to limit memory."""
 _WIDE_NODES = 4.0
-"""Radius above which a tube is filled with spheres instead of points, in node edges. The spheres are converted to large
-leaves, which require less memory than points."""
+"""Radius above which a tube is filled with frustums and spheres instead of points, in node edges. Spheres are converted
+to large leaves, which require less memory than points."""
 _APART = 0.25
-"""Spacing of the spheres that fill a wide tube, as a fraction of their radius. Between two spheres, the surface of
-their union is too low by up to 1/128 of the radius, and the mean error is compensated."""
-_DENT = 24.0
-"""Denominator in the mean error of a union of spheres. If the spheres have the radius r and the spacing s, the radius
-of the union is too small by s^2 / (24 r) on average."""
-_SHORT_NODES = 0.5
-"""Maximum distance between the rim of a cross-section and the spheres that fill it, in node edges. At blunt ends,
-spheres that stay inside all other cross-sections cannot touch the rim; there, points fill the tube."""
+"""Spacing of the spheres in a wide tube, as a fraction of their radius."""
 _SLACK_PX = 0.05
 """Change of the tube radii from which the bounds of the volume are computed, px."""
 
@@ -58,10 +52,11 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
     Where they overlap, the larger occupancy of a node is used. Thick tubes are clipped to the hull.
     """
     tubes, grid = system.tubes, solids.grid
-    inscribed, filled = _inscribe_spheres(tubes, _is_wide(tubes, grid.size_mm) & ~system.solid, _SHORT_NODES * grid.size_mm)
+    wide = np.asarray(tubes.radius_mm > _WIDE_NODES * grid.size_mm) & ~system.solid
     spacing_mm = max(grid.size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
-    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=system.solid | filled | gone), grid) for gone in (system.thick, ~system.thick))
-    thick = unite(solids, intersect(unite(spheres.fill(inscribed, grid), flanks), hull))
+    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
+    inner = frustums.fill(_find_frustums(tubes, wide), *_inscribe_spheres(tubes, wide), grid)
+    thick = unite(solids, intersect(unite(inner, flanks), hull))
     leaves = unite(thick, thin)
     slack_mm = _SLACK_PX / system.px_a_mm
     free = np.where(system.solid, 0.0, tubes.radius_mm)
@@ -72,54 +67,34 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
     return CombinedShape(leaves, thick, thinner, thicker)
 
 
-def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
-    """Return the mask (N,) of nodes that are filled with spheres.
+def _find_frustums(tubes: Tubes, wide: Mask) -> Frustums:
+    """Return the segments of tubes whose nodes are both marked in the mask ``wide`` (N,) as frustums."""
+    (a, b), (before, after) = tubes.segments.T, tubes.segment_neighbours.T
+    normals = tubes.centre_mm[[b, after]] - tubes.centre_mm[[before, a]]
+    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+    some = wide[a] & wide[b]
+    return Frustums(tubes.centre_mm[tubes.segments[some]], np.stack(tubes.segment_radii, axis=1)[some], normals.transpose(1, 0, 2)[some])
 
-    These are the nodes of wide tubes, except those at the flat upper end of the first branch.
+
+def _inscribe_spheres(tubes: Tubes, wide: Mask) -> tuple[Spheres, Spheres]:
+    """Return the spheres at the tips of wide branches, and the spheres inside all wide parts of branches.
+
+    The mask ``wide`` (N,) marks wide nodes. The flat upper end of the first branch contains no spheres.
     """
-    wide = np.asarray(tubes.radius_mm > _WIDE_NODES * node_mm)
-    first = tubes.branches[0]
-    wide[first[polyline.arc_length_mm(tubes.centre_mm[first]) < tubes.radius_mm[first]]] = False
-    return wide
+    first, round_ = tubes.branches[0], wide.copy()
+    round_[first[polyline.arc_length_mm(tubes.centre_mm[first]) < tubes.radius_mm[first]]] = False
+    found = [(branch[-2:], _inscribe(tubes, k, round_)) for k, branch in enumerate(tubes.branches) if round_[branch].any()]
+    tips = [spheres.select(slice(-1, None)) for end, spheres in found if round_[end].all()]
+    return concatenate(tips), concatenate([spheres for _, spheres in found])
 
 
-def _inscribe_spheres(tubes: Tubes, wide: Mask, short_mm: float) -> tuple[Spheres, Mask]:
-    """Return spheres inside the wide parts of all branches, and the mask (N,) of the nodes whose discs they fill.
-
-    Parameters
-    ----------
-    wide : (N,) bool array
-        Mask of wide nodes. A part of a branch is wide if the nodes at both of its ends are wide.
-    short_mm : float
-        Maximum distance between the rim of a filled disc and the spheres, mm.
-    """
-    found, filled = [(np.zeros((0, 3)), np.zeros(0))], wide.copy()
-    for branch, nodes in enumerate(tubes.branches):
-        if wide[nodes].any():
-            centre, radius, section = _inscribe(tubes, branch, wide)
-            own = tubes.own(branch)
-            filled[own] &= section[-len(own) :] > tubes.radius_mm[own] - short_mm
-            found.append((centre, radius))
-    centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Spheres(centre, radius), filled
-
-
-def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array, Array]:
+def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> Spheres:
     """Return the spheres that touch the surface of a branch from inside.
 
     The cross-section of a branch at position s along its axis is a disc with the radius r. The sphere that touches the
     surface at a disc has its centre at s + q and the radius sqrt(r^2 + q^2), with q = (r^2)' / 2. A sphere with the
     centre and the radius of the disc would protrude from a tapering branch. No sphere extends beyond the rim of another
     disc.
-
-    Returns
-    -------
-    centre_mm : (M, 3) float64 array
-        Centres of the spheres, mm.
-    radius_mm : (M,) float64 array
-        Their radii, mm.
-    section_mm : (n,) float64 array
-        Radius of the largest section of the spheres at each of the branch's nodes, mm.
     """
     nodes = tubes.branches[branch]
     way, square = polyline.arc_length_mm(tubes.centre_mm[nodes]), np.square(tubes.radii(branch))
@@ -128,13 +103,11 @@ def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array, Arra
     segment = np.repeat(np.arange(len(step)), count)
     share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
     at = np.append(way[segment] + share * step[segment], way[-1])
-    apart, inside = np.append((step / count)[segment], (step / count)[-1]), np.append(both[segment], both[-1])
+    inside = np.append(both[segment], both[-1])
     disc, shift = (np.interp(at, way, value) for value in (square, 0.5 * np.gradient(square, way)))
     middle = np.clip(at + shift, way[0], way[-1])[inside]
     radius = np.sqrt([(np.square(at - place) + disc).min() for place in middle])
-    radius += np.square(apart[inside]) / (_DENT * radius)  # mean dent between spheres
-    section = np.sqrt([(np.square(radius) - np.square(middle - place)).max(initial=0.0) for place in way])
-    return np.stack([np.interp(middle, way, axis) for axis in tubes.centre_mm[nodes].T], axis=1), radius, section
+    return Spheres(polyline.interpolate(tubes.centre_mm[nodes], way, middle), radius)
 
 
 def _leaves(filled: FillPoints, grid: Grid) -> Leaves:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
-from rhizotwin.recon.hull.spheres import Spheres, shared_volume_mm3
+from rhizotwin.recon.hull.spheres import concatenate, shared_volume_mm3
 from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
@@ -110,25 +110,18 @@ def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_p
         return 0.0
     reach_mm = leaves.grid.size_mm * float(leaves.size.max())
     tree = cKDTree(leaves.middles_mm, balanced_tree=False, compact_nodes=False)  # built in a third of the time, and rarely queried
-    spheres, doubtful = (_select(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
+    spheres, doubtful = (all_.select(tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
     if not len(spheres.radius_mm):
         return 0.0
-    wider = Spheres(
-        np.concatenate([spheres.centre_mm, doubtful.centre_mm]),
-        np.concatenate([spheres.radius_mm, doubtful.radius_mm])
-        + least_px / projection.px_a_mm(bank, spheres.centre_mm[int(spheres.radius_mm.argmax())]),
-    )
+    more_mm = least_px / projection.px_a_mm(bank, spheres.centre_mm[int(spheres.radius_mm.argmax())])
+    both = concatenate([spheres, doubtful])
+    wider = replace(both, radius_mm=both.radius_mm + more_mm)
     low = (wider.centre_mm - wider.radius_mm[:, None]).min(axis=0)
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
     half_mm = 0.5 * part.grid.size_mm * part.size[:, None]
     middle = part.middles_mm
     near = part.select(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
     return shared_volume_mm3(wider, near) - shared_volume_mm3(spheres, near)
-
-
-def _select(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
-    """Return the spheres that are marked in a mask (N,)."""
-    return Spheres(spheres.centre_mm[chosen], spheres.radius_mm[chosen])
 
 
 def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
