@@ -112,8 +112,8 @@ def list_spheres(spheres: Spheres, low_mm: Array, high_mm: Array, beside_mm: flo
 
 def depth_mm(listed: Bins, points_mm: Array) -> NDArray[np.float32]:
     """Return the depth (N,) of points (N, 3) inside the union of listed spheres, mm. It is negative outside."""
-    if not len(points_mm):
-        return np.zeros(0, np.float32)
+    if not len(points_mm) or not dr.width(listed.entries):
+        return np.full(len(points_mm), -np.inf, np.float32)
     (begin, end), centre = listed.find(points_mm), mi.Point3f(vectors(points_mm))
 
     def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
