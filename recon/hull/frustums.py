@@ -75,12 +75,14 @@ def _depths_mm(listed: Bins, points_mm: Array) -> tuple[NDArray[np.float32], NDA
         a, b = mi.Point3f(first.x, first.y, first.z), mi.Point3f(second.x, second.y, second.z)
         after = dr.dot(point - a, mi.Vector3f(third.x, third.y, third.z))
         before = dr.dot(b - point, mi.Vector3f(fourth.x, fourth.y, fourth.z))
-        share = after / dr.maximum(after + before, 1e-9)
-        depth = (dr.lerp(first.w, second.w, share) - dr.norm(point - dr.lerp(a, b, share))) * third.w
-        between = (after >= 0.0) & (before >= 0.0)
-        axis, offset = dr.normalize(b - a), point - 0.5 * (a + b)
+        way, offset = b - a, point - a
+        length = dr.norm(way)
+        axis = way / length
         along = dr.dot(offset, axis)
-        outer = dr.minimum(dr.maximum(first.w, second.w) - dr.norm(offset - along * axis), fourth.w - dr.abs(along))
+        aside = dr.norm(offset - along * axis)
+        depth = (dr.lerp(first.w, second.w, dr.clip(along / length, 0.0, 1.0)) - aside) * third.w
+        between = (after >= 0.0) & (before >= 0.0)
+        outer = dr.minimum(dr.maximum(first.w, second.w) - aside, fourth.w - dr.abs(along - 0.5 * length))
         return k + 1, dr.maximum(lateral, dr.select(between, depth, _FAR_MM)), dr.maximum(bound, outer)
 
     far = dr.full(mi.Float, _FAR_MM, len(points_mm))

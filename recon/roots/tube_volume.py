@@ -69,11 +69,21 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
 
 def _find_frustums(tubes: Tubes, wide: Mask) -> Frustums:
     """Return the segments of tubes whose nodes are both marked in the mask ``wide`` (N,) as frustums."""
-    (a, b), (before, after) = tubes.segments.T, tubes.segment_neighbours.T
-    normals = tubes.centre_mm[[b, after]] - tubes.centre_mm[[before, a]]
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
-    some = wide[a] & wide[b]
-    return Frustums(tubes.centre_mm[tubes.segments[some]], np.stack(tubes.segment_radii, axis=1)[some], normals.transpose(1, 0, 2)[some])
+    ends, neighbours = tubes.segments, tubes.segment_neighbours
+    way = _unit(tubes.centre_mm[ends[:, 1]] - tubes.centre_mm[ends[:, 0]])
+    beside = np.stack(
+        [tubes.centre_mm[ends[:, 0]] - tubes.centre_mm[neighbours[:, 0]], tubes.centre_mm[neighbours[:, 1]] - tubes.centre_mm[ends[:, 1]]],
+        axis=1,
+    )
+    beside = _unit(beside)
+    joined = np.einsum("sek,sk->se", beside, way) > 0.0
+    normals = _unit(np.where(joined[..., None], beside, 0.0) + way[:, None])
+    some = wide[ends].all(axis=1)
+    return Frustums(tubes.centre_mm[ends[some]], np.stack(tubes.segment_radii, axis=1)[some], normals[some])
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
 
 
 def _inscribe_spheres(tubes: Tubes, wide: Mask) -> tuple[Spheres, Spheres]:
