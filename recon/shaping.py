@@ -8,11 +8,13 @@ from rhizotwin.recon.carved_hull import CarvedHull
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.hull import surface, trimming
-from rhizotwin.recon.hull.leaves import Hull, Leaves
+from rhizotwin.recon.hull.leaves import Hull, Leaves, concatenate, unite
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.results import parts
 from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
+from rhizotwin.recon.roots.tube_volume import CombinedShape
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.uncertainty import diameter_uncertainty
@@ -80,33 +82,28 @@ def make_solid(
     Solid
         Voxels, surface, and volume with its interval.
     """
-    hull = carved.hull
-    with monitor.stage("trim"):
-        part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
-        solids = trimming.trim(carved.bank, carved.maps, part)
-    leaves, tubes = solids.leaves, None
-    if system is not None:
-        with monitor.stage("unite"):
-            tubes = tube_volume.combine(solids.leaves, system, hull.widest)
-        leaves = tubes.leaves
-    volume = leaves.volume_mm3()
+    hull, (shape, tubes) = carved.hull, _find_shape(carved, system, monitor)
+    solids, volume = shape.solids, shape.leaves.volume_mm3()
     # Upper bound: the hull with outlines moved outwards. Lower bound: the shape, minus the volume that solids lose when
     # outlines are moved inwards.
-    moved_in_mm3 = part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
+    moved_in_mm3 = shape.part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
     thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
     with monitor.stage("uncertainty"):
         roots = () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
-        shape = UnitedShape(
-            leaves=leaves, thick=leaves if tubes is None else tubes.thick, solids=solids, part=part, system=system, roots=roots
-        )
-        assessed = assess_volume(carved, shape, settings, scattered=scattered)
+        assessed = assess_volume(carved, replace(shape, roots=roots), settings, scattered=scattered)
     hidden, extrapolate, warnings = assessed.hidden, settings.hull.extrapolate_taproot, _warnings(assessed.budget, solids.kept_mm3)
     if hidden is not None:
         bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * extrapolate
         warnings = [*warnings, hidden.warning(is_added=extrapolate)]
     solid = measure(
-        hull, leaves, voxel_mm=settings.voxel_mm, budget=assessed.budget, bounds_mm3=bounds, untrimmed_mm3=solids.kept_mm3, monitor=monitor
+        hull,
+        shape.leaves,
+        voxel_mm=settings.voxel_mm,
+        budget=assessed.budget,
+        bounds_mm3=bounds,
+        untrimmed_mm3=solids.kept_mm3,
+        monitor=monitor,
     )
     solid = replace(solid, warnings=(*warnings, *solid.warnings), checks=assessed.checks)
     if system is None:
@@ -114,6 +111,30 @@ def make_solid(
     attenuation = system.attenuation
     sigma = None if attenuation.mu_per_mm is None else attenuation.sigma * attenuation.mu_per_mm
     return replace(solid, roots=roots, mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
+
+
+def _find_shape(carved: CarvedHull, system: RootSystem | None, monitor: Monitor) -> tuple[UnitedShape, CombinedShape | None]:
+    """Unite the tubes with the trimmed hull of the solids, and with the parts of thick roots that they lack.
+
+    A thick root that is not round, or whose axis is tilted, is larger than its tube. Of the hull, only those parts are
+    added that the silhouettes require.
+    """
+    bank, maps, hull = carved.bank, carved.maps, carved.hull
+    with monitor.stage("trim"):
+        part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
+        solids = trimming.trim(bank, maps, part)
+    if system is None:
+        return UnitedShape(leaves=solids.leaves, thick=solids.leaves, solids=solids, part=part, system=None, roots=()), None
+    with monitor.stage("unite"):
+        tubes, thick = tube_volume.combine(solids.leaves, system, hull.widest), system.thick
+        inside = Spheres(system.tubes.centre_mm[thick], system.tubes.radius_mm[thick])
+        near = hull.leaves.near(system.core_mm if thick.any() else system.core_mm[:0], system.margin_mm)
+        lacking, missing = trimming.find_missing(bank, maps, tubes.leaves, near, inside)
+        full = replace(missing, occupancy=missing.occupancy + tubes.leaves.occupancy_at(missing.index))
+        leaves, solid = unite(tubes.leaves, full), unite(tubes.thick, full)
+    kept = np.concatenate([solids.kept, missing.occupancy])
+    solids = replace(solids, leaves=concatenate([solids.leaves, missing]), kept=kept)
+    return UnitedShape(leaves=leaves, thick=solid, solids=solids, part=concatenate([part, lacking]), system=system, roots=()), tubes
 
 
 def measure(

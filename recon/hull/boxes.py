@@ -78,6 +78,12 @@ class CellSet:
         inside[inside] = self.contains_numbers(self.box.number(index[inside]))
         return inside
 
+    def find(self, index: Whole) -> NDArray[np.int64]:
+        """Return the position (M,) of each cell (M, 3) in the original array of cells, or -1 if the set lacks it."""
+        found, inside = np.full(len(index), -1), self.contains(index)
+        found[inside] = self.order[self._place(self.box.number(index[inside]))]
+        return found
+
     def contains_numbers(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return the mask (M,) of cell numbers (M,) that are in the set. All cells must lie in `box`."""
         return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)

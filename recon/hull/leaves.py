@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,15 @@ class Leaves:
                 near[some] = tree.query(self.middles_mm[some], distance_upper_bound=most_mm, workers=-1)[0] < most_mm
         return self.select(near)
 
+    def occupancy_at(self, index: Index) -> NDArray[np.float32]:
+        """Return the occupancy (M,) at finest nodes (M, 3), which is that of the leaf that contains them, or 0."""
+        found = np.zeros(len(index), np.float32)
+        for edge in np.unique(self.size):
+            some = self.select(self.size == edge)
+            place = CellSet.from_cells(some.index // edge).find(index // edge)
+            found[place >= 0] = some.occupancy[place[place >= 0]]
+        return found
+
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
         """Return the occupied volume of all leaves, mm3, optionally with other occupancies (N,) than those stored."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
@@ -96,12 +106,11 @@ def unite(first: Leaves, second: Leaves) -> Leaves:
 
     Leaves inside a larger leaf are removed. Of two identical leaves, the one with the higher occupancy is kept.
     """
-    parts = (first.select(~_find_within(first, second)), second.select(~_find_within(second, first)))
-    index, size, occupancy = (np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy"))
-    _, place, which = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True)
+    both = concatenate([first.select(~_find_within(first, second)), second.select(~_find_within(second, first))])
+    _, place, which = np.unique(Box.around(both.index).number(both.index), return_index=True, return_inverse=True)
     fuller = np.zeros(len(place), np.float32)
-    np.maximum.at(fuller, which, occupancy)
-    return Leaves(first.grid, index[place], size[place], fuller)
+    np.maximum.at(fuller, which, both.occupancy)
+    return replace(both.select(place), occupancy=fuller)
 
 
 def intersect(first: Leaves, second: Leaves) -> Leaves:
@@ -111,14 +120,41 @@ def intersect(first: Leaves, second: Leaves) -> Leaves:
     kept.
     """
     inside = _find_within(first, second), _find_within(second, first)
-    rest = [leaves.select(~within) for leaves, within in zip((first, second), inside, strict=True)]
-    index, size, occupancy = (np.concatenate([getattr(part, name) for part in rest]) for name in ("index", "size", "occupancy"))
-    _, place, which, count = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True, return_counts=True)
+    rest = concatenate([leaves.select(~within) for leaves, within in zip((first, second), inside, strict=True)])
+    _, place, which, count = np.unique(
+        Box.around(rest.index).number(rest.index), return_index=True, return_inverse=True, return_counts=True
+    )
     emptier = np.ones(len(place), np.float32)
-    np.minimum.at(emptier, which, occupancy)
-    both = Leaves(first.grid, index[place], size[place], emptier).select(count == 2)
-    parts = (first.select(inside[0]), second.select(inside[1]), both)
-    return Leaves(first.grid, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy")))
+    np.minimum.at(emptier, which, rest.occupancy)
+    both = replace(rest.select(place), occupancy=emptier).select(count == 2)
+    return concatenate([first.select(inside[0]), second.select(inside[1]), both])
+
+
+def subtract(first: Leaves, second: Leaves) -> Leaves:
+    """Return the difference of two sets of leaves on the same lattice.
+
+    Leaves of the first set are divided until none contains a smaller leaf of the second set. Their occupancy is the
+    difference of the occupancies, if it is positive.
+    """
+    done, carried, edge = list[Leaves](), first.select(slice(0)), int(first.size.max(initial=1))
+    halves = np.array(list(np.ndindex(2, 2, 2)), np.int32)
+    while edge >= 1:
+        here = concatenate([carried, first.select(first.size == edge)])
+        smaller = second.index[second.size < edge] // edge
+        _, place = np.unique(Box.around(smaller).number(smaller), return_index=True)
+        cut = CellSet.from_cells(smaller[place]).contains(here.index // edge)
+        whole = here.select(~cut)
+        rest = whole.occupancy - second.select(second.size >= edge).occupancy_at(whole.index)
+        done.append(replace(whole, occupancy=rest).select(rest > 0.0))
+        index = (here.index[cut][:, None] + edge // 2 * halves).reshape(-1, 3)
+        edge //= 2
+        carried = Leaves(first.grid, index, np.full(len(index), edge, np.int32), np.repeat(here.occupancy[cut], 8))
+    return concatenate(done)
+
+
+def concatenate(parts: Sequence[Leaves]) -> Leaves:
+    """Return all leaves of one or more sets that do not overlap."""
+    return Leaves(parts[0].grid, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy")))
 
 
 def _find_within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers
 from rhizotwin.recon.hull import distance_maps, unexplained
 from rhizotwin.recon.hull.centre_lines import centre_lines
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, subtract, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres, subdivide_leaves
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -105,6 +105,35 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
     return TrimmedHull(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
+
+
+def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, hull: Leaves, inside: Spheres) -> tuple[Leaves, Leaves]:
+    """Find the parts of a hull that a shape lacks although the silhouettes require them.
+
+    Parameters
+    ----------
+    shape : Leaves
+        Shape that explains most of the silhouettes.
+    hull : Leaves
+        Part of the hull in which the shape may be incomplete.
+    inside : Spheres
+        Spheres inside the shape. Of the nodes on a line of sight that the shape does not explain, those nearest to the
+        spheres are required.
+
+    Returns
+    -------
+    lacking, missing : Leaves
+        Finest nodes whose occupancy in the hull exceeds that in the shape, and those of them that the silhouettes
+        require. The occupancy is the difference from the shape.
+    """
+    outside = subtract(hull, shape)
+    outside = outside.select(outside.occupancy > _MISSING)
+    index = to_unit_cubes(outside.index, outside.size)
+    lacking = Leaves(hull.grid, index, np.ones(len(index), np.int32), spread_values(outside.occupancy, outside.size))
+    if not len(index):
+        return lacking, lacking
+    needed = unexplained.required_fraction(bank, maps, shape, index, inside)
+    return lacking, replace(lacking, occupancy=needed * lacking.occupancy).select(needed > 0.0)
 
 
 def _perpendicular(points: Array) -> Array:

@@ -30,8 +30,11 @@ class RootTree:
     solids_mm: Array
     """Points inside the solids, far from their surface, shape (M, 3), canister frame, mm. The shape of the solids is
     that of the trimmed hull."""
+    core_mm: Array
+    """Points inside thick roots, solids and clusters of roots, far from their surface, shape (M, 3), mm."""
     margin_mm: float
-    """Maximum distance of any point of the solids from the points in `solids_mm`, mm."""
+    """Maximum distance of any point of the solids from the points in `solids_mm`, and of thick roots from those in
+    `core_mm`, mm."""
     px_a_mm: float
     attenuation: TubeAttenuation
     """Attenuation of light by the roots."""

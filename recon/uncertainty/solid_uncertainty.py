@@ -142,7 +142,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     frames : sequence of int
         Frame number of each view, ascending around the turn.
     """
-    if thick.kept_mm3 <= _MUCH_KEPT * thick.leaves.volume_mm3():
+    if thick.kept_mm3 <= _MUCH_KEPT * hull.leaves.volume_mm3():
         return 0.0
     fine = hull.leaves.grid
     low = np.asarray(fine.origin_mm)

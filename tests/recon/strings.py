@@ -89,6 +89,7 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, solids_mm: np.ndarray | None 
         tubes=found,
         solid=no_nodes,
         solids_mm=np.zeros((0, 3)) if solids_mm is None else solids_mm,
+        core_mm=np.zeros((0, 3)),
         margin_mm=0.6,
         px_a_mm=px_a_mm,
         attenuation=TubeAttenuation.opaque(),

@@ -39,3 +39,14 @@ def test_leaves_are_united_and_intersected_as_their_nodes_are() -> None:
         a, b = cut(2 * seed), cut(2 * seed + 1)
         np.testing.assert_array_equal(dense(leaves.unite(a, b)), np.maximum(dense(a), dense(b)))
         np.testing.assert_array_equal(dense(leaves.intersect(a, b)), np.minimum(dense(a), dense(b)))
+
+
+def test_the_difference_of_leaves_is_that_of_their_nodes() -> None:
+    for seed in range(5):
+        a, b = cut(2 * seed), cut(2 * seed + 1)
+        np.testing.assert_array_equal(dense(leaves.subtract(a, b)), np.maximum(dense(a) - dense(b), 0.0))
+        nodes = np.argwhere(np.ones((8, 8, 8), bool)).astype(np.int32)
+        np.testing.assert_array_equal(a.occupancy_at(nodes), dense(a).ravel())
+    nothing = cut(0).select(slice(0))
+    np.testing.assert_array_equal(dense(leaves.subtract(cut(0), nothing)), dense(cut(0)))
+    assert len(leaves.subtract(nothing, cut(0)).size) == 0

@@ -101,6 +101,22 @@ def test_of_a_line_of_sight_what_is_nearest_to_the_spheres_is_needed() -> None:
     assert alone.max() > 0.5, "where nothing nearer explains the pictures, the spike does"
 
 
+def test_only_what_the_silhouettes_require_is_added_to_a_shape() -> None:
+    """Half of a trunk is missing and comes back; the webs of the hull between complete rods do not."""
+    bank, maps, hull = hull_of(RODS)
+    inside = Spheres(np.stack([[0.0, 0.0, z] for z in np.arange(-80.0, -20.0, 0.5)]), np.full(120, 2.0))
+    complete = trimming.trim(bank, maps, hull).leaves
+    lacking, missing = trimming.find_missing(bank, maps, complete, hull, inside)
+    assert lacking.volume_mm3() > 0.012 * volume_of_rods()
+    assert missing.volume_mm3() < 0.002 * volume_of_rods()
+    x, y, z = complete.middles_mm.T
+    away = (x > 1.0) & (np.hypot(x, y) < 4.5) & (z < -62.0)  # below the twigs
+    lacking, missing = trimming.find_missing(bank, maps, complete.select(~away), hull, inside)
+    gone = complete.select(away).volume_mm3()
+    assert 0.75 * gone < missing.volume_mm3() < 1.02 * gone, "all but a rim of 0.75 px at the outlines"
+    assert trimming.find_missing(bank, maps, hull, hull, inside)[0].volume_mm3() == 0.0
+
+
 def test_spheres_stand_where_enough_views_bound_them() -> None:
     """On the axis nearly all do; e beside it only those that look nearly across the offset; where every picture is silent, none."""
     bank, maps, _ = hull_of(RODS)
