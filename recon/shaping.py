@@ -8,7 +8,7 @@ from rhizotwin.recon.carved_hull import CarvedHull
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.hull import surface, trimming
-from rhizotwin.recon.hull.leaves import Hull, Leaves, concatenate, unite
+from rhizotwin.recon.hull.leaves import Hull, Leaves, concatenate, subtract, unite
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.results import parts
 from rhizotwin.recon.results.result import Solid, triple
@@ -126,15 +126,23 @@ def _find_shape(carved: CarvedHull, system: RootSystem | None, monitor: Monitor)
     if system is None:
         return UnitedShape(leaves=solids.leaves, thick=solids.leaves, solids=solids, part=part, system=None, roots=()), None
     with monitor.stage("unite"):
-        tubes, thick = tube_volume.combine(solids.leaves, system, hull.widest), system.thick
-        inside = Spheres(system.tubes.centre_mm[thick], system.tubes.radius_mm[thick])
-        near = hull.leaves.near(system.core_mm if thick.any() else system.core_mm[:0], system.margin_mm)
-        lacking, missing = trimming.find_missing(bank, maps, tubes.leaves, near, inside)
+        tubes = tube_volume.combine(solids.leaves, system, hull.widest)
+        lacking, missing = _find_missing(carved, system, tubes.leaves)
         full = replace(missing, occupancy=missing.occupancy + tubes.leaves.occupancy_at(missing.index))
-        leaves, solid = unite(tubes.leaves, full), unite(tubes.thick, full)
+        leaves, thick = unite(tubes.leaves, full), unite(tubes.thick, full)
     kept = np.concatenate([solids.kept, missing.occupancy])
     solids = replace(solids, leaves=concatenate([solids.leaves, missing]), kept=kept)
-    return UnitedShape(leaves=leaves, thick=solid, solids=solids, part=concatenate([part, lacking]), system=system, roots=()), tubes
+    return UnitedShape(leaves=leaves, thick=thick, solids=solids, part=concatenate([part, lacking]), system=system, roots=()), tubes
+
+
+def _find_missing(carved: CarvedHull, system: RootSystem, shape: Leaves) -> tuple[Leaves, Leaves]:
+    """Return the leaves of the hull beside thick roots, and those of them that the silhouettes require."""
+    thick, hull = system.thick, carved.hull.leaves
+    if not thick.any():
+        return hull.select(slice(0)), hull.select(slice(0))
+    inside = Spheres(system.tubes.centre_mm[thick], system.tubes.radius_mm[thick])
+    outside = subtract(hull, shape).near(system.core_mm, system.margin_mm)
+    return trimming.find_missing(carved.bank, carved.maps, shape, outside, inside)
 
 
 def measure(

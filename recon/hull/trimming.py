@@ -23,7 +23,7 @@ from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers
 from rhizotwin.recon.hull import distance_maps, unexplained
 from rhizotwin.recon.hull.centre_lines import centre_lines
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, spread_values, subtract, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres, subdivide_leaves
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -107,15 +107,15 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
     return TrimmedHull(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
 
 
-def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, hull: Leaves, inside: Spheres) -> tuple[Leaves, Leaves]:
-    """Find the parts of a hull that a shape lacks although the silhouettes require them.
+def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, outside: Leaves, inside: Spheres) -> tuple[Leaves, Leaves]:
+    """Find the parts of the hull outside a shape that the silhouettes require.
 
     Parameters
     ----------
     shape : Leaves
         Shape that explains most of the silhouettes.
-    hull : Leaves
-        Part of the hull in which the shape may be incomplete.
+    outside : Leaves
+        Part of the hull outside the shape. The occupancy is the difference from the shape.
     inside : Spheres
         Spheres inside the shape. Of the nodes on a line of sight that the shape does not explain, those nearest to the
         spheres are required.
@@ -123,13 +123,12 @@ def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, hull: Leaves
     Returns
     -------
     lacking, missing : Leaves
-        Finest nodes whose occupancy in the hull exceeds that in the shape, and those of them that the silhouettes
-        require. The occupancy is the difference from the shape.
+        Finest nodes outside the shape, and those of them that the silhouettes require. The occupancy is the difference
+        from the shape.
     """
-    outside = subtract(hull, shape)
     outside = outside.select(outside.occupancy > _MISSING)
     index = to_unit_cubes(outside.index, outside.size)
-    lacking = Leaves(hull.grid, index, np.ones(len(index), np.int32), spread_values(outside.occupancy, outside.size))
+    lacking = Leaves(outside.grid, index, np.ones(len(index), np.int32), spread_values(outside.occupancy, outside.size))
     if not len(index):
         return lacking, lacking
     needed = unexplained.required_fraction(bank, maps, shape, index, inside)

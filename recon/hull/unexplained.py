@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import cv2
 import drjit as dr
@@ -14,12 +15,15 @@ from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
 from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
 from rhizotwin.recon.hull import distance_maps
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
+
+Picture = NDArray[np.float32]
 
 _DEEP_PX = 0.75
 """Minimum distance inside the outline at which an unexplained pixel requires a part of the hull to be retained, px. The
@@ -59,36 +63,60 @@ def required_fraction(
     (N,) float32 array
         Required fraction of each node, 0 to 1.
     """
-    width, height = maps.samples_wh
-    voxel, size, filled = to_voxels(trimmed, 2)
-    some = filled > 0.25
-    solid = _points(trimmed, 2 * to_unit_cubes(voxel[some], size[some]), 2)
-    share = numbers(np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0))
+    lacking = {view: picture for view, picture in enumerate(_unexplained_pictures(bank, maps, trimmed)) if picture.size}
+    found, concerned = np.zeros(len(uncertain), np.float32), np.zeros(len(uncertain), np.int64)
     places = _points(trimmed, uncertain, 1)
-    edge_mm = trimmed.grid.size_mm
-    beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
-    most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
+    for view, picture in lacking.items():
+        concerned += np.array(_read(bank, maps, view, picture, places)[2] > 0.0)
+    some = np.flatnonzero(concerned)
+    if not len(some):
+        return found
+    places, edge_mm = _points(trimmed, uncertain[some], 1), trimmed.grid.size_mm
+    beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain[some] + 0.5) * edge_mm) / edge_mm)
+    most, second = dr.zeros(mi.Float, len(some)), dr.zeros(mi.Float, len(some))
+    for view, picture in lacking.items():
+        px, scale, lacks = _read(bank, maps, view, picture, places)
+        edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
+        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
+        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
+        dr.eval(most, second)
+    found[some] = np.array(second)
+    return found
+
+
+def _unexplained_pictures(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iterator[Picture]:
+    """Yield for each view the part (H, W) of each sample of the silhouette that a shape does not explain.
+
+    Pictures are empty (0, 0) if the shape explains the whole silhouette.
+    """
+    width, height = maps.samples_wh
+    voxel, size, filled = to_voxels(shape, 2)
+    some = filled > 0.25
+    cubes, weight = to_unit_cubes(voxel[some], size[some]), np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0)
+    full = np.flatnonzero(weight == 1.0)
+    rim = full[CellSet.from_cells(cubes[full]).faces()[0]]  # each line of sight through full voxels meets their surface
+    outer = np.concatenate([rim, np.flatnonzero(weight < 1.0)])
+    solid, share = _points(shape, 2 * cubes[outer], 2), numbers(weight[outer])
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
         px, scale, visible = _project(bank, maps, view, solid)
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), visible)
-        apart = 2.0 * edge_mm * _masked_maximum(scale, visible) * UPSAMPLING  # samples between adjacent voxels of the solid
+        apart = 2.0 * shape.grid.size_mm * _masked_maximum(scale, visible) * UPSAMPLING  # samples between adjacent voxels
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
         values = maps.picture(view)
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
-        if not lacking.any():
-            continue
-        px, scale, visible = _project(bank, maps, view, places)
-        lacks = dr.select(visible, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
-        dr.eval(lacks)
-        edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
-        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
-        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
-        dr.eval(most, second)
-    return np.array(second)
+        yield _spread(lacking, 5) if lacking.any() else np.zeros((0, 0), np.float32)
+
+
+def _read(bank: ViewBank, maps: DistanceMaps, view: int, picture: Picture, places: Point3f) -> tuple[Vector2f, Float, Float]:
+    """Return the pixels of points in a view, the image scale in px/mm, and the values of a picture there."""
+    px, scale, visible = _project(bank, maps, view, places)
+    values = dr.select(visible, DistanceMaps.from_arrays(picture[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
+    dr.eval(values)
+    return px, scale, values
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
@@ -110,7 +138,7 @@ def _masked_maximum(value: Float, active: Bool) -> float:
     return float(dr.max(dr.select(active, value, 0.0))[0])
 
 
-def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
+def _spread(picture: Picture, edge: int) -> Picture:
     """Dilate an image (H, W) with a square of odd edge length, and blur it with a 3 x 3 box filter."""
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 

@@ -10,7 +10,7 @@ from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.hull import carve, trimming, unexplained
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Leaves, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Grid, Leaves, subtract, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -106,15 +106,16 @@ def test_only_what_the_silhouettes_require_is_added_to_a_shape() -> None:
     bank, maps, hull = hull_of(RODS)
     inside = Spheres(np.stack([[0.0, 0.0, z] for z in np.arange(-80.0, -20.0, 0.5)]), np.full(120, 2.0))
     complete = trimming.trim(bank, maps, hull).leaves
-    lacking, missing = trimming.find_missing(bank, maps, complete, hull, inside)
+    lacking, missing = trimming.find_missing(bank, maps, complete, subtract(hull, complete), inside)
     assert lacking.volume_mm3() > 0.012 * volume_of_rods()
     assert missing.volume_mm3() < 0.002 * volume_of_rods()
     x, y, z = complete.middles_mm.T
     away = (x > 1.0) & (np.hypot(x, y) < 4.5) & (z < -62.0)  # below the twigs
-    lacking, missing = trimming.find_missing(bank, maps, complete.select(~away), hull, inside)
+    rest = complete.select(~away)
+    lacking, missing = trimming.find_missing(bank, maps, rest, subtract(hull, rest), inside)
     gone = complete.select(away).volume_mm3()
     assert 0.75 * gone < missing.volume_mm3() < 1.02 * gone, "all but a rim of 0.75 px at the outlines"
-    assert trimming.find_missing(bank, maps, hull, hull, inside)[0].volume_mm3() == 0.0
+    assert trimming.find_missing(bank, maps, hull, subtract(hull, hull), inside)[0].volume_mm3() == 0.0
 
 
 def test_spheres_stand_where_enough_views_bound_them() -> None:
