@@ -91,7 +91,8 @@ class Case:
 def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES, methods: Sequence[Method] = METHODS) -> list[Case]:
     """Return the small cases that are run for every change, or a selection.
 
-    They are a solid, a printed phantom by both methods, the same on a real bench, and thin roots.
+    They are a solid, a printed phantom by both methods, the same on a real bench and with the pictures of the demo, a
+    bulb, and thin roots.
 
     Parameters
     ----------
@@ -111,13 +112,18 @@ def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES,
         If no case matches.
     """
     small = (400, 300)
-    sphere, printed, bench, plant = (
+    sphere, printed, bench, demo, bulb, plant = (
         Pictures(scene="sphere_20mm", views=24, image_wh=small),
         Pictures(scene="printed_8ml", image_wh=small),
         Pictures(scene="printed_8ml", profile="bench", image_wh=small),
+        Pictures(scene="printed_8ml"),
+        Pictures(scene="bulb", profile="bench", image_wh=small),
         Pictures(scene="radish_day05a", rings=2, views=20),  # in smaller pictures its roots are too thin for tubes
     )
-    every = [*(Case(pictures=pictures) for pictures in (sphere, printed, bench, plant)), Case(pictures=printed, method="thesis")]
+    every = [
+        *(Case(pictures=pictures) for pictures in (sphere, printed, bench, demo, bulb, plant)),
+        Case(pictures=printed, method="thesis"),
+    ]
     return _some([case for case in every if case.pictures.profile in profiles and case.method in methods], scenes, profiles)
 
 
