@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon import device
 from rhizotwin.recon.device import UInt32
 from rhizotwin.recon.hull import distance_maps
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
@@ -64,7 +65,7 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
     cells = to_unit_cubes(index, size).astype(np.int64)
     full = spread_values(occupancy, size)
     edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
-    hidden = {}
+    hidden, listed = {}, CellSet.from_cells(cells)
     for axis in range(3):
         for side in (-1, 1):
             last = _ends(cells, full, axis, side)
@@ -73,7 +74,9 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
             end_mm = origin + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
             gap_mm = gaps_mm(bank, maps, end_mm, direction, water)
             wider = _widening(cells[:, 2], full, last, gap_mm / edge_mm) if (axis, side) == (2, 1) else 1.0
-            hidden[axis, side] = ANYWHERE * wider * float((gap_mm * full[last]).sum()) * edge_mm**2
+            before = listed.find(cells[last] - direction.astype(np.int64))  # a flat end cuts the last voxels
+            section = np.where(before >= 0, np.maximum(full[last], full[before]), full[last])
+            hidden[axis, side] = ANYWHERE * wider * float(gap_mm @ section) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
     where = _WHERE[side] if axis == 2 else _describe_side(bank)

@@ -1,6 +1,7 @@
 """The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -104,6 +105,10 @@ def test_a_shape_may_go_on_wherever_sight_ends(
     hidden = occlusion.occlusion_term(bank, maps, block, Water(70.0, -8.0, -150.0))
     assert hidden.less_mm3 == 0.0
     assert hidden.more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
+    ends = (index[:, 2] < 2) | (index[:, 2] > 17)
+    cut = replace(block, occupancy=np.where(ends, 0.3, 1.0).astype(np.float32))  # flat ends inside voxels
+    share = 1.0 if seen(np.array([[1.0, 0.0, -18.0]]))[0] else 1.0 - 0.2 * 0.7  # of its sides, if these are hidden
+    assert occlusion.occlusion_term(bank, maps, cut, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(share * hidden.more_mm3, rel=0.06)
 
 
 @pytest.mark.parametrize("per_mm", [-0.01, 0.0, 0.01, 0.03])
