@@ -25,9 +25,9 @@ _FAR_MM = -1e3
 
 @dataclass(frozen=True)
 class Frustums:
-    """Frustums of cones between two planes, which are perpendicular to the direction of the branch at both ends.
+    """Frustums of cones, clipped by a plane at each end.
 
-    Successive frustums of a branch share their planes. Without gaps, they contain all discs on the axis.
+    Successive frustums of a branch share the plane that bisects the angle between them, so that there are no gaps.
     """
 
     ends_mm: Array
@@ -62,9 +62,9 @@ class Frustums:
 def _depths_mm(listed: Bins, points_mm: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return two depths (N,) of points (N, 3) inside listed frustums, mm. They are negative outside.
 
-    The first one is the depth below the lateral surface of a frustum, between its planes. The disc through the point is
-    that whose centre divides the axis in the ratio of the distances from both planes. The second one is an upper bound
-    of the depth, from the cylinders around the frustums.
+    The first one is the depth below the lateral surface of a frustum, between its planes. As in pictures of tubes, the
+    distance from the axis is perpendicular to it, and the radius beyond the ends of the axis is that of the end. The
+    second one is an upper bound of the depth, from the cylinders around the frustums.
     """
     if not len(points_mm):
         return np.zeros(0, np.float32), np.zeros(0, np.float32)

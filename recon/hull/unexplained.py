@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
@@ -22,8 +23,6 @@ from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
-
-Picture = NDArray[np.float32]
 
 _DEEP_PX = 0.75
 """Minimum distance inside the outline at which an unexplained pixel requires a part of the hull to be retained, px. The
@@ -66,11 +65,11 @@ def required_fraction(
     (N,) float32 array
         Required fraction of each node, 0 to 1.
     """
-    lacking = {view: picture for view, picture in enumerate(_unexplained_pictures(bank, maps, trimmed)) if picture.size}
-    found, concerned = np.zeros(len(uncertain), np.float32), np.zeros(len(uncertain), np.int64)
+    lacking = {view: picture for view, picture in enumerate(_find_unexplained(bank, maps, trimmed)) if picture.nnz}
+    found, concerned = np.zeros(len(uncertain), np.float32), np.zeros(len(uncertain), bool)
     places = _points(trimmed, uncertain, 1)
     for view, picture in lacking.items():
-        concerned += np.array(_read(bank, maps, view, picture, places)[2] > 0.0)
+        concerned |= np.array(_read(bank, maps, view, picture, places)[2] > 0.0)
     some = np.flatnonzero(concerned)
     if not len(some):
         return found
@@ -87,11 +86,8 @@ def required_fraction(
     return found
 
 
-def _unexplained_pictures(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iterator[Picture]:
-    """Yield for each view the part (H, W) of each sample of the silhouette that a shape does not explain.
-
-    Pictures are empty (0, 0) if the shape explains the whole silhouette.
-    """
+def _find_unexplained(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iterator[sparse.csr_array]:
+    """Yield for each view the fraction (H, W) of each sample of the silhouette that a shape does not explain."""
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(shape, 2)
     some = filled > 0.25
@@ -112,13 +108,13 @@ def _unexplained_pictures(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> 
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         lacking[lacking < _LEAST] = 0.0
-        yield _spread(lacking, 5) if lacking.any() else np.zeros((0, 0), np.float32)
+        yield sparse.csr_array(_spread(lacking, 5))
 
 
-def _read(bank: ViewBank, maps: DistanceMaps, view: int, picture: Picture, places: Point3f) -> tuple[Vector2f, Float, Float]:
+def _read(bank: ViewBank, maps: DistanceMaps, view: int, picture: sparse.csr_array, places: Point3f) -> tuple[Vector2f, Float, Float]:
     """Return the pixels of points in a view, the image scale in px/mm, and the values of a picture there."""
     px, scale, visible = _project(bank, maps, view, places)
-    values = dr.select(visible, DistanceMaps.from_arrays(picture[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
+    values = dr.select(visible, DistanceMaps.from_arrays(picture.toarray()[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
     dr.eval(values)
     return px, scale, values
 
@@ -142,7 +138,7 @@ def _masked_maximum(value: Float, active: Bool) -> float:
     return float(dr.max(dr.select(active, value, 0.0))[0])
 
 
-def _spread(picture: Picture, edge: int) -> Picture:
+def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
     """Dilate an image (H, W) with a square of odd edge length, and blur it with a 3 x 3 box filter."""
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 
