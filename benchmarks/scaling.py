@@ -110,9 +110,9 @@ def measure(axes: Sequence[str] | None, *, quick: bool, device: str, say: Say) -
     found = []
     for axis in axes or offered:
         points = []
+        _point(offered[axis][0], _pictures(offered[axis][0], device=device), device=device)  # compiles the kernels
         for step in offered[axis]:
-            folder = _pictures(step, device=device)
-            points.append(_point(step, folder, device=device))
+            points.append(_point(step, _pictures(step, device=device), device=device))
             say(f"{axis} {points[-1].value:.4g}: {points[-1].cpu_s:.1f} s of processor time, {points[-1].memory_mib:.0f} MiB")
         found.append(growth(axis, points))
     return found
@@ -165,14 +165,8 @@ def _pictures(step: Step, *, device: str) -> Path:
 
 
 def _point(step: Step, folder: Path, *, device: str) -> Point:
-    """Reconstruct once to compile the kernels, and once more for the measurement."""
     with tempfile.TemporaryDirectory(prefix="rhizotwin-scaling-") as working:
-        used = [
-            commit_comparison.run_once(
-                commit_comparison.ROOT,
-                ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / str(number)), "--device", device],
-            )
-            for number in range(2)
-        ]
+        words = ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / "result"), "--device", device]
+        used = commit_comparison.run_once(commit_comparison.ROOT, words)
     value = load_truth(folder).traits["total_length_mm"] / 1000.0 if step.value is None else step.value
-    return Point(value=value, cpu_s=used[-1].cpu_s, memory_mib=used[-1].memory_mib)
+    return Point(value=value, cpu_s=used.cpu_s, memory_mib=used.memory_mib)
