@@ -1,5 +1,6 @@
 """Stages from silhouettes to a solid: outlines, hull, trimming, surface and extents."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,6 @@ from rhizotwin.recon.results import parts
 from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
-from rhizotwin.recon.roots.tube_volume import CombinedShape
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.uncertainty import diameter_uncertainty
@@ -22,6 +22,7 @@ from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.volume_budget import UnitedShape, assess_volume
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.rsml import Root
 
 _SURFACE_LEAVES = 1_000_000
 """Maximum number of finest leaves from which the surface is computed. Larger numbers of leaves are merged first."""
@@ -82,16 +83,15 @@ def make_solid(
     Solid
         Voxels, surface, and volume with its interval.
     """
-    hull, (shape, tubes) = carved.hull, _find_shape(carved, system, monitor)
+    hull, roots = carved.hull, () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
+    shape = _find_shape(carved, system, roots, monitor)
     solids, volume = shape.solids, shape.leaves.volume_mm3()
     # Upper bound: the hull with outlines moved outwards. Lower bound: the shape, minus the volume that solids lose when
     # outlines are moved inwards.
     moved_in_mm3 = shape.part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
-    thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
-    bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
+    bounds = max(0.0, volume - moved_in_mm3 - shape.thinner_mm3), max(hull.moved_out_mm3, volume + shape.thicker_mm3)
     with monitor.stage("uncertainty"):
-        roots = () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
-        assessed = assess_volume(carved, replace(shape, roots=roots), settings, scattered=scattered)
+        assessed = assess_volume(carved, shape, settings, scattered=scattered)
     hidden, extrapolate, warnings = assessed.hidden, settings.hull.extrapolate_taproot, _warnings(assessed.budget, solids.kept_mm3)
     if hidden is not None:
         bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * extrapolate
@@ -113,7 +113,7 @@ def make_solid(
     return replace(solid, roots=roots, mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
-def _find_shape(carved: CarvedHull, system: RootSystem | None, monitor: Monitor) -> tuple[UnitedShape, CombinedShape | None]:
+def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[Root], monitor: Monitor) -> UnitedShape:
     """Unite the tubes with the trimmed hull of the solids, and with the parts of thick roots that they lack.
 
     A thick root that is not round, or whose axis is tilted, is larger than its tube. Of the hull, only those parts are
@@ -124,19 +124,26 @@ def _find_shape(carved: CarvedHull, system: RootSystem | None, monitor: Monitor)
         part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
         solids = trimming.trim(bank, maps, part)
     if system is None:
-        return UnitedShape(leaves=solids.leaves, thick=solids.leaves, solids=solids, part=part, system=None, roots=()), None
+        return UnitedShape(leaves=solids.leaves, thick=solids.leaves, solids=solids, part=part)
     with monitor.stage("unite"):
         tubes = tube_volume.combine(solids.leaves, system, hull.widest)
         lacking, missing = _find_missing(carved, system, tubes.leaves)
         full = replace(missing, occupancy=missing.occupancy + tubes.leaves.occupancy_at(missing.index))
         leaves, thick = unite(tubes.leaves, full), unite(tubes.thick, full)
-    kept = np.concatenate([solids.kept, missing.occupancy])
-    solids = replace(solids, leaves=concatenate([solids.leaves, missing]), kept=kept)
-    return UnitedShape(leaves=leaves, thick=thick, solids=solids, part=concatenate([part, lacking]), system=system, roots=()), tubes
+    return UnitedShape(
+        leaves=leaves,
+        thick=thick,
+        solids=replace(solids, leaves=concatenate([solids.leaves, missing]), kept=np.concatenate([solids.kept, missing.occupancy])),
+        part=concatenate([part, lacking]),
+        thinner_mm3=tubes.thinner_mm3,
+        thicker_mm3=tubes.thicker_mm3,
+        system=system,
+        roots=roots,
+    )
 
 
 def _find_missing(carved: CarvedHull, system: RootSystem, shape: Leaves) -> tuple[Leaves, Leaves]:
-    """Return the leaves of the hull beside thick roots, and those of them that the silhouettes require."""
+    """Return the finest nodes of the hull beside thick roots, and those of them that the silhouettes require."""
     thick, hull = system.thick, carved.hull.leaves
     if not thick.any():
         return hull.select(slice(0)), hull.select(slice(0))

@@ -42,12 +42,16 @@ class UnitedShape:
     thick: Leaves
     """Leaves of thick roots and solids."""
     solids: TrimmedHull
-    """Trimmed hull of the solids."""
+    """Trimmed hull of the solids, and the parts of the hull that complete thick roots."""
     part: Leaves
-    """Leaves of the hull around the solids, before trimming."""
-    system: RootSystem | None
+    """Leaves of the hull around them, before trimming."""
+    thinner_mm3: float = 0.0
+    """Decrease of the volume of the tubes if their radii are reduced by their slack, mm3."""
+    thicker_mm3: float = 0.0
+    """Increase of the volume of the tubes if their radii are enlarged by their slack, mm3."""
+    system: RootSystem | None = None
     """Fitted roots; None if there are none."""
-    roots: Sequence[Root]
+    roots: Sequence[Root] = ()
     """The fitted roots as centre lines; empty if there are none."""
 
 

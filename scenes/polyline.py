@@ -1,4 +1,4 @@
-"""Polylines in space: lengths, arc lengths and interpolation."""
+"""Polylines in space: lengths, directions, arc lengths and interpolation."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,11 @@ Array = NDArray[np.float64]
 def steps_mm(points_mm: Array) -> Array:
     """Return the lengths (N - 1,) of the segments between successive points (N, 3)."""
     return np.asarray(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))
+
+
+def unit_vectors(vectors: Array) -> Array:
+    """Return vectors (..., 3) divided by their lengths. Zero vectors remain zero."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
 
 
 def length_mm(points_mm: Array) -> float:

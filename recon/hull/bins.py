@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -17,9 +18,25 @@ _BIN_MM = 4.0
 """Edge length of a bin, mm. A body with an extent up to this length overlaps at most eight bins."""
 
 
+class Bodies(Protocol):
+    """Bodies that can be listed."""
+
+    @property
+    def middle_mm(self) -> Array:
+        """Return the centres (N, 3) of spheres around the bodies, canister frame, mm."""
+
+    @property
+    def reach_mm(self) -> Array:
+        """Return the radii (N,) of these spheres, mm."""
+
+    @property
+    def parameters(self) -> Array:
+        """Return the parameters (N, K) of the bodies, where K is a multiple of 4."""
+
+
 @dataclass(frozen=True)
 class Bins:
-    """Cubic bins, each with a list of the bodies whose bounding boxes overlap it."""
+    """Cubic bins, each with a list of the bodies that may overlap it."""
 
     low_mm: Array
     shape: NDArray[np.int64]
@@ -29,20 +46,19 @@ class Bins:
     """Index of the first body of each bin, followed by the total number of bodies."""
 
     @staticmethod
-    def build(parameters: Array, least_mm: Array, most_mm: Array, low_mm: Array, high_mm: Array) -> Bins:
+    def build(bodies: Bodies, low_mm: Array, high_mm: Array, beside_mm: float) -> Bins:
         """Create the index for a box.
 
         Parameters
         ----------
-        parameters : (N, K) float64 array
-            Parameters of each body.
-        least_mm, most_mm : (N, 3) float64 array
-            Corners of the bounding box of each body, mm.
         low_mm, high_mm : (3,) float64 array
-            Corners of the box that contains all points that will be looked up, mm.
+            Corners of the box that contains all points that will be looked up, canister frame, mm.
+        beside_mm : float
+            Distance from a body within which it is listed, mm.
         """
-        shape = np.maximum(np.ceil((high_mm - low_mm) / _BIN_MM), 1).astype(np.int64)
-        first, last = (np.clip(np.floor((corner - low_mm) / _BIN_MM), 0, shape - 1).astype(np.int64) for corner in (least_mm, most_mm))
+        shape, reach = np.maximum(np.ceil((high_mm - low_mm) / _BIN_MM), 1).astype(np.int64), bodies.reach_mm[:, None] + beside_mm
+        corners = bodies.middle_mm - reach, bodies.middle_mm + reach
+        first, last = (np.clip(np.floor((corner - low_mm) / _BIN_MM), 0, shape - 1).astype(np.int64) for corner in corners)
         extent = last - first + 1
         count = extent.prod(axis=1)
         body = np.repeat(np.arange(len(count)), count)
@@ -51,7 +67,7 @@ class Bins:
         bins = ((first[body] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
         order = np.argsort(bins, kind="stable")
         begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
-        return Bins(low_mm, shape, numbers(parameters[body[order]].astype(np.float32)), wholes(begins))
+        return Bins(low_mm, shape, numbers(bodies.parameters[body[order]].astype(np.float32)), wholes(begins))
 
     def find(self, points_mm: Array) -> tuple[UInt32, UInt32]:
         """Return the indices (N,) of the first listed body, and of the one after the last, for points (N, 3)."""

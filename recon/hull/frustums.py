@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from rhizotwin.recon.device import Float, UInt32, vectors
 from rhizotwin.recon.hull import spheres
 from rhizotwin.recon.hull.bins import Bins
-from rhizotwin.recon.hull.leaves import Grid, Leaves
+from rhizotwin.recon.hull.leaves import Grid, Leaves, halve
 from rhizotwin.recon.hull.spheres import HALF_DIAGONAL, Spheres
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 
@@ -37,26 +38,38 @@ class Frustums:
     normals: Array
     """Unit normals of the planes at both ends, shape (N, 2, 3), in the direction of the axis."""
 
-    def list_within(self, low_mm: Array, high_mm: Array, beside_mm: float) -> Bins:
-        """Create the index of frustums for the box between two corners.
+    @property
+    def middle_mm(self) -> Array:
+        """Return the middles of the axes (N, 3), mm."""
+        return np.asarray(self.ends_mm.mean(axis=1))
 
-        Parameters
-        ----------
-        low_mm, high_mm : (3,) float64 array
-            Corners of the box, mm.
-        beside_mm : float
-            Distance from the surface of a frustum within which it is listed, mm.
+    @property
+    def reach_mm(self) -> Array:
+        """Return the radii (N,) of spheres around the frustums, mm."""
+        return np.hypot(self._half_height_mm, self.radii_mm.max(axis=1))
+
+    @property
+    def parameters(self) -> Array:
+        """Return the parameters (N, 16).
+
+        These are an end and its radius, the other end and its radius, the normal at the first end and the cosine of the
+        slope of the lateral surface, the normal at the second end and half the height of the cylinder around the
+        frustum.
         """
-        way = np.diff(self.ends_mm, axis=1)[:, 0]
-        length, widest = np.maximum(np.linalg.norm(way, axis=1), 1e-9), self.radii_mm.max(axis=1)
-        cosine = np.clip((self.normals * (way / length[:, None])[:, None]).sum(axis=2).min(axis=1), _STEEPEST, 1.0)
-        half = 0.5 * length + widest * np.sqrt(1.0 / cosine**2 - 1.0)  # half the height of the cylinder around the frustum
-        slant = length / np.hypot(length, np.diff(self.radii_mm, axis=1)[:, 0])
+        slope = np.cos(np.arctan2(np.diff(self.radii_mm, axis=1)[:, 0], self._length_mm))
         (a, b), (normal_a, normal_b) = self.ends_mm.transpose(1, 0, 2), self.normals.transpose(1, 0, 2)
-        packed = [a, self.radii_mm[:, :1], b, self.radii_mm[:, 1:], normal_a, slant[:, None], normal_b, half[:, None]]
-        reach = np.hypot(half, widest)[:, None] + beside_mm
-        middle = self.ends_mm.mean(axis=1)
-        return Bins.build(np.concatenate(packed, axis=1), middle - reach, middle + reach, low_mm, high_mm)
+        last = self._half_height_mm[:, None]
+        return np.concatenate([a, self.radii_mm[:, :1], b, self.radii_mm[:, 1:], normal_a, slope[:, None], normal_b, last], axis=1)
+
+    @property
+    def _length_mm(self) -> Array:
+        return np.asarray(np.linalg.norm(np.diff(self.ends_mm, axis=1)[:, 0], axis=1))
+
+    @property
+    def _half_height_mm(self) -> Array:
+        way = polyline.unit_vectors(np.diff(self.ends_mm, axis=1))
+        cosine = np.clip((self.normals * way).sum(axis=2).min(axis=1), _STEEPEST, 1.0)
+        return 0.5 * self._length_mm + self.radii_mm.max(axis=1) * np.sqrt(1.0 / cosine**2 - 1.0)
 
 
 def _depths_mm(listed: Bins, points_mm: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -108,17 +121,16 @@ def fill(frustums: Frustums, tips: Spheres, inscribed: Spheres, grid: Grid) -> L
     if not len(frustums.radii_mm):
         return Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
     box = low, low + shape * edge * grid.size_mm, HALF_DIAGONAL * edge * grid.size_mm
-    cones, ends, inner = frustums.list_within(*box), spheres.list_spheres(tips, *box), spheres.list_spheres(inscribed, *box)
+    cones, ends, inner = (Bins.build(bodies, *box) for bodies in (frustums, tips, inscribed))
     index, done = np.argwhere(np.ones(shape, bool)).astype(np.int32) * edge, list[tuple[NDArray[np.generic], ...]]()
-    offset = np.array(list(np.ndindex(2, 2, 2)), np.int32)
     while edge > 1:
         size_mm = edge * grid.size_mm
         middle = low + (index + 0.5 * edge) * grid.size_mm
         whole = spheres.depth_mm(inner, middle) > HALF_DIAGONAL * size_mm
         done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), np.ones(int(whole.sum()), np.float32)))
         cut = index[~whole & (np.maximum(spheres.depth_mm(ends, middle), _depths_mm(cones, middle)[1]) > -HALF_DIAGONAL * size_mm)]
+        index = halve(cut, edge)
         edge //= 2
-        index = (cut[:, None] + offset * edge).reshape(-1, 3)
     middle = low + (index + 0.5) * grid.size_mm
     depth = np.maximum(spheres.depth_mm(ends, middle), _depths_mm(cones, middle)[0])
     share = np.clip(0.5 + depth / grid.size_mm, 0.0, 1.0).astype(np.float32)

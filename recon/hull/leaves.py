@@ -137,7 +137,6 @@ def subtract(first: Leaves, second: Leaves) -> Leaves:
     difference of the occupancies, if it is positive.
     """
     done, carried, edge = list[Leaves](), first.select(slice(0)), int(first.size.max(initial=1))
-    halves = np.array(list(np.ndindex(2, 2, 2)), np.int32)
     while edge >= 1:
         here = concatenate([carried, first.select(first.size == edge)])
         smaller = second.index[second.size < edge] // edge
@@ -146,7 +145,7 @@ def subtract(first: Leaves, second: Leaves) -> Leaves:
         whole = here.select(~cut)
         rest = whole.occupancy - second.select(second.size >= edge).occupancy_at(whole.index)
         done.append(replace(whole, occupancy=rest).select(rest > 0.0))
-        index = (here.index[cut][:, None] + edge // 2 * halves).reshape(-1, 3)
+        index = halve(here.index[cut], edge)
         edge //= 2
         carried = Leaves(first.grid, index, np.full(len(index), edge, np.int32), np.repeat(here.occupancy[cut], 8))
     return concatenate(done)
@@ -188,6 +187,12 @@ class Hull:
     def moved_out_mm3(self) -> float:
         """Return the volume of the hull if all outlines are moved out by their uncertainty, mm3."""
         return self.leaves.volume_mm3(self.outer)
+
+
+def halve(index: Index, edge: int) -> Index:
+    """Divide nodes (N, 3) with a given edge length into their eight halves (8 N, 3)."""
+    corners = np.array(list(np.ndindex(2, 2, 2)), np.int32)
+    return (index[:, None] + edge // 2 * corners).reshape(-1, 3)
 
 
 def to_unit_cubes(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.device import Float, UInt32, vectors
 from rhizotwin.recon.hull.bins import Bins
-from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.leaves import Leaves, halve
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,21 @@ class Spheres:
     """Centres of the spheres, shape (N, 3), canister frame, mm."""
     radius_mm: Array
     """Radii of the spheres, shape (N,), mm."""
+
+    @property
+    def middle_mm(self) -> Array:
+        """Return the centres (N, 3), mm."""
+        return self.centre_mm
+
+    @property
+    def reach_mm(self) -> Array:
+        """Return the radii (N,), mm."""
+        return self.radius_mm
+
+    @property
+    def parameters(self) -> Array:
+        """Return centres and radii (N, 4), mm."""
+        return np.concatenate([self.centre_mm, self.radius_mm[:, None]], axis=1)
 
     def select(self, which: NDArray[np.bool_] | slice) -> Spheres:
         """Return a subset of the spheres, selected by a mask (N,) or a slice."""
@@ -64,7 +79,7 @@ def subdivide_leaves(
     """
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
-    listed = list_spheres(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
+    listed = Bins.build(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
     done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
@@ -76,8 +91,7 @@ def subdivide_leaves(
         inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
         whole = depth > HALF_DIAGONAL * size_mm if edge > 1 else np.ones(len(index), bool)
         done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
-        offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
-        carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
+        carried = halve(index[~whole], edge), np.repeat(hull[~whole], 8)
     index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
     return index, size, hull, inside
 
@@ -92,22 +106,7 @@ def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
     """Return the depth (N,) of points (N, 3) inside the union of spheres, mm. It is negative outside."""
     if not len(points_mm) or not len(spheres.radius_mm):
         return np.full(len(points_mm), -np.inf, np.float32)
-    return depth_mm(list_spheres(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0), points_mm)
-
-
-def list_spheres(spheres: Spheres, low_mm: Array, high_mm: Array, beside_mm: float) -> Bins:
-    """Create the index of spheres for the box between two corners.
-
-    Parameters
-    ----------
-    low_mm, high_mm : (3,) float64 array
-        Corners of the box, mm.
-    beside_mm : float
-        Distance from the surface of a sphere within which it is listed, mm.
-    """
-    reach = spheres.radius_mm[:, None] + beside_mm
-    parameters = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)
-    return Bins.build(parameters, spheres.centre_mm - reach, spheres.centre_mm + reach, low_mm, high_mm)
+    return depth_mm(Bins.build(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0), points_mm)
 
 
 def depth_mm(listed: Bins, points_mm: Array) -> NDArray[np.float32]:

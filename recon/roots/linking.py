@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.roots import orientation
 from rhizotwin.recon.tubes.branch_graph import Index, ancestors, parents_first
 from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Tubes
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,7 +142,7 @@ def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
         before[nodes[own]] = ((total[number + 1] - total[first]) / (number + 1 - first))[own]
         after[nodes[own]] = ((total[last + 1] - total[number]) / (last + 1 - number))[own]
         owner[nodes[own]], place[nodes[own]] = k, own
-    return _Tangents(centre, _unit(arriving), _unit(leaving), before, after, owner, place)
+    return _Tangents(centre, polyline.unit_vectors(arriving), polyline.unit_vectors(leaving), before, after, owner, place)
 
 
 def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
@@ -156,7 +157,7 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
     log_ratio : (M,) float64 array
         Logarithm of the ratio of the radii. Pieces of equal thickness are connected first.
     """
-    middle = _unit(arriving + leaving)
+    middle = polyline.unit_vectors(arriving + leaving)
     along = (way * middle).sum(axis=1)
     miss = np.linalg.norm(way - along[:, None] * middle, axis=1)
     bend = np.arccos(np.clip((arriving * leaving).sum(axis=1), -1.0, 1.0))
@@ -328,11 +329,6 @@ def _pairs(centre: Array, first: Index, second: Index) -> Index:
     near = cKDTree(centre[first]).sparse_distance_matrix(cKDTree(centre[second]), _REACH_MM, output_type="ndarray")
     pairs = np.stack([near["i"], near["j"]], axis=1)[np.lexsort((near["j"], near["i"]))]
     return pairs[first[pairs[:, 0]] != second[pairs[:, 1]]]
-
-
-def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    return unit
 
 
 def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import bilinear, wholes
+from rhizotwin.recon.device import Kernel, bilinear, wholes
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.recon.tubes.tubes import SPACING_MM, TANGENT_NODES, Tubes
 from rhizotwin.scenes import polyline
@@ -39,6 +39,8 @@ _LEAST_SINE = 0.5
 smaller angles, a view shows the flank of a tip before its end."""
 _LEAST_VIEWS = 4
 """Minimum number of usable views for a tip to be moved. In fewer views, the same root may disturb all measurements."""
+_AT_ONCE = 2_000_000
+"""Approximate number of samples in all views that are processed at once, to limit memory. One takes about 100 bytes."""
 _LEAST_LENGTH = 0.5
 """Minimum length of an end after shortening, as a fraction of its former length. Shortening never removes an end."""
 
@@ -67,17 +69,31 @@ def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     """
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
-    axis = tree.centre_mm[tip] - tree.centre_mm[before]
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
-    radius = tree.radius_mm[tip]
+    axis = polyline.unit_vectors(tree.centre_mm[tip] - tree.centre_mm[before])
+    explained = 1.0 - tube_picture.transmittance(evidence, tree, evidence.project(tree.centre_mm))
+    dr.eval(explained)
+    count = max(1, _AT_ONCE // (evidence.bank.count * _SAMPLES))
+    parts = np.split(np.arange(len(tip)), np.arange(count, len(tip), count))
+    found = [_measure_offsets(evidence, explained, tree.centre_mm[tip[k]], axis[k], tree.radius_mm[tip[k]], px_a_mm) for k in parts]
+    return np.concatenate(found)
+
+
+def _measure_offsets(evidence: Evidence, explained_there: Kernel, tip_mm: Array, axis: Array, radius: Array, px_a_mm: float) -> Array:
+    """Return the distance (T,) of tips beyond given nodes, mm, as `_tip_offsets` does.
+
+    Parameters
+    ----------
+    explained_there : mi.Float
+        Coverage by the tubes in all views, flattened (V, H, W).
+    tip_mm, axis, radius : (T, 3), (T, 3) and (T,) float64 array
+        Last nodes, mm, unit vectors along their branches, and radii, mm.
+    """
     reach = radius + _REACH_PX / px_a_mm
     way = reach[:, None] * np.linspace(-1.0, 1.0, _SAMPLES)  # (T, S)
-    point = tree.centre_mm[tip][:, None] + way[..., None] * axis[:, None]
+    point = tip_mm[:, None] + way[..., None] * axis[:, None]
     at = evidence.project(point.reshape(-1, 3))
-    explained_there = 1.0 - tube_picture.transmittance(evidence, tree, evidence.project(tree.centre_mm))
     views, p = at.shape[0], at.on_device
     start = wholes(np.repeat(np.arange(views), at.shape[1]) * evidence.pixels)
-    dr.eval(explained_there)
     measured, explained, usable = (
         np.array(bilinear(picture, start, evidence.image_wh[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
         for picture in (evidence.coverage, explained_there, evidence.usable)

@@ -69,21 +69,12 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
 
 def _find_frustums(tubes: Tubes, wide: Mask) -> Frustums:
     """Return the segments of tubes whose nodes are both marked in the mask ``wide`` (N,) as frustums."""
-    ends, neighbours = tubes.segments, tubes.segment_neighbours
-    way = _unit(tubes.centre_mm[ends[:, 1]] - tubes.centre_mm[ends[:, 0]])
-    beside = np.stack(
-        [tubes.centre_mm[ends[:, 0]] - tubes.centre_mm[neighbours[:, 0]], tubes.centre_mm[neighbours[:, 1]] - tubes.centre_mm[ends[:, 1]]],
-        axis=1,
-    )
-    beside = _unit(beside)
+    a, b, before, after = (tubes.centre_mm[node] for node in (*tubes.segments.T, *tubes.segment_neighbours.T))
+    way, beside = polyline.unit_vectors(b - a), polyline.unit_vectors(np.stack([a - before, after - b], axis=1))
     joined = np.einsum("sek,sk->se", beside, way) > 0.0
-    normals = _unit(np.where(joined[..., None], beside, 0.0) + way[:, None])
-    some = wide[ends].all(axis=1)
-    return Frustums(tubes.centre_mm[ends[some]], np.stack(tubes.segment_radii, axis=1)[some], normals[some])
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+    normals = polyline.unit_vectors(np.where(joined[..., None], beside, 0.0) + way[:, None])
+    some = wide[tubes.segments].all(axis=1)
+    return Frustums(np.stack([a, b], axis=1)[some], np.stack(tubes.segment_radii, axis=1)[some], normals[some])
 
 
 def _inscribe_spheres(tubes: Tubes, wide: Mask) -> tuple[Spheres, Spheres]:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.tubes.branch_graph import Index
 from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -187,7 +188,7 @@ def _repeat_indices(count: Index) -> tuple[Index, Index]:
 
 def _frames(along: Array) -> tuple[Array, Array, Array]:
     """Return the given vectors (S, 3), followed by two unit vectors (S, 3) perpendicular to each of them."""
-    unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    unit = polyline.unit_vectors(along)
     other = np.where(np.abs(unit[:, 2:]) < _UPRIGHT, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     side = np.cross(unit, other)
     side /= np.linalg.norm(side, axis=1, keepdims=True)

@@ -121,7 +121,7 @@ class Tubes:
         """Return unit vectors (N, 3) along the branches, towards their tips."""
         before, after = self.neighbours.T
         tangent = self.centre_mm[after] - self.centre_mm[before]
-        return np.asarray(tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12))
+        return polyline.unit_vectors(tangent)
 
     def radii(self, branch: int) -> Array:
         """Return the radii (n,) along a branch, mm."""

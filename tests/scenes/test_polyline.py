@@ -15,6 +15,10 @@ def test_a_corner_is_as_long_as_its_legs() -> None:
     assert polyline.length_mm(CORNER[:1]) == 0.0
 
 
+def test_unit_vectors_point_the_same_way() -> None:
+    np.testing.assert_allclose(polyline.unit_vectors(CORNER), [[0.0, 0.0, 0.0], [0.6, 0.8, 0.0], np.array([3.0, 4.0, 2.0]) / 29.0**0.5])
+
+
 def test_places_between_lie_on_the_legs() -> None:
     way = polyline.arc_length_mm(CORNER)
     found = polyline.interpolate(CORNER, way, np.array([-1.0, 2.5, 6.0, 9.0]))

@@ -34,3 +34,11 @@ def test_tips_that_are_off_come_back(radius_mm: float, by_mm: float) -> None:
     assert np.abs(off(found, true)).max() < (0.29 if by_mm else 1e-3)  # half of a pixel up and down
     bears = true.branches[1][0]
     np.testing.assert_array_equal(found.centre_mm[: bears + 1], true.centre_mm[: bears + 1])  # laterals stay where they leave
+
+
+def test_tips_one_at_a_time_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = strung(SHORT, SIDEWAYS, radius_mm=0.4)
+    evidence, moved = pictured(true), with_tips_moved(true, 0.8)
+    together = tips.place_tips(evidence, moved, PX_A_MM).centre_mm
+    monkeypatch.setattr(tips, "_AT_ONCE", 1)
+    np.testing.assert_array_equal(tips.place_tips(evidence, moved, PX_A_MM).centre_mm, together)
