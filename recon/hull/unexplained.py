@@ -10,7 +10,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
@@ -65,28 +64,23 @@ def required_fraction(
     (N,) float32 array
         Required fraction of each node, 0 to 1.
     """
-    lacking = {view: picture for view, picture in enumerate(_find_unexplained(bank, maps, trimmed)) if picture.nnz}
-    found, concerned = np.zeros(len(uncertain), np.float32), np.zeros(len(uncertain), bool)
-    places = _points(trimmed, uncertain, 1)
-    for view, picture in lacking.items():
-        concerned |= np.array(_read(bank, maps, view, picture, places)[2] > 0.0)
-    some = np.flatnonzero(concerned)
-    if not len(some):
-        return found
-    places, edge_mm = _points(trimmed, uncertain[some], 1), trimmed.grid.size_mm
-    beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain[some] + 0.5) * edge_mm) / edge_mm)
-    most, second = dr.zeros(mi.Float, len(some)), dr.zeros(mi.Float, len(some))
-    for view, picture in lacking.items():
-        px, scale, lacks = _read(bank, maps, view, picture, places)
+    places, edge_mm = _points(trimmed, uncertain, 1), trimmed.grid.size_mm
+    beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
+    most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
+    for view, lacking in enumerate(_find_unexplained(bank, maps, trimmed)):
+        if not lacking.any():
+            continue
+        px, scale, visible = _project(bank, maps, view, places)
+        lacks = dr.select(visible, DistanceMaps.from_arrays(lacking[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
+        dr.eval(lacks)
         edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
         most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
         dr.eval(most, second)
-    found[some] = np.array(second)
-    return found
+    return np.array(second)
 
 
-def _find_unexplained(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iterator[sparse.csr_array]:
+def _find_unexplained(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iterator[NDArray[np.float32]]:
     """Yield for each view the fraction (H, W) of each sample of the silhouette that a shape does not explain."""
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(shape, 2)
@@ -108,15 +102,7 @@ def _find_unexplained(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iter
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         lacking[lacking < _LEAST] = 0.0
-        yield sparse.csr_array(_spread(lacking, 5))
-
-
-def _read(bank: ViewBank, maps: DistanceMaps, view: int, picture: sparse.csr_array, places: Point3f) -> tuple[Vector2f, Float, Float]:
-    """Return the pixels of points in a view, the image scale in px/mm, and the values of a picture there."""
-    px, scale, visible = _project(bank, maps, view, places)
-    values = dr.select(visible, DistanceMaps.from_arrays(picture.toarray()[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
-    dr.eval(values)
-    return px, scale, values
+        yield _spread(lacking, 5) if lacking.any() else lacking
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
