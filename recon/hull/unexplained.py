@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import cv2
 import drjit as dr
@@ -15,7 +14,6 @@ from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
 from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
 from rhizotwin.recon.hull import distance_maps
-from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
@@ -64,45 +62,37 @@ def required_fraction(
     (N,) float32 array
         Required fraction of each node, 0 to 1.
     """
-    places, edge_mm = _points(trimmed, uncertain, 1), trimmed.grid.size_mm
+    width, height = maps.samples_wh
+    voxel, size, filled = to_voxels(trimmed, 2)
+    some = filled > 0.25
+    solid = _points(trimmed, 2 * to_unit_cubes(voxel[some], size[some]), 2)
+    share = numbers(np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0))
+    places = _points(trimmed, uncertain, 1)
+    edge_mm = trimmed.grid.size_mm
     beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
-    for view, lacking in enumerate(_find_unexplained(bank, maps, trimmed)):
-        if not lacking.any():
-            continue
-        px, scale, visible = _project(bank, maps, view, places)
-        lacks = dr.select(visible, DistanceMaps.from_arrays(lacking[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
-        dr.eval(lacks)
-        edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
-        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
-        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
-        dr.eval(most, second)
-    return np.array(second)
-
-
-def _find_unexplained(bank: ViewBank, maps: DistanceMaps, shape: Leaves) -> Iterator[NDArray[np.float32]]:
-    """Yield for each view the fraction (H, W) of each sample of the silhouette that a shape does not explain."""
-    width, height = maps.samples_wh
-    voxel, size, filled = to_voxels(shape, 2)
-    some = filled > 0.25
-    cubes, weight = to_unit_cubes(voxel[some], size[some]), np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0)
-    full = np.flatnonzero(weight == 1.0)
-    rim = full[CellSet.from_cells(cubes[full]).faces()[0]]  # each line of sight through full voxels meets their surface
-    outer = np.concatenate([rim, np.flatnonzero(weight < 1.0)])
-    solid, share = _points(shape, 2 * cubes[outer], 2), numbers(weight[outer])
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
         px, scale, visible = _project(bank, maps, view, solid)
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), visible)
-        apart = 2.0 * shape.grid.size_mm * _masked_maximum(scale, visible) * UPSAMPLING  # samples between adjacent voxels
+        apart = 2.0 * edge_mm * _masked_maximum(scale, visible) * UPSAMPLING  # samples between adjacent voxels of the solid
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
         values = maps.picture(view)
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         lacking[lacking < _LEAST] = 0.0
-        yield _spread(lacking, 5) if lacking.any() else lacking
+        if not lacking.any():
+            continue
+        px, scale, visible = _project(bank, maps, view, places)
+        lacks = dr.select(visible, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
+        dr.eval(lacks)
+        edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
+        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
+        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
+        dr.eval(most, second)
+    return np.array(second)
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
