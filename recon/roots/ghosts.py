@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 FLANK_PX = 1.0
 """Margin added to the radius of some nodes in the search for duplicates, px. It applies to taproot and hypocotyl, whose
 spheres are less precise than tubes, and to the first node of the tree, where the root leaves the field of view."""
-_EXPLAINED = 0.5
+EXPLAINED = 0.5
 """Minimum ratio of the squared coverage that a node explains to the sum of explained and residual squared coverage in
 its pixels. A node with a lower ratio is part of a ghost."""
 _EXPLAINED_PX = 1.0
@@ -77,7 +77,7 @@ def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
             np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
             for value in (proved.explained, proved.residual)
         )
-        gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
+        gone[own] = (explained < EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
     return gone & ~organ
 
 
