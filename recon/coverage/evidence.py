@@ -117,10 +117,16 @@ class Evidence:
 
     def select_views(self, which: Sequence[int]) -> Evidence:
         """Return the evidence of the views with the given indices."""
+        if list(which) == list(range(self.bank.count)):
+            return self  # without a copy
         coverage, usable = (select_parts(part, which, self.pixels) for part in (self.coverage, self.usable))
         return replace(
             self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=usable
         )
+
+    def with_light_of(self, other: Evidence) -> Evidence:
+        """Return this evidence with the attenuation, root hairs, refractive index and blur of another one."""
+        return replace(self, mu_per_mm=other.mu_per_mm, hairs=other.hairs, index=other.index, blur_px=other.blur_px)
 
     @property
     def image_wh(self) -> tuple[int, int]:

@@ -32,6 +32,12 @@ _FLANK_PX = 0.5
 _BEYOND_PX = 1.25
 """Distance from the core, in addition to `CORE_PX`, within which the outermost parts of a taproot may lie, px. It is
 half a pixel for the outline, plus the dilation."""
+_LIGHT_PROFILES, _LIGHT_VIEWS = 100_000, 16
+"""Number of profiles (nodes times views) to which attenuation, blur and root hairs are fitted, and minimum number of
+views. Further views are used only from the next fit on.
+
+The covariance of the light parameters depends mostly on the number of roots. Of a bean, 16 of 80 views gave the same
+decision with a residual ratio of 0.849 instead of 0.847, in a fifth of the time."""
 _LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
 """Number of iterations of the last fit for opaque roots, and for translucent roots. Translucent roots require more
 iterations, since their attenuation and root hairs were fitted before all roots had been found."""
@@ -130,19 +136,21 @@ def _separate_solids(evidence: Evidence, start: Tubes, core: Core, px_a_mm: floa
 def _fit_light(
     evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation | None
 ) -> tuple[TubeAttenuation, Evidence, Tubes]:
-    """Fit attenuation, blur and root hairs.
+    """Fit attenuation, blur and root hairs to as many views as needed.
 
     Return the attenuation, the evidence with the fitted parameters, and the tubes. The evidence is opacity for
     translucent roots, and coverage for opaque roots. Coverage includes the light that opaque roots reflect, unless it
     was corrected for translucent roots.
     """
     opacity = evidence.with_opacity() if evidence.has_opacity else evidence
+    views = max(_LIGHT_VIEWS, -(-_LIGHT_PROFILES // len(fitted.radius_mm)))
+    some = opacity.select_views(range(min(views, opacity.bank.count)))  # successive views have very different directions
     if known is None:
-        attenuation, fit = tube_attenuation.find(opacity, fitted, thick, learned_per_mm)
+        attenuation, fit = tube_attenuation.find(some, fitted, thick, learned_per_mm)
     else:
-        attenuation, fit = known, tube_attenuation.follow(opacity, fitted, thick, learned_per_mm, known)
+        attenuation, fit = known, tube_attenuation.follow(some, fitted, thick, learned_per_mm, known)
     by_light = attenuation.mu_per_mm is not None or learned_per_mm is not None
-    return attenuation, fit.evidence if by_light else replace(fit.evidence, coverage=evidence.coverage), fit.tubes
+    return attenuation, (opacity if by_light else evidence).with_light_of(fit.evidence), fit.tubes
 
 
 def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
