@@ -142,10 +142,14 @@ def draw(found: Sequence[Growth]) -> bytes:
         value = [point.value for point in one.points]
         for row, (name, exponent, label) in enumerate((("cpu_s", one.cpu, "processor time, s"), ("memory_mib", one.memory, "memory, MiB"))):
             axes = drawn.add_subplot(2, len(found), row * len(found) + column + 1)
-            axes.loglog(value, [getattr(point, name) for point in one.points], "o-", color="#2166ac")
+            cost = [getattr(point, name) for point in one.points]
+            axes.loglog(value, cost, "o-", color="#2166ac")
             axes.set_title(f"exponent {exponent:.2f}", fontsize=9)
             axes.set_xlabel(f"{one.axis}{UNITS.get(one.axis, '')}")
             axes.set_ylabel(label if column == 0 else "")
+            axes.set_xticks(value, [f"{x:.3g}" for x in value], rotation=45)
+            axes.minorticks_off()
+            axes.set_yticks([min(cost), max(cost)], [f"{min(cost):.0f}", f"{max(cost):.0f}"])
             axes.grid(True, which="both", alpha=0.3)
     return png(drawn, dpi=110)
 
