@@ -124,10 +124,6 @@ class Evidence:
             self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=usable
         )
 
-    def with_light_of(self, other: Evidence) -> Evidence:
-        """Return this evidence with the attenuation, root hairs, refractive index and blur of another one."""
-        return replace(self, mu_per_mm=other.mu_per_mm, hairs=other.hairs, index=other.index, blur_px=other.blur_px)
-
     @property
     def image_wh(self) -> tuple[int, int]:
         """Return the width and height of the window, px."""

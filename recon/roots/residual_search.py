@@ -78,8 +78,8 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> tupl
         visible = p.visible & readable(p.px, width, height)
         px, base = dr.select(visible, p.px, mi.Vector2f(0.0)), view * pixels
         usable = bilinear(evidence.usable, base, width, px.x, px.y, visible)
-        u, d = (bilinear(source, base, width, px.x, px.y, visible) for source in (free, left))
-        u, d = (dr.select(visible & (usable > 0.99), part, 0.0) for part in (u, d))
+        good = visible & (usable > 0.99)
+        u, d = (dr.select(good, bilinear(source, base, width, px.x, px.y, visible), 0.0) for source in (free, left))
         return view + 1, top + u * d, weight + dr.square(u), square + dr.square(d)
 
     state = dr.zeros(mi.UInt32, len(points_mm)), *(dr.zeros(mi.Float, len(points_mm)) for _ in range(3))

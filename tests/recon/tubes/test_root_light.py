@@ -58,16 +58,19 @@ def test_pictures_tell_opaque_roots_from_translucent_ones(mu: float | None, tran
     assert np.median(fit.tubes.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.08 if translucent else 0.02)
 
 
-def test_some_of_the_views_tell_the_light_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("views", "sufficient"), [(12, True), (1, False)])
+def test_some_of_the_views_tell_the_light_of_all(views: int, sufficient: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All views are used if some of them show too few lone roots."""
     pictures = pictured(STAR, 2.0)
     start = root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=2.0), pictures)
-    monkeypatch.setattr(rooting, "_LIGHT_PROFILES", 12 * len(STAR.radius_mm))
+    monkeypatch.setattr(rooting, "_LIGHT_PROFILES", views * len(STAR.radius_mm))
     monkeypatch.setattr(rooting, "_LIGHT_VIEWS", 1)
     attenuation, lit, _ = rooting._fit_light(pictures, start, ORGAN, 2.0, None)
     assert attenuation.light == pytest.approx(root_light.light_vector(lit))
     assert lit.mu_per_mm == pytest.approx(2.0, rel=0.1)
     assert lit.bank.count == pictures.bank.count == 16
-    assert attenuation.profiles < 12 * len(STAR.radius_mm)
+    of_all = tube_attenuation.find(pictures.with_opacity(), start, ORGAN, 2.0)[0].profiles
+    assert (attenuation.profiles < of_all) == sufficient
 
 
 def test_where_tubes_are_few_wide_roots_tell_the_attenuation(monkeypatch: pytest.MonkeyPatch) -> None:
