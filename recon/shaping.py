@@ -54,7 +54,7 @@ def find_roots(
     RootTree or None
         Tubes and solids, not yet divided into roots; None if there are no roots.
     """
-    evidence = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
+    evidence = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes, carved.maps.window), tops_mm=crown.tops(scene))
     return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 

@@ -13,18 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
-from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, Window, blur_coverage
+from rhizotwin.recon.coverage.silhouettes import TRACE, UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, Window, blur_coverage
 from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, select_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
 
 Array = NDArray[np.float64]
 
-_TRACE = 0.07
-"""Blurred coverage above which a pixel may show a root. With the blur `_TRACE_BLUR_PX`, a root with a width of a third
-of a pixel reaches this value."""
 _TRACE_BLUR_PX = 0.6
-"""Standard deviation of the Gaussian blur that is applied before the threshold `_TRACE`, px. The blur suppresses the
+"""Standard deviation of the Gaussian blur that is applied before the threshold `TRACE`, px. The blur suppresses the
 noise of single pixels."""
 _TRACE_SLACK_PX = 0.25
 """Distance by which the generous outline is moved outwards, px. It is half the spacing of the samples of the distance
@@ -56,7 +53,7 @@ class Evidence:
     usable: Kernel
     """mi.Float16, (V, H, W) flattened: 1 for usable pixels, 0 for others."""
     window: Window
-    """Part of the pictures that is stored, the same in all views. No view has usable pixels outside the window."""
+    """Part of the pictures that is stored, the same in all views. No view shows a root outside the window."""
     mu_per_mm: float | None = None
     """Attenuation of the roots, 1/mm; None for opaque roots."""
     hairs: float = 0.0
@@ -70,8 +67,8 @@ class Evidence:
     is only one plant."""
 
     @staticmethod
-    def from_silhouettes(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
-        """Copy silhouettes to the device, cropped to the window that contains the usable pixels of all views.
+    def from_silhouettes(bank: ViewBank, silhouettes: Sequence[Silhouette], window: Window | None = None) -> Evidence:
+        """Copy silhouettes to the device, cropped to a window.
 
         Parameters
         ----------
@@ -79,8 +76,10 @@ class Evidence:
             Views packed for projection, for uncropped pictures.
         silhouettes : (V,) Silhouette
             Uncropped silhouettes of the views, in the order of ``bank``.
+        window : Window, optional
+            Part of the pictures that contains all roots. By default, it is determined from the silhouettes.
         """
-        window = Window.around(silhouettes)
+        window = window or Window.around(silhouettes)
         cut = tuple(silhouette.cut(window) for silhouette in silhouettes)
         coverage, usable = halves([s.coverage for s in cut]), halves([s.usable for s in cut])
         return Evidence(bank.crop(window.low_px), cut, coverage, usable, window)
@@ -214,7 +213,7 @@ def generous_outline(silhouette: Silhouette) -> Image:
     This generous outline also contains pixels without roots. The best estimate of the outline is that of
     `silhouettes.signed_distance`.
     """
-    return _distance(silhouette, blur_coverage(silhouette, _TRACE_BLUR_PX), _TRACE) + np.float32(_TRACE_SLACK_PX)
+    return _distance(silhouette, blur_coverage(silhouette, _TRACE_BLUR_PX), TRACE) + np.float32(_TRACE_SLACK_PX)
 
 
 def core_outline(silhouette: Silhouette) -> Image:

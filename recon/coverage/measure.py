@@ -289,11 +289,12 @@ def _remove_fouling(
     cleared = monitor.each(lambda k: wall.remove_fouling(opacity.pop(k), usable[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
-    face = outer_dirt.outer_face(optics, _px_a_mm(cameras))
-    dirty = outer_dirt.detect_dirt(free, clear, views, optics, face, monitor)
+    px_a_mm = _px_a_mm(cameras)
+    face, shrink = outer_dirt.outer_face(optics, px_a_mm), outer_dirt.find_shrink(px_a_mm)
+    dirty = outer_dirt.detect_dirt(free, clear, views, optics, face, shrink, monitor)
     if dirty.any():
         hidden = monitor.each(
-            lambda k: outer_dirt.hidden_pixels(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys
+            lambda k: outer_dirt.hidden_pixels(free[k], dirty, wall.crossings(views[k], optics, face), face, shrink), "outside", keys
         )
         clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())

@@ -9,7 +9,9 @@ covered by dirt are not usable.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -39,6 +41,9 @@ which the texel is dark on the outer face, and the corresponding fraction on the
 more for dust, 0.3 for nearly horizontal scratches, and negative for objects on the inside."""
 _STEEPEST = 0.2
 """Maximum slope of lines of sight in the water, for a camera 16 degrees above or below the horizontal."""
+_FINEST_MM = 0.2
+"""Minimum size of the pixels of reduced pictures in which dirt is searched, mm. Dust with half the size of a pixel is
+still darker than `_DARK`."""
 _AT_ONCE = 8
 """Number of views that are unrolled at once."""
 _ABOUT = 15
@@ -55,16 +60,27 @@ _LEAST_VIEWS = 5
 is only visible in the nearest views, which are a sixth of a ring."""
 
 
+def find_shrink(px_a_mm: float) -> int:
+    """Return the number of pixels, in both directions, that are averaged for the search for dirt.
+
+    Parameters
+    ----------
+    px_a_mm : float
+        Scale of the pictures, px/mm.
+    """
+    return int(min(2 ** max(0, math.floor(math.log2(_FINEST_MM * px_a_mm))), wall.MOST_SHRINK))
+
+
 def outer_face(optics: Optics, px_a_mm: float) -> Face:
-    """Return the outer face of the wall, with texels of about one pixel.
+    """Return the outer face of the wall, with texels of about one pixel of the reduced pictures.
 
     The face extends above and below the water as far as lines of sight through the water cross it.
     """
-    return Face(1.0 / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm)
+    return Face(find_shrink(px_a_mm) / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm)
 
 
 def detect_dirt(
-    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, monitor: Monitor
+    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, shrink: int, monitor: Monitor
 ) -> Mask:
     """Detect dirt on the outside of the wall.
 
@@ -78,6 +94,8 @@ def detect_dirt(
         Cameras, keyed by frame number, and optics of the canister.
     face : Face
         Outer face of the wall, as returned by `outer_face`.
+    shrink : int
+        Number of pixels that are averaged, as returned by `find_shrink`.
     monitor : Monitor
         Receives progress messages for each view.
 
@@ -86,23 +104,23 @@ def detect_dirt(
     (rows, columns) bool array
         Mask of dirty texels on the outer face, dilated by one texel.
     """
-    share, counted = {}, {}
-    for outside in (False, True):
-        unrolled = replace(face, outside=outside)
-        size = unrolled.shape(optics)
-        dark, number = np.zeros(size, np.float32), np.zeros(size, np.float32)
-        keys = list(opacity)
-        for some in (keys[i : i + _AT_ONCE] for i in range(0, len(keys), _AT_ONCE)):  # in groups, to limit memory
-            for part, of_view in monitor.each(partial(_dark_texels, opacity, usable, views, optics, unrolled), "outside", some):
-                dark += part
-                number += of_view
-        counted[outside] = number
-        share[outside] = np.where(number >= _LEAST_VIEWS, dark / np.maximum(number, 1.0), 0.0).astype(np.float32)
-    rows, columns = share[True].shape
-    inside = cv2.resize(share[False], (columns, rows), interpolation=cv2.INTER_LINEAR)  # at the same azimuths
-    likely = (share[True] > _ALWAYS) & (share[True] > inside + _SHARPER)
+    faces, keys = [replace(face, outside=outside) for outside in (False, True)], list(opacity)
+    darks, numbers = ([np.zeros(each.shape(optics), np.float32) for each in faces] for _ in range(2))
+    for some in (keys[i : i + _AT_ONCE] for i in range(0, len(keys), _AT_ONCE)):  # in groups, to limit memory
+        for of_faces in monitor.each(partial(_dark_texels, opacity, usable, views, optics, faces, shrink), "outside", some):
+            for dark, number, patches in zip(darks, numbers, of_faces, strict=True):
+                for patch in patches:
+                    dark[patch.rows, patch.columns] += patch.dark
+                    number[patch.rows, patch.columns] += patch.shown
+    inner, outer = (
+        np.where(number >= _LEAST_VIEWS, dark / np.maximum(number, 1.0), 0.0).astype(np.float32)
+        for dark, number in zip(darks, numbers, strict=True)
+    )
+    rows, columns = outer.shape
+    inside = cv2.resize(inner, (columns, rows), interpolation=cv2.INTER_LINEAR)  # at the same azimuths
+    likely = (outer > _ALWAYS) & (outer > inside + _SHARPER)
     label, _ = ndimage.label(likely, structure=np.ones((3, 3), bool))
-    sure = np.unique(label[likely & ~_chance_texels(share[True], counted[True])])
+    sure = np.unique(label[likely & ~_chance_texels(outer, numbers[1])])
     dirty = likely & np.isin(label, sure)  # includes the parts of a seam in front of a cluster
     ringed = np.concatenate([dirty[:, -1:], dirty, dirty[:, :1]], axis=1)
     return np.asarray(ndimage.binary_dilation(ringed, np.ones((3, 3), bool))[:, 1:-1])
@@ -124,32 +142,63 @@ def _chance_texels(share: Image, number: Image) -> Mask:
     return np.asarray((rare < np.log(_NEVER * share.size)) | (q < p))
 
 
-def _dark_texels(
-    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, k: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the fraction (rows, columns) of dark pixels in each texel in a view, and the number of times it is shown.
+@dataclass(frozen=True)
+class _Patch:
+    """Texels of one face that a view shows on the near or on the far wall."""
 
-    If a view shows a texel both on the near wall and on the far wall, it counts as two views.
-    """
-    rows, columns = face.shape(optics)
-    wide = _wide_objects(opacity[k], face)
-    # Dilate by one pixel: smaller objects move between pixels.
-    dark = cv2.dilate(opacity[k], np.ones((3, 3), np.uint8)) > _DARK
-    at = wall.crossings(views[k], optics, face)
-    share, sees = np.zeros(rows * columns, np.float32), np.zeros(rows * columns, np.float32)
-    for column, row in zip(at.column, at.row, strict=True):
+    rows: slice
+    columns: NDArray[np.intp]
+    """(w,) columns of the texels, which may continue at the first column of the face."""
+    dark: NDArray[np.float32]
+    """(h, w) fraction of dark pixels in each texel."""
+    shown: Mask
+    """(h, w) mask of texels that contain a usable pixel."""
+
+    @staticmethod
+    def count(column: Image, row: Image, usable: Mask, dark: Mask, shape: tuple[int, int]) -> _Patch:
+        """Count the pixels (H, W) in each texel, from their texel coordinates."""
+        rows, columns = shape
         nearest = np.rint(row)
-        here = np.flatnonzero(usable[k] & ~wide & (nearest >= 0) & (nearest < rows))
-        texel = nearest.ravel()[here].astype(np.intp) * columns + np.mod(np.rint(column.ravel()[here]).astype(np.intp), columns)
-        number = np.bincount(texel, minlength=rows * columns)
-        count = np.bincount(texel[dark.ravel()[here]], minlength=rows * columns)
-        some = np.flatnonzero(count)  # few of the texels
-        share[some] += count[some] / number[some]
-        sees += number > 0
-    return share.reshape(rows, columns), sees.reshape(rows, columns)
+        here = np.flatnonzero(usable & (nearest >= 0) & (nearest < rows))
+        if not len(here):
+            return _Patch(slice(0), np.zeros(0, np.intp), np.zeros((0, 0), np.float32), np.zeros((0, 0), bool))
+        v, u = nearest.ravel()[here].astype(np.intp), np.rint(column.ravel()[here]).astype(np.intp)
+        top, left = v.min(), u.min()
+        height, width = int(v.max() - top + 1), int(u.max() - left + 1)
+        texel = (v - top) * width + (u - left)
+        number = np.bincount(texel, minlength=height * width)
+        count = np.bincount(texel[dark.ravel()[here]], minlength=height * width)
+        share = (count / np.maximum(number, 1)).astype(np.float32).reshape(height, width)
+        return _Patch(
+            slice(int(top), int(top) + height), np.mod(np.arange(left, left + width), columns), share, (number > 0).reshape(height, width)
+        )
 
 
-def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
+def _dark_texels(
+    opacity: dict[int, Image],
+    usable: dict[int, Mask],
+    views: dict[int, View],
+    optics: Optics,
+    faces: Sequence[Face],
+    shrink: int,
+    k: int,
+) -> list[list[_Patch]]:
+    """Return the dark texels of each face in a view, on the near wall and on the far wall.
+
+    If a view shows a texel on both walls, it counts as two views.
+    """
+    small, seen = _reduce(opacity[k], shrink), _reduce(usable[k].astype(np.float32), shrink) == 1.0
+    seen &= ~_wide_objects(small, faces[0])
+    # Dilate by one pixel: smaller objects move between pixels.
+    dark = cv2.dilate(small, np.ones((3, 3), np.uint8)) > _DARK
+    found = []
+    for face in faces:
+        at = wall.crossings(views[k], optics, face).reduce(shrink)
+        found.append([_Patch.count(*there, seen, dark, face.shape(optics)) for there in zip(at.column, at.row, strict=True)])
+    return found
+
+
+def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face, shrink: int) -> Mask:
     """Return the pixels (H, W) that are hidden by dirt on the near or far outer wall.
 
     Pixels in front of a thick root are not included.
@@ -162,8 +211,20 @@ def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> 
         Mask of dirty texels on the outer face.
     where, face : Crossings, Face
         Crossings of the lines of sight with the outer face, and the face.
+    shrink : int
+        Number of pixels that are averaged, as returned by `find_shrink`.
     """
-    return np.asarray((wall.sum_crossings(dirty.astype(np.float32), where) >= 0.5) & ~_wide_objects(opacity, face))
+    hidden = wall.sum_crossings(dirty.astype(np.float32), where.reduce(shrink)) >= 0.5
+    hidden &= ~_wide_objects(_reduce(opacity, shrink), face)
+    return np.repeat(np.repeat(hidden, shrink, axis=0), shrink, axis=1)[: opacity.shape[0], : opacity.shape[1]]
+
+
+def _reduce(picture: Image, shrink: int) -> Image:
+    """Return the means of ``shrink`` x ``shrink`` pixels. The picture is extended by its last row and column."""
+    if shrink == 1:
+        return picture
+    padded = np.pad(picture, [(0, -size % shrink) for size in picture.shape], mode="edge")
+    return np.asarray(cv2.resize(padded, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA))
 
 
 def _wide_objects(opacity: Image, face: Face) -> Mask:

@@ -8,7 +8,8 @@ the outline preserves the width of roots thinner than a pixel. `thesis` is the b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -34,9 +35,15 @@ for this blur, independently of the root's width."""
 _LEAST_SEEN = 1e-3
 """Lower limit of the weight by which blurred coverage is divided. The weight is the blurred mask of usable pixels,
 which is zero where no usable pixel is near."""
+TRACE = 0.07
+"""Blurred coverage above which a pixel may show a root. With a blur of 0.6 px, a root with a width of a third of a
+pixel reaches this value."""
 _SILENT_PX = 4
 """Distance beyond which a pixel no longer affects other pixels through blur, interpolation or dilation, px. The value
 is an upper bound."""
+_ROOM_PX = 8
+"""Distance from covered pixels within which pictures are evaluated, px. It includes blur and interpolation
+(`_SILENT_PX`), and the background beside a root."""
 _CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
 """Three parameters of the detection of resolved roots, in this order: the minimum opacity, the side of the square in
 which all pixels must have this opacity, px, and the minimum number of such squares in a picture. The brightness of
@@ -85,27 +92,65 @@ class Silhouette:
 
 @dataclass(frozen=True)
 class Window:
-    """Rectangle of pixels that is the same in all pictures."""
+    """Rectangle of pixels that is the same in all pictures, and that contains all roots."""
 
     low_px: tuple[int, int]
     """First column and first row of the window."""
     size_px: tuple[int, int]
     """Number of columns and rows of the window."""
+    empty_px: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0))
+    """Numbers of columns and rows before the window, and after it, in which all views show the empty background. The
+    pixels outside of these are not usable."""
 
     @staticmethod
     def around(silhouettes: Sequence[Silhouette]) -> Window:
-        """Return the smallest window that contains the usable pixels of all silhouettes and a border of `_SILENT_PX`.
+        """Return the smallest window that contains all pixels that may show a root, with a border.
 
-        The pixels in the border are not usable. The border is cut off at the edges of the picture.
+        These are the pixels with more coverage than `TRACE`, and unusable pixels that are enclosed by usable pixels.
+        The border is `_ROOM_PX` wide. Where it would extend beyond the usable pixels of all views, it consists of
+        `_SILENT_PX` unusable pixels, or ends at the edge of the picture.
         """
-        usable = np.logical_or.reduce([silhouette.usable for silhouette in silhouettes])
-        low, size = [], []
-        for axis in (0, 1):  # columns, then rows
-            some = np.flatnonzero(usable.any(axis=axis))
-            first, last = (some[0], some[-1]) if len(some) else (0, 0)
-            low.append(max(0, int(first) - _SILENT_PX))
-            size.append(min(usable.shape[1 - axis], int(last) + 1 + _SILENT_PX) - low[-1])
-        return Window((low[0], low[1]), (size[0], size[1]))
+        usable = reduce(np.logical_or, [silhouette.usable for silhouette in silhouettes])
+        seen = _bounds(usable)
+        inner = np.s_[seen[0][1] : seen[1][1], seen[0][0] : seen[1][0]]
+        parts = [part for silhouette in silhouettes for part in _root_bounds(silhouette.coverage[inner], silhouette.usable[inner])]
+        if not parts:
+            parts = [(np.zeros(2, np.int64), seen[1] - seen[0])]
+        low = seen[0] + np.min([part[0] for part in parts], axis=0) - _ROOM_PX
+        high = seen[0] + np.max([part[1] for part in parts], axis=0) + _ROOM_PX
+        picture = np.array(usable.shape[::-1])
+        low = np.where(low <= seen[0], np.maximum(seen[0] - _SILENT_PX, 0), low)
+        high = np.where(high >= seen[1], np.minimum(seen[1] + _SILENT_PX, picture), high)
+        empty = np.maximum([low - seen[0], seen[1] - high], 0)
+        (left, top), (right, bottom) = empty.tolist()
+        return Window((int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])), ((left, top), (right, bottom)))
+
+    def at_origin(self) -> Window:
+        """Return the window in the coordinates of pictures that are cropped to it."""
+        return replace(self, low_px=(0, 0))
+
+
+def _bounds(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first column and row that contain a pixel of a mask, and those after the last one, both of shape (2,).
+
+    They are 0 if the mask is empty.
+    """
+    some = [np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)]  # columns, then rows
+    ends = [(part[0], part[-1] + 1) if len(part) else (0, 0) for part in some]
+    return np.array([end[0] for end in ends], np.int64), np.array([end[1] for end in ends], np.int64)
+
+
+def _root_bounds(coverage: Image, usable: Mask) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Return the bounds (`_bounds`) of covered pixels, and those of unusable pixels enclosed by usable pixels."""
+    covered = (coverage > TRACE) & usable
+    found = [_bounds(covered)] if covered.any() else []
+    if not usable.all():
+        stats = cv2.connectedComponentsWithStats((~usable).astype(np.uint8))[2][1:].astype(np.int64)
+        low, high = stats[:, :2], stats[:, :2] + stats[:, 2:4]
+        enclosed = (low > 0).all(axis=1) & (high < usable.shape[::-1]).all(axis=1)
+        if enclosed.any():
+            found.append((low[enclosed].min(axis=0), high[enclosed].max(axis=0)))
+    return found
 
 
 def opacity(image: Image, background: Image, usable: Mask) -> Image:

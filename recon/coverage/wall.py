@@ -9,7 +9,7 @@ they are roots on the wall.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -28,7 +28,7 @@ from rhizotwin.scenes.monitor import Monitor
 _TEXEL_MM = 1.0
 """Edge length of a texel of the unrolled wall, mm. A texel spans a few sampled pixels (`_COLUMNS`), which are averaged
 in each view."""
-_STEP = 8
+_STEP = MOST_SHRINK = 8
 """Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
 _COLUMNS = 400
 """Approximate number of columns that are sampled in a picture, which yields a few pixels per texel. The rows are
@@ -63,6 +63,16 @@ class Crossings:
     all pictures."""
     image_wh: tuple[int, int]
     """Width and height of the picture, px."""
+    step: int = _STEP
+    """Spacing of the coarse grid, px."""
+
+    def reduce(self, shrink: int) -> Crossings:
+        """Return the crossings of a picture of which every ``shrink`` x ``shrink`` pixels are averaged.
+
+        ``shrink`` is a power of two, and at most `MOST_SHRINK`.
+        """
+        width, height = (-(-size // shrink) for size in self.image_wh)
+        return replace(self, image_wh=(width, height), step=self.step // shrink)
 
     @property
     def column(self) -> tuple[Image, Image]:
@@ -75,7 +85,7 @@ class Crossings:
         return self._upsample(1)
 
     def _upsample(self, axis: int) -> tuple[Image, Image]:
-        near, far = (upsample(side[axis], _STEP, self.image_wh) for side in self.coarse)
+        near, far = (upsample(side[axis], self.step, self.image_wh) for side in self.coarse)
         return near, far
 
 

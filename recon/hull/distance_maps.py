@@ -40,7 +40,10 @@ class DistanceMaps:
 
     values: Kernel
     """Flattened distance maps of all views (mi.Float16, from shape (V, 2 h, 2 w)). They cover a window of w x h pixels
-    that contains all usable pixels. The distance at unusable pixels is infinite.
+    that contains all roots. The distance at unusable pixels is infinite.
+
+    At empty pixels outside the window, the distance of the nearest pixel of the window is used. It is a lower bound of
+    the distance from the outline, as the window is convex.
 
     Half precision has a relative accuracy of 1/2048: 0.0003 px within one pixel of an outline, and 0.03 px at a
     distance of 100 px, where the maps themselves are accurate to 0.4 px."""
@@ -48,7 +51,8 @@ class DistanceMaps:
     window: Window
     _low: Vector2f = field(init=False, repr=False)
     _samples: Vector2u = field(init=False, repr=False)
-    _image: Vector2f = field(init=False, repr=False)
+    _first: Vector2f = field(init=False, repr=False)
+    _end: Vector2f = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Store the sizes that kernels need as opaque variables.
@@ -57,7 +61,10 @@ class DistanceMaps:
         """
         object.__setattr__(self, "_low", mi.Vector2f(*(dr.opaque(mi.Float, low) for low in self.window.low_px)))
         object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
-        object.__setattr__(self, "_image", mi.Vector2f(*(dr.opaque(mi.Float, count) for count in self.image_wh)))
+        (low, size), (before, after) = (self.window.low_px, self.window.size_px), self.window.empty_px
+        ends = [low[axis] + size[axis] + after[axis] for axis in (0, 1)]
+        object.__setattr__(self, "_first", mi.Vector2f(*(dr.opaque(mi.Float, low[axis] - before[axis]) for axis in (0, 1))))
+        object.__setattr__(self, "_end", mi.Vector2f(*(dr.opaque(mi.Float, end) for end in ends)))
 
     @staticmethod
     def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
@@ -79,9 +86,13 @@ class DistanceMaps:
 
     @staticmethod
     def compute(
-        views: Sequence[Silhouette], name: str, monitor: Monitor, outline: Callable[[Silhouette], Image] = silhouettes.signed_distance
+        views: Sequence[Silhouette],
+        name: str,
+        monitor: Monitor,
+        outline: Callable[[Silhouette], Image] = silhouettes.signed_distance,
+        window: Window | None = None,
     ) -> DistanceMaps:
-        """Compute the distance maps of all views within the window that contains all usable pixels.
+        """Compute the distance maps of all views within a window.
 
         Parameters
         ----------
@@ -89,8 +100,10 @@ class DistanceMaps:
             Label of the progress bar.
         outline : callable
             Function that returns the signed distance (2 H, 2 W) of a silhouette, px.
+        window : Window, optional
+            Part of the pictures that contains all roots. By default, it is determined from the silhouettes.
         """
-        (height, width), window = views[0].coverage.shape, Window.around(views)
+        (height, width), window = views[0].coverage.shape, window or Window.around(views)
         samples = UPSAMPLING**2 * window.size_px[0] * window.size_px[1]
         values = aligned_empty(len(views) * samples, np.dtype(np.float16))
 
@@ -133,8 +146,8 @@ class DistanceMaps:
         return bilinear(self.values, begin, self._samples.x, place.x, place.y, active, most=UNSEEN_PX)
 
     def contains(self, px: Vector2f) -> Bool:
-        """Return the mask of pixel coordinates (mi.Vector2f) that lie within the pictures."""
-        return dr.all((px > -0.5) & (px < self._image - 0.5))
+        """Return the mask of pixel coordinates (mi.Vector2f) at which a view may be usable."""
+        return dr.all((px > self._first - 0.5) & (px < self._end - 0.5))
 
 
 def least_votes(count: int) -> int:

@@ -48,7 +48,8 @@ def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Mo
         Cells that may contain roots, and cells of taproot and hypocotyl, on the same lattice.
     """
     size_mm = _CELL_PX / px_a_mm
-    generous = DistanceMaps.compute(evidence.silhouettes, "search", monitor, generous_outline)
+    window = evidence.window.at_origin()
+    generous = DistanceMaps.compute(evidence.silhouettes, "search", monitor, generous_outline, window)
     low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
     while True:
         grid = Grid.over(low, high, size_mm)
@@ -60,7 +61,7 @@ def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Mo
     spots = [bright_spots(one) for one in evidence.silhouettes]
     pairs = zip(evidence.silhouettes, spots, strict=True)
     closed = [replace(one, coverage=np.where(spot, np.float32(1.0), one.coverage)) for one, spot in pairs]
-    deep = DistanceMaps.compute(closed, "core", monitor, core_outline)
+    deep = DistanceMaps.compute(closed, "core", monitor, core_outline, window)
     core = density.split_leaves(_carve(evidence, deep, grid, water))
     return cells, core.select(~_find_bright_cells(evidence, core, spots))
 

@@ -61,7 +61,7 @@ def drawn(system: tubes.Tubes, empty: Evidence, *, noise: float = 0.0, opacity: 
     pictures = (pictures + np.random.default_rng(seed).normal(0.0, noise, pictures.shape)).astype(np.float32)
     everywhere = np.ones(pictures.shape[1:], bool)
     shown = [Silhouette(np.clip(one, 0.0, 1.0), everywhere, one) if opacity else Silhouette(one, everywhere) for one in pictures]
-    return Evidence.from_silhouettes(empty.bank, shown)
+    return Evidence.from_silhouettes(empty.bank, shown, empty.window)
 
 
 SCENE = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=12),)))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from rhizotwin.recon.coverage import outer_dirt, wall
 from rhizotwin.recon.coverage.wall import Face
@@ -25,6 +26,13 @@ def pictured(turn: Turn, face: Face, paint: np.ndarray) -> dict[int, np.ndarray]
     return found
 
 
+def enlarged(turn: Turn, times: int) -> Turn:
+    """Return the same views with pictures of more pixels."""
+    views, optics, seen = turn
+    views = {k: replace(view, camera=view.camera.resized(tuple(times * n for n in view.camera.image_wh))) for k, view in views.items()}
+    return views, optics, {k: np.kron(part, np.ones((times, times), bool)) for k, part in seen.items()}
+
+
 def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
     paint = np.zeros(face.shape(optics), np.float32)
     middle, along = paint.shape[0] // 2, np.arange(40)
@@ -32,17 +40,18 @@ def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
     return paint
 
 
-def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn) -> None:
-    views, optics, seen = turn
-    face = outer_dirt.outer_face(optics, PX_A_MM)
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn, shrink: int) -> None:
+    face = outer_dirt.outer_face(turn[1], PX_A_MM)
+    views, optics, seen = turn = enlarged(turn, shrink)
     paint = with_dust_and_scratch(face, optics)
     opacity = pictured(turn, face, paint)
-    dirty = outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor())
+    dirty = outer_dirt.detect_dirt(opacity, seen, views, optics, face, shrink, Monitor())
     assert dirty[paint > 0].mean() > 0.9
     assert dirty[paint == 0].mean() < 0.002, "a texel about it"
     before = after = 0.0
     for k, view in views.items():
-        hidden = outer_dirt.hidden_pixels(opacity[k], dirty, wall.crossings(view, optics, face), face)
+        hidden = outer_dirt.hidden_pixels(opacity[k], dirty, wall.crossings(view, optics, face), face, shrink)
         before, after = before + float((opacity[k] > 0.2).sum()), after + float(((opacity[k] > 0.2) & ~hidden).sum())
     assert after < 0.15 * before
 
@@ -54,4 +63,4 @@ def test_what_grows_on_the_inside_noise_and_passing_roots_are_no_dirt(turn: Turn
     inside = replace(face, outside=False)
     passing = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
     for opacity in (pictured(turn, inside, with_dust_and_scratch(inside, optics)), passing):
-        assert not outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor()).any()
+        assert not outer_dirt.detect_dirt(opacity, seen, views, optics, face, 1, Monitor()).any()

@@ -51,7 +51,7 @@ def test_what_tubes_leave_unexplained_is_hung_on_them_if_most_views_show_it(view
     """Five of twelve views show a ghost, with the mean coverage of a root that is half as wide."""
     true, bare = strung(TRUNK, TWIG, radius_mm=0.3), strung(TRUNK, radius_mm=0.3)
     shown = [*pictured(true).silhouettes[:views], *pictured(bare).silhouettes[views:]]
-    seen = Evidence.from_silhouettes(nothing().bank, shown)
+    seen = Evidence.from_silhouettes(nothing().bank, shown, nothing().window)
     near = cKDTree(np.concatenate([TRUNK, TWIG])).query(GRID.origin_mm + (INDEX + 0.5) * 0.4)[0] < 0.5
     passing = tube_picture.transmittance(seen, bare, seen.project(bare.centre_mm))
     grown = residual_search.add_missing_roots(seen, bare, np.zeros(len(bare.radius_mm), bool), cells(INDEX[near]), passing, 4.0)
