@@ -189,6 +189,19 @@ class Camera:
             principal_px=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5 + margin_y),
         )
 
+    def cropped(self, low_px: tuple[int, int], size_px: tuple[int, int]) -> "Camera":
+        """Return the camera of pictures of which only some pixels are kept.
+
+        Parameters
+        ----------
+        low_px : tuple of int
+            First column and first row that are kept.
+        size_px : tuple of int
+            Number of columns and rows that are kept.
+        """
+        (cx, cy), (left, top) = self.principal_px, low_px
+        return replace(self, image_wh=size_px, principal_px=(cx - left, cy - top))
+
     def as_pinhole(self, depth_mm: float = FAR_MM) -> "Camera":
         """Return the camera itself, or the pinhole camera that shows objects at a depth as large as a telecentric one.
 

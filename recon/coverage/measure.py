@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from rhizotwin.recon.calibration import exposure
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.coverage import background, outer_dirt, silhouettes, translucency, wall
-from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette, Window, find_bounds
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
@@ -128,7 +129,7 @@ def _measure_all(pictures: Pictures, cameras: Cameras, settings: CoverageSetting
         return _read_masks(pictures, cameras, monitor)
     if outline is None:
         return _measure_views(pictures, cameras, settings, monitor)
-    return _draw_silhouettes(pictures, _estimate_backlight(pictures, cameras, settings, monitor), outline, monitor)
+    return _draw_silhouettes(_estimate_backlight(pictures, cameras, settings, monitor), cameras.lens.image_wh, outline, monitor)
 
 
 def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
@@ -145,51 +146,78 @@ def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Cover
 
 @dataclass(frozen=True)
 class _Backlight:
-    """Empty backlight of each used view, keyed by frame number."""
+    """Empty backlight of each used view, keyed by frame number.
 
+    Only the window of the pictures that shows the water is stored.
+    """
+
+    window: Window
+    pictures: Pictures
+    """Pictures, cropped to the window."""
+    cameras: Cameras
+    """Cameras of the cropped pictures."""
     empty: dict[int, Image]
-    """(H, W) pictures of the empty backlight."""
+    """(h, w) pictures of the empty backlight."""
     usable: dict[int, Mask]
-    """(H, W) masks of usable pixels, which are sufficiently bright and without glare."""
+    """(h, w) masks of usable pixels, which are sufficiently bright and without glare."""
     lit: dict[int, Mask]
-    """(H, W) masks of sufficiently bright pixels, including glare."""
+    """(h, w) masks of sufficiently bright pixels, including glare."""
     exposures: Exposures
     """Exposures of the pictures."""
     added: dict[int, Image | np.float32]
-    """(H, W) light that the wall reflects, which is subtracted from the picture."""
+    """(h, w) light that the wall reflects, which is subtracted from the picture."""
 
-    def subtract_reflections(self, pictures: Pictures, frame: int) -> Image:
-        """Return a picture (H, W) without the light that the wall reflects."""
-        return pictures.images[frame].astype(np.float32) - self.added[frame]
+    def subtract_reflections(self, frame: int) -> Image:
+        """Return a cropped picture (h, w) without the light that the wall reflects."""
+        return self.pictures.images[frame].astype(np.float32) - self.added[frame]
 
 
 def _estimate_backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
     """Estimate the empty backlight of every view."""
     with monitor.stage("background"):
-        views = cameras.by_frame
-        inside = {k: background.water_mask(view, cameras.optics, pictures.dataset.scene) for k, view in views.items()}
-        order = cameras.order
+        scene, order, wh = pictures.dataset.scene, cameras.order, cameras.lens.image_wh
+        inside = {k: background.water_mask(view, cameras.optics, scene) for k, view in cameras.by_frame.items()}
         stations = [pictures.frames[k].station for k in order]
-        exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
-        gain = {k: exposures.light(i, views[k].camera.image_wh) for i, k in enumerate(order)}
+        exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, scene)
+        window = _water_window(inside.values(), wh)
+        inside = {k: mask[window.part].copy() for k, mask in inside.items()}
+        gain: dict[int, Image | np.float32] = {}
+        for place, k in enumerate(order):
+            light = exposures.light(place, wh)
+            gain[k] = light[window.part] if isinstance(light, np.ndarray) else light
+        pictures = replace(pictures, images=tuple(image[window.part] for image in pictures.images))
+        lens = cameras.lens.cropped(window.low_px, window.size_px)
+        cameras = cameras.with_views([replace(view, camera=lens) for view in cameras.views], cameras.optics)
         empty, glare, added = _estimate_backgrounds(pictures, cameras, inside, gain, settings, monitor)
-        lit = {k: background.bright_pixels(empty[k], inside[k], settings) for k in views}
-        return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
+        lit = {k: background.bright_pixels(empty[k], inside[k], settings) for k in order}
+        usable = {k: lit[k] & ~glare[k] for k in order}
+        return _Backlight(window, pictures, cameras, empty, usable, lit, exposures, added)
 
 
-def _draw_silhouettes(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
+def _water_window(inside: Collection[Mask], image_wh: tuple[int, int]) -> Window:
+    """Return the window of the pictures that shows the water in any view, or whole pictures if none shows it.
+
+    It begins at a point of the coarse grids on which lines of sight are computed.
+    """
+    low, high = find_bounds(reduce(np.logical_or, inside))
+    if (low == high).any():
+        return Window((0, 0), image_wh)
+    low -= low % wall.STEP
+    return Window((int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])))
+
+
+def _draw_silhouettes(light: _Backlight, image_wh: tuple[int, int], outline: Outline, monitor: Monitor) -> Coverage:
     """Draw the silhouettes of all views with a given function."""
     with monitor.stage("silhouettes"):
-        return Coverage(
-            silhouettes={k: outline(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in light.empty}
-        )
+        drawn = {k: outline(light.subtract_reflections(k), light.empty[k], light.usable[k]) for k in light.empty}
+        return Coverage(silhouettes={k: one.paste(light.window, image_wh) for k, one in drawn.items()})
 
 
 def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
     """Measure the coverage of all views relative to the empty backlight."""
-    keys, light = cameras.order, _estimate_backlight(pictures, cameras, settings, monitor)
-    opacity = {k: silhouettes.opacity(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in keys}
-    lit, exposures, usable = light.lit, light.exposures, light.usable
+    keys, image_wh, light = cameras.order, cameras.lens.image_wh, _estimate_backlight(pictures, cameras, settings, monitor)
+    opacity = {k: silhouettes.opacity(light.subtract_reflections(k), light.empty[k], light.usable[k]) for k in keys}
+    cameras, window, lit, exposures, usable = light.cameras, light.window, light.lit, light.exposures, light.usable
     del light  # it needs as much memory as all pictures
     with monitor.stage("wall"):
         opacity, usable, film = _remove_fouling(cameras, opacity, usable, settings, monitor)
@@ -202,7 +230,8 @@ def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSetti
             dark = opacity.pop(k)
             # Noise is kept, so that faint roots do not lose their flanks.
             clear = dark / np.float32(1.0 - attenuation.own)
-            return replace(_make_silhouette(dark, usable[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
+            made = replace(_make_silhouette(dark, usable[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
+            return made.paste(window, image_wh)
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
     clear = sum(int(usable[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import cv2
 import numpy as np
@@ -85,9 +86,18 @@ class Silhouette:
 
     def cut(self, window: Window) -> Silhouette:
         """Crop the silhouette to a window."""
-        (left, top), (width, height) = window.low_px, window.size_px
-        part = np.s_[top : top + height, left : left + width]
+        part = window.part
         return Silhouette(self.coverage[part], self.usable[part], None if self.opacity is None else self.opacity[part])
+
+    def paste(self, window: Window, image_wh: tuple[int, int]) -> Silhouette:
+        """Return the silhouette in a picture of which it is a window. The pixels outside the window are not usable."""
+
+        def enlarge(part: NDArray[Any]) -> NDArray[Any]:
+            whole = np.zeros(image_wh[::-1], part.dtype)
+            whole[window.part] = part
+            return whole
+
+        return Silhouette(enlarge(self.coverage), enlarge(self.usable), None if self.opacity is None else enlarge(self.opacity))
 
 
 @dataclass(frozen=True)
@@ -111,7 +121,7 @@ class Window:
         `_SILENT_PX` unusable pixels, or ends at the edge of the picture.
         """
         usable = reduce(np.logical_or, [silhouette.usable for silhouette in silhouettes])
-        seen = _bounds(usable)
+        seen = find_bounds(usable)
         inner = np.s_[seen[0][1] : seen[1][1], seen[0][0] : seen[1][0]]
         parts = [part for silhouette in silhouettes for part in _root_bounds(silhouette.coverage[inner], silhouette.usable[inner])]
         if not parts:
@@ -125,12 +135,18 @@ class Window:
         (left, top), (right, bottom) = empty.tolist()
         return Window((int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])), ((left, top), (right, bottom)))
 
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Return the slices of rows and columns that select the window from a picture."""
+        (left, top), (width, height) = self.low_px, self.size_px
+        return np.s_[top : top + height, left : left + width]
+
     def at_origin(self) -> Window:
         """Return the window in the coordinates of pictures that are cropped to it."""
         return replace(self, low_px=(0, 0))
 
 
-def _bounds(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_bounds(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first column and row that contain a pixel of a mask, and those after the last one, both of shape (2,).
 
     They are 0 if the mask is empty.
@@ -141,9 +157,9 @@ def _bounds(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _root_bounds(coverage: Image, usable: Mask) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Return the bounds (`_bounds`) of covered pixels, and those of unusable pixels enclosed by usable pixels."""
+    """Return the bounds (`find_bounds`) of covered pixels, and those of unusable pixels enclosed by usable pixels."""
     covered = (coverage > TRACE) & usable
-    found = [_bounds(covered)] if covered.any() else []
+    found = [find_bounds(covered)] if covered.any() else []
     if not usable.all():
         stats = cv2.connectedComponentsWithStats((~usable).astype(np.uint8))[2][1:].astype(np.int64)
         low, high = stats[:, :2], stats[:, :2] + stats[:, 2:4]

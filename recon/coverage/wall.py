@@ -28,11 +28,11 @@ from rhizotwin.scenes.monitor import Monitor
 _TEXEL_MM = 1.0
 """Edge length of a texel of the unrolled wall, mm. A texel spans a few sampled pixels (`_COLUMNS`), which are averaged
 in each view."""
-_STEP = MOST_SHRINK = 8
+STEP = MOST_SHRINK = 8
 """Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
-_COLUMNS = 400
-"""Approximate number of columns that are sampled in a picture, which yields a few pixels per texel. The rows are
-sampled with the same spacing."""
+_COLUMNS = 250
+"""Approximate number of columns that are sampled in the part of a picture that shows the water, which yields a few
+pixels per texel. The rows are sampled with the same spacing."""
 _QUANTILE = 0.35
 """Quantile of the optical depths of a texel in all views that is used as the optical depth of the wall. Roots cover a
 texel in less than half of the views."""
@@ -58,12 +58,12 @@ class Crossings:
     """Texel coordinates at which a view's lines of sight cross the near and the far wall."""
 
     coarse: Image
-    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `_STEP`. The axes are the wall (near,
+    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `STEP`. The axes are the wall (near,
     far), the coordinate (column, row), the grid row, and the grid column. Full resolution would need more memory than
     all pictures."""
     image_wh: tuple[int, int]
     """Width and height of the picture, px."""
-    step: int = _STEP
+    step: int = STEP
     """Spacing of the coarse grid, px."""
 
     def reduce(self, shrink: int) -> Crossings:
@@ -130,7 +130,7 @@ def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
 
     The coordinates are undefined for pixels whose line of sight misses the water.
     """
-    lines = CoarseLines.compute(view, optics, step=_STEP, beyond=True)
+    lines = CoarseLines.compute(view, optics, step=STEP, beyond=True)
     outer = refraction.clip_to_water(optics, lines.line)
     line = refraction.follow(optics, outer)
     half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
