@@ -125,7 +125,8 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre, density, depth_mm) for top, plant in members.items()}
-    joined = joined + _bridge_net_pot(cells, dense, np.array(list(starts.values())))
+    bridges = _bridge_net_pot(cells, dense, np.array(list(starts.values())))
+    joined = joined + bridges if bridges.nnz else joined  # the sum takes as much memory again
     cost, before, _ = dijkstra(joined, directed=False, indices=list(starts.values()), min_only=True, return_predecessors=True)
     length = lengths(cost, before, centre)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
