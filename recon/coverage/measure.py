@@ -200,10 +200,8 @@ def _water_window(inside: Collection[Mask], image_wh: tuple[int, int]) -> Window
     It begins at a point of the coarse grids on which lines of sight are computed.
     """
     low, high = find_bounds(reduce(np.logical_or, inside))
-    if (low == high).any():
-        return Window((0, 0), image_wh)
     low -= low % wall.STEP
-    return Window((int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])))
+    return Window.between(low, high) if (high > low).all() else Window((0, 0), image_wh)
 
 
 def _draw_silhouettes(light: _Backlight, image_wh: tuple[int, int], outline: Outline, monitor: Monitor) -> Coverage:
@@ -318,12 +316,11 @@ def _remove_fouling(
     cleared = monitor.each(lambda k: wall.remove_fouling(opacity.pop(k), usable[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
-    px_a_mm = _px_a_mm(cameras)
-    face, shrink = outer_dirt.outer_face(optics, px_a_mm), outer_dirt.find_shrink(px_a_mm)
-    dirty = outer_dirt.detect_dirt(free, clear, views, optics, face, shrink, monitor)
+    face = outer_dirt.outer_face(optics, _px_a_mm(cameras))
+    dirty = outer_dirt.detect_dirt(free, clear, views, optics, face, monitor)
     if dirty.any():
         hidden = monitor.each(
-            lambda k: outer_dirt.hidden_pixels(free[k], dirty, wall.crossings(views[k], optics, face), face, shrink), "outside", keys
+            lambda k: outer_dirt.hidden_pixels(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys
         )
         clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())

@@ -9,7 +9,6 @@ covered by dirt are not usable.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,9 +40,9 @@ which the texel is dark on the outer face, and the corresponding fraction on the
 more for dust, 0.3 for nearly horizontal scratches, and negative for objects on the inside."""
 _STEEPEST = 0.2
 """Maximum slope of lines of sight in the water, for a camera 16 degrees above or below the horizontal."""
-_FINEST_MM = 0.2
-"""Minimum size of the pixels of reduced pictures in which dirt is searched, mm. Dust with half the size of a pixel is
-still darker than `_DARK`."""
+_COARSEST_MM = 0.2
+"""Maximum size of averaged pixels, mm. An opaque speck of half this diameter makes such a pixel twice as dark as
+`_DARK`."""
 _AT_ONCE = 8
 """Number of views that are unrolled at once."""
 _ABOUT = 15
@@ -60,27 +59,25 @@ _LEAST_VIEWS = 5
 is only visible in the nearest views, which are a sixth of a ring."""
 
 
-def find_shrink(px_a_mm: float) -> int:
-    """Return the number of pixels, in both directions, that are averaged for the search for dirt.
+def outer_face(optics: Optics, px_a_mm: float) -> Face:
+    """Return the outer face of the wall, with texels of about one pixel, or of several averaged pixels.
+
+    The face extends above and below the water as far as lines of sight through the water cross it.
 
     Parameters
     ----------
+    optics : Optics
+        Optics of the canister.
     px_a_mm : float
-        Scale of the pictures, px/mm.
+        Scale of the pictures at the canister's axis, px/mm.
     """
-    return int(min(2 ** max(0, math.floor(math.log2(_FINEST_MM * px_a_mm))), wall.MOST_SHRINK))
-
-
-def outer_face(optics: Optics, px_a_mm: float) -> Face:
-    """Return the outer face of the wall, with texels of about one pixel of the reduced pictures.
-
-    The face extends above and below the water as far as lines of sight through the water cross it.
-    """
-    return Face(find_shrink(px_a_mm) / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm)
+    halvings = np.clip(np.floor(np.log2(_COARSEST_MM * px_a_mm)), 0, np.log2(wall.STEP))
+    shrink = 2 ** int(halvings)
+    return Face(shrink / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm, shrink=shrink)
 
 
 def detect_dirt(
-    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, shrink: int, monitor: Monitor
+    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, monitor: Monitor
 ) -> Mask:
     """Detect dirt on the outside of the wall.
 
@@ -94,8 +91,6 @@ def detect_dirt(
         Cameras, keyed by frame number, and optics of the canister.
     face : Face
         Outer face of the wall, as returned by `outer_face`.
-    shrink : int
-        Number of pixels that are averaged, as returned by `find_shrink`.
     monitor : Monitor
         Receives progress messages for each view.
 
@@ -107,7 +102,7 @@ def detect_dirt(
     faces, keys = [replace(face, outside=outside) for outside in (False, True)], list(opacity)
     darks, numbers = ([np.zeros(each.shape(optics), np.float32) for each in faces] for _ in range(2))
     for some in (keys[i : i + _AT_ONCE] for i in range(0, len(keys), _AT_ONCE)):  # in groups, to limit memory
-        for of_faces in monitor.each(partial(_dark_texels, opacity, usable, views, optics, faces, shrink), "outside", some):
+        for of_faces in monitor.each(partial(_dark_texels, opacity, usable, views, optics, faces), "outside", some):
             for dark, number, patches in zip(darks, numbers, of_faces, strict=True):
                 for patch in patches:
                     dark[patch.rows, patch.columns] += patch.dark
@@ -180,25 +175,24 @@ def _dark_texels(
     views: dict[int, View],
     optics: Optics,
     faces: Sequence[Face],
-    shrink: int,
     k: int,
 ) -> list[list[_Patch]]:
     """Return the dark texels of each face in a view, on the near wall and on the far wall.
 
     If a view shows a texel on both walls, it counts as two views.
     """
-    small, seen = _reduce(opacity[k], shrink), _reduce(usable[k].astype(np.float32), shrink) == 1.0
-    seen &= ~_wide_objects(small, faces[0])
+    small, seen = (_reduce(part, faces[0].shrink) for part in (opacity[k], usable[k].astype(np.float32)))
+    seen = (seen == 1.0) & ~_wide_objects(small, faces[0])
     # Dilate by one pixel: smaller objects move between pixels.
     dark = cv2.dilate(small, np.ones((3, 3), np.uint8)) > _DARK
     found = []
     for face in faces:
-        at = wall.crossings(views[k], optics, face).reduce(shrink)
+        at = wall.crossings(views[k], optics, face)
         found.append([_Patch.count(*there, seen, dark, face.shape(optics)) for there in zip(at.column, at.row, strict=True)])
     return found
 
 
-def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face, shrink: int) -> Mask:
+def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
     """Return the pixels (H, W) that are hidden by dirt on the near or far outer wall.
 
     Pixels in front of a thick root are not included.
@@ -211,12 +205,10 @@ def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face, shr
         Mask of dirty texels on the outer face.
     where, face : Crossings, Face
         Crossings of the lines of sight with the outer face, and the face.
-    shrink : int
-        Number of pixels that are averaged, as returned by `find_shrink`.
     """
-    hidden = wall.sum_crossings(dirty.astype(np.float32), where.reduce(shrink)) >= 0.5
-    hidden &= ~_wide_objects(_reduce(opacity, shrink), face)
-    return np.repeat(np.repeat(hidden, shrink, axis=0), shrink, axis=1)[: opacity.shape[0], : opacity.shape[1]]
+    hidden = wall.sum_crossings(dirty.astype(np.float32), where) >= 0.5
+    hidden &= ~_wide_objects(_reduce(opacity, face.shrink), face)
+    return np.kron(hidden, np.ones((face.shrink, face.shrink), bool))[: opacity.shape[0], : opacity.shape[1]]
 
 
 def _reduce(picture: Image, shrink: int) -> Image:

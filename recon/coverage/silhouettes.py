@@ -124,16 +124,20 @@ class Window:
         seen = find_bounds(usable)
         inner = np.s_[seen[0][1] : seen[1][1], seen[0][0] : seen[1][0]]
         parts = [part for silhouette in silhouettes for part in _root_bounds(silhouette.coverage[inner], silhouette.usable[inner])]
-        if not parts:
-            parts = [(np.zeros(2, np.int64), seen[1] - seen[0])]
+        parts = parts or [(np.zeros(2, np.int64), seen[1] - seen[0])]
         low = seen[0] + np.min([part[0] for part in parts], axis=0) - _ROOM_PX
         high = seen[0] + np.max([part[1] for part in parts], axis=0) + _ROOM_PX
         picture = np.array(usable.shape[::-1])
         low = np.where(low <= seen[0], np.maximum(seen[0] - _SILENT_PX, 0), low)
         high = np.where(high >= seen[1], np.minimum(seen[1] + _SILENT_PX, picture), high)
-        empty = np.maximum([low - seen[0], seen[1] - high], 0)
-        (left, top), (right, bottom) = empty.tolist()
-        return Window((int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])), ((left, top), (right, bottom)))
+        (left, top), (right, bottom) = np.maximum([low - seen[0], seen[1] - high], 0).tolist()
+        return replace(Window.between(low, high), empty_px=((left, top), (right, bottom)))
+
+    @staticmethod
+    def between(low: NDArray[np.int64], high: NDArray[np.int64]) -> Window:
+        """Return the window from the first column and row to those after the last one, both of shape (2,)."""
+        (left, top), (width, height) = low.tolist(), (high - low).tolist()
+        return Window((left, top), (width, height))
 
     @property
     def part(self) -> tuple[slice, slice]:
@@ -151,9 +155,8 @@ def find_bounds(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
     They are 0 if the mask is empty.
     """
-    some = [np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)]  # columns, then rows
-    ends = [(part[0], part[-1] + 1) if len(part) else (0, 0) for part in some]
-    return np.array([end[0] for end in ends], np.int64), np.array([end[1] for end in ends], np.int64)
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return np.array([left, top], np.int64), np.array([left + width, top + height], np.int64)
 
 
 def _root_bounds(coverage: Image, usable: Mask) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:

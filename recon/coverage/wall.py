@@ -9,7 +9,7 @@ they are roots on the wall.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import cv2
@@ -28,7 +28,7 @@ from rhizotwin.scenes.monitor import Monitor
 _TEXEL_MM = 1.0
 """Edge length of a texel of the unrolled wall, mm. A texel spans a few sampled pixels (`_COLUMNS`), which are averaged
 in each view."""
-STEP = MOST_SHRINK = 8
+STEP = 8
 """Spacing of the pixel grid on which lines of sight are computed, px. The values of other pixels are interpolated."""
 _COLUMNS = 250
 """Approximate number of columns that are sampled in the part of a picture that shows the water, which yields a few
@@ -58,21 +58,13 @@ class Crossings:
     """Texel coordinates at which a view's lines of sight cross the near and the far wall."""
 
     coarse: Image
-    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `STEP`. The axes are the wall (near,
+    """(2, 2, h, w) texel coordinates on a coarse pixel grid. The axes are the wall (near,
     far), the coordinate (column, row), the grid row, and the grid column. Full resolution would need more memory than
     all pictures."""
+    step: int
+    """Spacing of the coarse grid, px of the reduced picture."""
     image_wh: tuple[int, int]
-    """Width and height of the picture, px."""
-    step: int = STEP
-    """Spacing of the coarse grid, px."""
-
-    def reduce(self, shrink: int) -> Crossings:
-        """Return the crossings of a picture of which every ``shrink`` x ``shrink`` pixels are averaged.
-
-        ``shrink`` is a power of two, and at most `MOST_SHRINK`.
-        """
-        width, height = (-(-size // shrink) for size in self.image_wh)
-        return replace(self, image_wh=(width, height), step=self.step // shrink)
+    """Width and height of the reduced picture, px (`Face.shrink`)."""
 
     @property
     def column(self) -> tuple[Image, Image]:
@@ -113,6 +105,9 @@ class Face:
     beyond_mm: float = 0.0
     """Height by which the face extends above the water surface and below the canister's floor, mm. Lines of sight
     through the water may cross the outer face there."""
+    shrink: int = 1
+    """Number of pixels, in both directions, that are averaged before pictures are unrolled: a power of two, up to
+    `STEP`."""
 
     def shape(self, optics: Optics) -> tuple[int, int]:
         """Return the number of texel rows and columns."""
@@ -128,7 +123,8 @@ INSIDE = Face(_TEXEL_MM, outside=False)
 def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
     """Compute the texel coordinates of the two points at which a view's lines of sight cross a face of the wall.
 
-    The coordinates are undefined for pixels whose line of sight misses the water.
+    The pictures are reduced by `Face.shrink`. The coordinates are undefined for pixels whose line of sight misses the
+    water.
     """
     lines = CoarseLines.compute(view, optics, step=STEP, beyond=True)
     outer = refraction.clip_to_water(optics, lines.line)
@@ -150,7 +146,8 @@ def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
         height_mm = optics.water_z_mm - optics.floor_z_mm + 2.0 * face.beyond_mm
         row = (optics.water_z_mm + face.beyond_mm - z) * rows / height_mm - 0.5
         found.append([column.reshape(lines.shape), row.reshape(lines.shape)])
-    return Crossings(np.array(found, np.float32), lines.image_wh)
+    width, height = (-(-size // face.shrink) for size in lines.image_wh)
+    return Crossings(np.array(found, np.float32), STEP // face.shrink, (width, height))
 
 
 def look_up(panorama: Image, column: Image, row: Image) -> Image:

@@ -59,12 +59,10 @@ class DistanceMaps:
 
         Literal values would require new kernels for every scan.
         """
-        object.__setattr__(self, "_low", mi.Vector2f(*(dr.opaque(mi.Float, low) for low in self.window.low_px)))
+        low, size, (before, after) = self.window.low_px, self.window.size_px, self.window.empty_px
+        for name, px in (("_low", low), ("_first", np.subtract(low, before)), ("_end", np.add(low, size) + after)):
+            object.__setattr__(self, name, mi.Vector2f(*(dr.opaque(mi.Float, float(part)) for part in px)))
         object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
-        (low, size), (before, after) = (self.window.low_px, self.window.size_px), self.window.empty_px
-        ends = [low[axis] + size[axis] + after[axis] for axis in (0, 1)]
-        object.__setattr__(self, "_first", mi.Vector2f(*(dr.opaque(mi.Float, low[axis] - before[axis]) for axis in (0, 1))))
-        object.__setattr__(self, "_end", mi.Vector2f(*(dr.opaque(mi.Float, end) for end in ends)))
 
     @staticmethod
     def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:

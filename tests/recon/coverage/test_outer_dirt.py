@@ -42,16 +42,16 @@ def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
 
 @pytest.mark.parametrize("shrink", [1, 2])
 def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn, shrink: int) -> None:
-    face = outer_dirt.outer_face(turn[1], PX_A_MM)
+    face = replace(outer_dirt.outer_face(turn[1], PX_A_MM), shrink=shrink)
     views, optics, seen = turn = enlarged(turn, shrink)
     paint = with_dust_and_scratch(face, optics)
-    opacity = pictured(turn, face, paint)
-    dirty = outer_dirt.detect_dirt(opacity, seen, views, optics, face, shrink, Monitor())
+    opacity = pictured(turn, replace(face, shrink=1), paint)
+    dirty = outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor())
     assert dirty[paint > 0].mean() > 0.9
     assert dirty[paint == 0].mean() < 0.002, "a texel about it"
     before = after = 0.0
     for k, view in views.items():
-        hidden = outer_dirt.hidden_pixels(opacity[k], dirty, wall.crossings(view, optics, face), face, shrink)
+        hidden = outer_dirt.hidden_pixels(opacity[k], dirty, wall.crossings(view, optics, face), face)
         before, after = before + float((opacity[k] > 0.2).sum()), after + float(((opacity[k] > 0.2) & ~hidden).sum())
     assert after < 0.15 * before
 
@@ -63,4 +63,4 @@ def test_what_grows_on_the_inside_noise_and_passing_roots_are_no_dirt(turn: Turn
     inside = replace(face, outside=False)
     passing = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
     for opacity in (pictured(turn, inside, with_dust_and_scratch(inside, optics)), passing):
-        assert not outer_dirt.detect_dirt(opacity, seen, views, optics, face, 1, Monitor()).any()
+        assert not outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor()).any()
