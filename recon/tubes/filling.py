@@ -68,9 +68,12 @@ def fill(tubes: Tubes, spacing_mm: float, *, excluded: Mask | None = None) -> Fi
     return _concatenate(kept)
 
 
-def fill_each(tubes: Tubes, spacing_mm: float) -> FillPoints:
-    """Fill each tube separately with points at a spacing of about ``spacing_mm``, including overlaps."""
-    return _concatenate(list(_fill_tubes(tubes, spacing_mm, None)))
+def fill_each(tubes: Tubes, spacing_mm: float, *, excluded: Mask | None = None) -> FillPoints:
+    """Fill each tube separately, including overlaps, with points at a spacing of about ``spacing_mm``.
+
+    Segments are not filled if both of their nodes are marked in the mask ``excluded`` (N,).
+    """
+    return _concatenate(list(_fill_tubes(tubes, spacing_mm, excluded)))
 
 
 def find_inside(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
