@@ -194,15 +194,21 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
 
 
 def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
-    """Fit the tubes a last time, and mark branch ends that are probably not root tips."""
+    """Fit the tubes a last time, remove ghosts, and mark branch ends that are probably not root tips."""
     with monitor.stage("last tubes"):
         light = Prior.from_evidence(tree.evidence, tree.learned_per_mm)
         steps = _LAST_STEPS if tree.evidence.mu_per_mm is None else _TRANSLUCENT_STEPS
         fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, steps=steps, light=light)
-        uncertain = ghosts.find_uncertain_ends(fit.tubes, fit.residual.visible, node_support.compute_support(fit.rendering), tree.thick)
+        proved = node_support.compute_support(fit.rendering)
+        gone = ghosts.find_ghosts(fit.tubes, proved, tree.thick)
+        found = fit.tubes.cut_detours(gone)
+        stays = found.prune_mask(gone)
+        found = found.keep(stays)
+        thick = organs.is_thick(found, tree.px_a_mm)
+        uncertain = ghosts.find_uncertain_ends(found, fit.residual.visible[stays], proved.select(stays), thick)
     return RootSystem(
-        tubes=fit.tubes,
-        solid=tree.solid,
+        tubes=found,
+        solid=tree.solid[stays],
         solids_mm=tree.solids_mm,
         core_mm=tree.core_mm,
         margin_mm=tree.margin_mm,
