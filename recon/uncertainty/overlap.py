@@ -14,15 +14,16 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes.filling import fill_each
+from rhizotwin.recon.uncertainty.budget import Term
 
 Array = NDArray[np.float64]
 
 _POINTS = 20_000
-"""Approximate number of points that fill the thick roots."""
+"""Approximate number of points that fill the thick roots. There are about ten across a thick root of the print."""
 
 
-def gap_volume_mm3(system: RootSystem, hull: Leaves, shape: Leaves) -> float:
-    """Return the volume of the gaps between overlapping thick roots, mm3.
+def overlap_term(system: RootSystem, hull: Leaves, shape: Leaves) -> Term:
+    """Return the term of the error budget for the gaps between overlapping thick roots.
 
     A gap is within one diameter of a place that two roots share, in the hull, but not in the shape. In wider gaps, a
     further root would have been traced.
@@ -35,15 +36,15 @@ def gap_volume_mm3(system: RootSystem, hull: Leaves, shape: Leaves) -> float:
         Hull beside the tubes, and the part of it that belongs to the shape.
     """
     place_mm, diameter_mm = find_overlaps(system)
-    if not len(place_mm):
-        return 0.0
     tree = cKDTree(place_mm)
 
     def near_mm3(leaves: Leaves) -> float:
         away, nearest = tree.query(leaves.middles_mm, distance_upper_bound=float(diameter_mm.max()), workers=-1)
         return leaves.select(away < np.append(diameter_mm, 0.0)[nearest]).volume_mm3()
 
-    return max(0.0, near_mm3(hull) - near_mm3(shape))
+    gaps_mm3 = max(0.0, near_mm3(hull) - near_mm3(shape)) if len(place_mm) else 0.0
+    why = "thick roots overlap, so that they are parts of a body that is not round, which may extend between them"
+    return Term(name="overlapping roots", less_mm3=0.0, more_mm3=gaps_mm3, why=why)
 
 
 def find_overlaps(system: RootSystem) -> tuple[Array, Array]:

@@ -51,16 +51,7 @@ salts, or ten degrees) causes less than this."""
 
 
 def estimate_terms(
-    bank: ViewBank,
-    hull: Hull,
-    part: Leaves,
-    solids: TrimmedHull,
-    *,
-    slack_px: float,
-    half_excess: float,
-    missed: float,
-    gaps_mm3: float,
-    binary: bool,
+    bank: ViewBank, hull: Hull, part: Leaves, solids: TrimmedHull, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
     """Return the terms of the error budget for solids.
 
@@ -74,8 +65,6 @@ def estimate_terms(
         Relative growth of the hull when half of the views carve it.
     missed : float
         Fraction of the coverage that no part of the hull explains.
-    gaps_mm3 : float
-        Volume of the gaps between overlapping thick roots, mm3 (see `overlap.gap_volume_mm3`).
     binary : bool
         Whether the silhouettes determine an outline to the pixel only.
     """
@@ -83,7 +72,7 @@ def estimate_terms(
     by_px = mm3_per_px(hull, slack_px=slack_px) * thick_mm3 / hull.leaves.volume_mm3()
     outline_px, least_px = (_OUTLINE_BINARY_PX, _LEAST_BINARY_PX) if binary else (_OUTLINE_PX, _LEAST_PX)
     outline, removed = outline_px * by_px, max(0.0, part.volume_mm3() - thick_mm3)
-    beside = min(_unconstrained_mm3(bank, part, solids, least_px) + gaps_mm3, removed) if removed > 0.0 else 0.0
+    beside = min(_unconstrained_mm3(bank, part, solids, least_px), removed) if removed > 0.0 else 0.0
     absent = max(_ABSENT, kept / max(kept + removed, 1e-9))
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
@@ -93,7 +82,7 @@ def estimate_terms(
             name="trimmed away",
             less_mm3=0.0,
             more_mm3=beside + absent * (removed - beside),
-            why="parts of the hull that no silhouette requires may be present, mainly near the outlines and overlapping thick roots",
+            why="parts of the hull that the silhouettes do not require may be present, mainly next to the outlines",
         ),
         Term(
             name="views disagree",

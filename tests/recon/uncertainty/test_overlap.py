@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.tubes import tubes
-from rhizotwin.recon.uncertainty.overlap import find_overlaps, gap_volume_mm3
+from rhizotwin.recon.uncertainty.overlap import find_overlaps, overlap_term
 from tests.recon.strings import at_rest, line, strung
 
 STEM = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
@@ -35,8 +35,8 @@ def test_the_overlap_of_two_laterals_is_the_common_part_of_two_cylinders(apart_m
     common = every[(np.hypot(every[:, 1], every[:, 2] + 30.0) < 1.0) & (np.hypot(every[:, 1], every[:, 2] + 30.0 + apart_mm) < 1.0)]
     near = cKDTree(common).query(block.middles_mm)[0] < 2.0
     none = block.select(slice(0))
-    assert gap_volume_mm3(system, block, none) == pytest.approx(near.sum() * 0.25**3, rel=0.08)
-    assert gap_volume_mm3(system, block, block) == 0.0
+    assert overlap_term(system, block, none).more_mm3 == pytest.approx(near.sum() * 0.25**3, rel=0.08)
+    assert overlap_term(system, block, block).more_mm3 == 0.0
 
 
 def test_laterals_inside_their_parent_do_not_overlap_it() -> None:

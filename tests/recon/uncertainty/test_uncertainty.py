@@ -165,9 +165,7 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     hull = Hull(larger, larger.occupancy, larger.volume_mm3(), 0.0)
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
     bank = ViewBank.pack(exact_pictures.views_of(scene), Optics.from_scene(scene))
-    terms = solid_uncertainty.estimate_terms(
-        bank, hull, hull.leaves, trimmed, slack_px=0.3, half_excess=0.0, missed=0.04, gaps_mm3=0.0, binary=False
-    )
+    terms = solid_uncertainty.estimate_terms(bank, hull, hull.leaves, trimmed, slack_px=0.3, half_excess=0.0, missed=0.04, binary=False)
     trimmed_away, disagreeing = (next(one for one in terms if one.name == name) for name in ("trimmed away", "views disagree"))
     assert trimmed_away.less_mm3 == disagreeing.less_mm3 == 0.0
     assert disagreeing.more_mm3 == pytest.approx(ball.volume_mm3() * (1.04**1.5 - 1.0), rel=0.02)
