@@ -7,7 +7,8 @@ its tip. Centre lines and tips of roots without coverage nearby are surplus.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import drjit as dr
@@ -47,6 +48,9 @@ _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 """Neighbourhood of two pixels, within which lines are compared: smoothing moves the edge of a line by about one."""
 _SHORT_PX = 3
 """Minimum length of a missing root: shorter lines are noise, or the rim of a root whose radius is too small."""
+_RESOLVED_PX = 2.0
+"""Maximum width of a root in the measure of crowding, px. Wider roots are resolved, and can be separated from others
+that overlap them."""
 _LEAST_FREE = 0.1
 """Minimum fraction of the root zone outside the roots, for the correction of missing roots for hidden ones."""
 
@@ -144,6 +148,11 @@ class Places:
         tip = np.concatenate([(np.arange(len(root.points_mm)) == len(root.points_mm) - 1) & root.tip_seen for root in roots])
         return Places(radius, step, px, gradient, np.array(at.visible).reshape(shape), tip)
 
+    @cached_property
+    def px_a_mm(self) -> float:
+        """Median scale of the pictures at the visible nodes, px/mm; 0 if no node is visible."""
+        return float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.visible])) if self.visible.any() else 0.0
+
     def segments(self, view: int) -> NDArray[np.bool_]:
         """Return the mask (N - 1,) of nodes that are visible together with the next node of their root."""
         return self.visible[view, :-1] & self.visible[view, 1:] & (self.step_mm[:-1] > 0.0)
@@ -160,6 +169,22 @@ class Places:
         lines, length_px = self.centre_lines(view, shape)
         return max(0.0, length_px / max(float(lines.sum()), 1.0) - 1.0)
 
+    def crowding(self, view: int, shape: tuple[int, ...]) -> float:
+        """Return the area of all roots in a picture (H, W) relative to the area that they cover together, minus 1.
+
+        Roots are lines as wide as the root blurred by one pixel, at most `_RESOLVED_PX`.
+        """
+        scale = self.px_a_mm or 1.0  # it is 0 if no node is visible
+        wide_px = np.minimum(np.hypot(2.0 * self.radius_mm * scale, 1.0), _RESOLVED_PX)
+        drawn = replace(self, radius_mm=0.5 * wide_px / scale)
+        first, sides, *_ = drawn.pieces(view, np.flatnonzero(self.segments(view)))
+        canvas = np.zeros([_FINER * edge for edge in shape], np.uint8)
+        for corners in sides:
+            cv2.fillConvexPoly(canvas, corners, 1, lineType=cv2.LINE_8, shift=_SHIFT)
+        whole = float(np.linalg.norm(self.px[view, first + 1] - self.px[view, first], axis=1) @ wide_px[first])
+        covered = float(np.count_nonzero(canvas)) / _FINER**2
+        return max(0.0, whole / max(covered, 1.0) - 1.0)
+
     def tips(self, view: int, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the columns and rows (T, 2) of the tips on usable pixels (H, W)."""
         at = np.rint(self.px[view, self.tip & self.visible[view]]).astype(np.int64)
@@ -168,8 +193,7 @@ class Places:
 
     def thin_share(self, limit_px: float) -> float:
         """Return the fraction of the length that is thinner than a limit, px."""
-        scale = float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.visible])) if self.visible.any() else 0.0
-        return float(self.step_mm[2.0 * self.radius_mm * scale < limit_px].sum()) / max(float(self.step_mm.sum()), 1e-9)
+        return float(self.step_mm[2.0 * self.radius_mm * self.px_a_mm < limit_px].sum()) / max(float(self.step_mm.sum()), 1e-9)
 
     def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed, Fixed, Fixed]:
         """Return segments of tubes from nodes (M,) to the next of their root, in OpenCV's drawing coordinates.

@@ -1,8 +1,9 @@
 """Uncertainty of total length, tips and mean diameter, from a comparison of the rendered roots with the pictures.
 
 `root_residual` measures what is missing and surplus in each picture. Roots that share a path appear as one line in all
-pictures, and their shared length is taken from the roots. Roots that overlap in few views may be merged, with nothing
-missing in any picture; the overlap of the projected centre lines predicts how many.
+pictures, and their shared length is taken from the roots. Roots that overlap in few views, or that are closer together
+than the pictures resolve, may be merged, with nothing missing in any picture; the overlap of the projected roots
+predicts how many.
 """
 
 from __future__ import annotations
@@ -43,6 +44,10 @@ _CROWDED, _SEPARABLE = 20.0, 0.005
 volume for an overlap of 1 per view, and the overlap per view up to which all roots are separated. In random scans with
 12 to 60 views (docs/intervals.md), a radish had 7, 16 and 11 % too much volume, and 16, 31 and 22 % too little length,
 at 0.011, 0.016 and 0.017 per view. At 0.0044, length and volume were right to 1 and 4 %."""
+_DENSE, _RESOLVED = 1.2, 0.4
+"""The same for roots that are closer together than the pictures resolve, however many views there are: the relative
+length for a crowding of 1 (`root_residual.Places.crowding`), and the crowding up to which all roots are separated
+(docs/decisions/volume-interval.md)."""
 WIDEST = TrustSettings.widest
 """Maximum relative half-width of an interval for a trusted number: the default of the volume, whatever its setting."""
 LEAST_VIEWS = 4
@@ -94,7 +99,7 @@ def estimates(
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
-    merged, wider, darker = _merged(places, silhouettes[0].coverage.shape, bank.count), _mean_of(width), scattered or 0.0
+    merged, wider, darker = _merged_length(places, silhouettes[0].coverage.shape, bank.count), _mean_of(width), scattered or 0.0
     changes = {
         "total_length_mm": (
             length_mm,
@@ -129,6 +134,12 @@ def _merged(places: root_residual.Places, shape: tuple[int, ...], views: int) ->
     """Return `merged_share`, given the projections of the nodes into some of the views."""
     overlap = _mean_of([places.overlap(view, shape) for view in range(len(places.px))])
     return _CROWDED * max(0.0, overlap / views - _SEPARABLE)
+
+
+def _merged_length(places: root_residual.Places, shape: tuple[int, ...], views: int) -> float:
+    """Return the fraction of the length that may be merged, in few views or because adjacent roots are not resolved."""
+    crowding = _mean_of([places.crowding(view, shape) for view in range(len(places.px))])
+    return _merged(places, shape, views) + _DENSE * max(0.0, crowding - _RESOLVED)
 
 
 def _mean_of(values: Sequence[float]) -> float:
@@ -178,7 +189,7 @@ def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], *, 
     reasons = list(lost)
     if max(less, more) > WIDEST:
         causes = {
-            f"many roots overlap in few views, so that {100.0 * merged:.0f} % of them may be merged (take more pictures)": merged,
+            f"many roots overlap, so that {100.0 * merged:.0f} % of them may be merged (take more pictures, or larger ones)": merged,
             f"the pictures show {100.0 * over:.0f} % more than the reconstructed roots": over - merged,
             f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - merged,
             f"the pictures disagree by {100.0 * error:.0f} %": error,

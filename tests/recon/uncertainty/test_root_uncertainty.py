@@ -69,3 +69,27 @@ def test_nothing_is_trusted_where_the_scan_is_not_or_roots_are_finer_than_pixels
     assert not any(estimate.trusted for estimate in told(TRUE, taken, lost=("roots moved",)).values())
     assert "half a pixel" in told(of_diameter(0.2), taken)["total_length_mm"].verdict
     assert root_uncertainty.estimates([], *taken, mu_per_mm=None, lost=()) == ()
+
+
+@pytest.mark.parametrize("diameter_mm", [0.1, 0.4, 4.0])
+def test_crowding_is_the_area_that_is_covered_repeatedly(taken, diameter_mm: float) -> None:
+    """The width is at most that of a resolved root, so that two thick roots that cross do not crowd."""
+    bank, pictures = taken
+    shape, one = pictures[0].coverage.shape, line((5.0, 5.0, -20.0), (-5.0, 20.0, -70.0), diameter_mm=diameter_mm)
+    crossing = line((-5.0, 5.0, -30.0), (5.0, 20.0, -60.0), diameter_mm=diameter_mm)
+    for roots, expected in (([one], 0.0), ([one] * 3, 2.0), ([one, crossing], 0.0)):
+        places = root_residual.Places.project(roots, bank)
+        assert np.median([places.crowding(view, shape) for view in range(bank.count)]) == pytest.approx(expected, abs=0.25)
+
+
+def test_the_length_of_roots_that_are_not_resolved_may_be_larger(taken) -> None:
+    """Twenty roots in a column of 3 mm: at 2 px/mm, no number of views separates those that share a pixel."""
+    bank, pictures = taken
+    places = np.random.default_rng(3).uniform(-1.5, 1.5, (20, 2, 2))
+    bundle = [line((*top, -20.0), (*low, -70.0), diameter_mm=0.5, parent=-1) for top, low in places]
+    projected = root_residual.Places.project(bundle, bank)
+    shown = tuple(Silhouette(one, np.ones(one.shape, bool)) for one in root_residual.render(projected, pictures, None))
+    found = root_uncertainty.estimates(bundle, bank, shown, mu_per_mm=None, lost=())[0]
+    assert root_uncertainty._merged_length(projected, shown[0].coverage.shape, 1000) > 0.25  # so many views do not help
+    assert not found.trusted
+    assert "may be merged" in found.verdict
