@@ -52,6 +52,20 @@ SOURCES = [
     Source("dialect in a folder that is not rewritten yet", "rhizotwin/a.py", '"""What roots tell."""\n'),
     Source("dialect in values", "recon/a.py", 'A = "told"\nB = dict(a="untold")\n'),
     Source("meaning in the place of the type", "rig/a.py", documented("a : (N,) where it is. Then.|b|    What.|c : int|    How."), (1, 1)),
+    Source("name of 60 characters", "tests/a.py", f"def test_{55 * 'a'}(): ...\n"),
+    Source("name of 61 characters", "tests/a.py", f"class A:\n    def test_{56 * 'a'}(self): ...\n", (2,)),
+    Source("long name of a helper", "tests/a.py", f"def help_{56 * 'a'}(): ...\n"),
+    Source("empty loops", "tests/a.py", "for a in b:\n    pass\nwhile a:\n    ...\nfor a in b:\n    c()\n", (1, 3)),
+    Source(
+        "assertions in loops", "tests/a.py", "def test_a(b):\n    while b:\n        c()\n        for a in b:\n            assert a\n", (1,)
+    ),
+    Source("raises in a loop", "tests/a.py", "def test_a(b):\n    for a in b:\n        with pytest.raises(A):\n            a()\n", (1,)),
+    Source("warns in a loop", "tests/a.py", "def test_a(b):\n    for a in b:\n        with c, pytest.warns(A):\n            a()\n", (1,)),
+    Source("assertion beside a loop", "tests/a.py", "def test_a(b):\n    assert b\n    for a in b:\n        assert a\n"),
+    Source("assertion after a loop", "tests/a.py", "def test_a(b):\n    for a in b:\n        c()\n    else:\n        assert a\n"),
+    Source("loop within raises", "tests/a.py", "def test_a(b):\n    with pytest.raises(A):\n        for a in b:\n            assert a\n"),
+    Source("assertions of a helper", "tests/a.py", "def f(b):\n    for a in b:\n        assert a\ndef test_a(b):\n    f(b)\n"),
+    Source("other rules in tests", "tests/a.py", "def f(a):\n" + 60 * "    pass\n"),
 ]
 
 
