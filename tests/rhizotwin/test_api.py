@@ -1,7 +1,9 @@
-"""The Python interface: short representations, plots, views, progress as one bar, and wrong types as one sentence."""
+"""The Python interface: light to import, in memory and saved, shown in notebooks, heard and stopped, and wrong types as one sentence."""
 
 import http.client
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from tqdm import tqdm
 
 import rhizotwin as rt
 from rhizotwin.scenes.files import profiles
@@ -16,32 +19,108 @@ from tests.command import Command
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
 
+ROOT = Path(__file__).resolve().parents[2]
+SLOW = ("mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d")
+
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
     return plants.make(tmp_path_factory.mktemp("plant"), name="a <plant>")
 
 
-def test_only_the_interface_is_listed() -> None:
+PROGRAMS = {
+    "import rhizotwin": ("import rhizotwin", (*SLOW, "numpy", "scipy", "cv2", "tqdm", "cyclopts")),
+    "help of every command and the list of scenes": (
+        "from rhizotwin import cli; from rhizotwin.commands import COMMANDS\n"
+        "for command in ('', *COMMANDS): cli.main([*command.split(), '--help'])\n"
+        "cli.main(['scenes'])",
+        (*SLOW, "numpy", "scipy", "cv2"),
+    ),
+    "the rig on a Raspberry Pi, until the twin renders": (
+        "from rhizotwin.commands import scan, rig, camera, twin; from rhizotwin.rig import jog, bench, open\n"
+        "from rhizotwin.rig.scanning import scan",
+        SLOW,
+    ),
+    "the viewer, until something is corrected": (
+        "from rhizotwin.viewer import app, panels",
+        ("mitsuba", "drjit", "trimesh", "scipy", "matplotlib", "skimage"),
+    ),
+}
+
+
+def printed(program: str) -> str:
+    """Return the last line that a program prints in a process of its own, where nothing was started."""
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("program", "heavy"), PROGRAMS.values(), ids=PROGRAMS.keys())
+def test_nothing_heavy_is_loaded(program: str, heavy: tuple[str, ...]) -> None:
+    assert printed(f"import sys\n{program}\nprint([name for name in {heavy} if name in sys.modules])") == "[]"
+
+
+def test_the_device_is_chosen_on_first_use(tmp_path: Path) -> None:
+    call = f"rt.simulate(rt.load_scene('sphere_20mm', views=1, image_wh=(16, 16)), {str(tmp_path / 'set')!r})"
+    assert printed(f"import rhizotwin as rt; print(len({call}.frames))") == "1"
+
+
+def test_a_kernel_called_by_itself_starts_the_engine() -> None:
+    program = "import numpy as np; from rhizotwin.recon.device import numbers; print(list(numbers(np.arange(3.0)) + 1.0))"
+    assert printed(program) == "[1.0, 2.0, 3.0]"
+
+
+def test_the_interface_is_listed_and_documented() -> None:
     assert set(dir(rt)) == {*rt.__all__, "__version__"}
+    assert [getattr(rt, name).__name__ for name in rt.__all__] == list(rt.__all__)
+    assert rt.__version__[0].isdecimal()
+    with pytest.raises(AttributeError, match="no attribute 'recontruct'"):
+        rt.recontruct  # noqa: B018
+    texts = [(function.__doc__ or "", name) for function in (rt.load_scene, rt.simulate, rt.scan) for name, _ in profiles()]
+    assert [name for text, name in texts if f"``{name}``" not in text] == []
 
-    assert callable(rt.batch)
+
+def test_a_result_in_memory_is_the_one_that_is_loaded(found: Reconstructed, made: Path) -> None:
+    result, loaded = found.result, rt.load_result(found.folder)
+    assert (loaded.volume_mm3, loaded.interval_mm3, loaded.trusted) == (result.volume_mm3, result.interval_mm3, result.trusted)
+    assert loaded.interval_mm3[0] <= loaded.volume_mm3 <= loaded.interval_mm3[1]
+    assert loaded.roots == result.roots == ()
+    assert loaded.measured.surface_mm2 == pytest.approx(result.measured.surface_mm2, rel=1e-6)  # a PLY holds single precision
+    assert rt.score(result, rt.load_dataset(made)).volume_error == rt.score(found.folder, made).volume_error
 
 
-def test_representations_are_short_and_have_a_form_for_notebooks(found: Reconstructed, made: Path, plant: plants.Plant) -> None:
-    score = rt.score(found.result, made)
-    result, dataset = rt.load_result(plant.result), rt.load_dataset(plant.dataset)
-    for value, named in ((result, "a <plant>"), (found.result, "90 % interval"), (score, "true"), (dataset, "pictures")):
-        assert len(repr(value).splitlines()) <= 20
-        assert len(repr(value)) < 3000
-        assert named in repr(value)
-    for value in (result, score, dataset):
-        shown = value._repr_html_()
-        assert shown.startswith("<")
-        assert "<plant>" not in shown
-    assert "data:image/png;base64," in result._repr_html_()
-    assert "data:image/png;base64," in dataset._repr_html_()
-    assert "<pre>" in score._repr_html_()
+def test_stages_are_kept_for_study(found: Reconstructed) -> None:
+    result, stages = found.result, found.folder / "stages"
+    kept = {path.stem: json.loads(path.read_text()) for path in stages.glob("*.json")}
+    assert set(kept) == {"cameras", "coverage", "hull", "solid"}  # a ball has no thin roots
+    poses, coverage, hull = (np.load(stages / f"{name}.npz", allow_pickle=False) for name in ("cameras", "coverage", "hull"))
+    assert np.array_equal(poses[kept["cameras"]["all"][3]["cam_from_canister"]["npz"]], result.cameras[3].cam_from_canister)
+    assert np.array_equal(coverage["silhouettes/3/coverage"], result.silhouettes[result.cameras[3].file].coverage)
+    leaves = kept["hull"]["hull"]["leaves"]
+    cubes_mm3 = (hull[leaves["size"]["npz"]] * leaves["grid"]["size_mm"]) ** 3
+    assert cubes_mm3 @ hull[leaves["occupancy"]["npz"]] == pytest.approx(result.solid.hull_mm3)
+    assert kept["solid"]["volume"]["mm3"] == result.volume_mm3
+
+
+def test_traits_have_units_and_are_a_frame_of_pandas(found: Reconstructed) -> None:
+    traits = found.result.traits
+    rows = {row["name"]: row for row in traits} if isinstance(traits, list) else traits.T.to_dict()
+    assert (rows["volume_mm3"]["unit"], rows["volume_mm3"]["value"]) == ("mm3", pytest.approx(found.result.volume_mm3))
+    assert isinstance(traits, pytest.importorskip("pandas").DataFrame)
+
+
+def test_representations_are_short_and_safe_in_notebooks(found: Reconstructed, made: Path, plant: plants.Plant) -> None:
+    score, result, dataset = rt.score(found.result, made), rt.load_result(plant.result), rt.load_dataset(plant.dataset)
+    volume = f"<b>{found.result.volume_mm3 / 1000.0:.2f}"
+    values = {"a <plant>": result, "90 % interval": found.result, "true": score, "pictures": dataset}
+    assert [named for named, value in values.items() if named not in repr(value)] == []
+    assert max(len(repr(value).splitlines()) for value in values.values()) <= 20
+    assert max(len(repr(value)) for value in values.values()) < 3000
+    shown = {named: value._repr_html_() for named, value in values.items()}
+    assert [text for text in shown.values() if not text.startswith("<") or "<plant>" in text] == []
+    picture = "data:image/png;base64,"
+    parts = {"a <plant>": (picture,), "90 % interval": (picture, volume, "verdict"), "true": ("<pre>",), "pictures": (picture,)}
+    assert [(named, part) for named, own in parts.items() for part in own if part not in shown[named]] == []
 
 
 @pytest.mark.parametrize("by", ["order", "diameter"])
@@ -52,8 +131,6 @@ def test_a_plot_has_the_colours_of_the_roots(plant: plants.Plant, by: str) -> No
     colours = picture[..., :3][picture[..., 3] > 0.9]
     green = ((colours[:, 1] > colours[:, 0]) & (colours[:, 1] > colours[:, 2])).mean()
     assert (green > 0.02) == (by == "diameter")  # main root and laterals of the first order have other colours
-    with pytest.raises(rt.UserError, match="by must be one of order"):
-        rt.plot(plant.result, by="length")
 
 
 def test_a_view_is_served_and_closed(plant: plants.Plant) -> None:
@@ -71,17 +148,13 @@ def test_a_view_is_served_and_closed(plant: plants.Plant) -> None:
     with_result.close()
 
 
-def test_files_are_exported_from_memory(plant: plants.Plant, tmp_path: Path) -> None:
+def test_what_is_in_memory_is_exported_and_pictures_imported(plant: plants.Plant, tmp_path: Path) -> None:
     (written,) = rt.export(rt.load_result(plant.result), tmp_path / "root.stl")
     assert trimesh.load_mesh(written).is_watertight
-    rt.export(plant.result, tmp_path / "cameras.json", dataset=rt.load_dataset(plant.dataset))
+    dataset = rt.load_dataset(plant.dataset)
+    rt.export(plant.result, tmp_path / "cameras.json", dataset=dataset)
     assert len(json.loads((tmp_path / "cameras.json").read_text())["frames"]) == plants.VIEWS
-
-
-def test_pictures_are_imported(plant: plants.Plant, tmp_path: Path) -> None:
-    scene = rt.load_dataset(plant.dataset).scene
-    imported = rt.import_pictures(plant.dataset / "images", tmp_path / "set", scene=scene)
-    assert len(imported.frames) == plants.VIEWS
+    assert len(rt.import_pictures(plant.dataset / "images", tmp_path / "set", scene=dataset.scene).frames) == plants.VIEWS
 
 
 def test_tables_of_growth_and_biomass_are_frames(tmp_path: Path, command: Command) -> None:
@@ -93,8 +166,7 @@ def test_tables_of_growth_and_biomass_are_frames(tmp_path: Path, command: Comman
     assert len(predicted) > 5
     with pytest.raises(rt.UserError, match="exactly one of masses and model"):
         rt.biomass(volumes, output=tmp_path / "none.csv")
-    tables = rt.growth(masses, tmp_path / "growth")
-    assert "masses" in tables
+    assert "masses" in rt.growth(masses, tmp_path / "growth")
 
 
 def test_names_in_tables_are_text(ball_result: Callable[..., Path], tmp_path: Path) -> None:
@@ -112,46 +184,56 @@ def test_a_failed_batch_is_one_sentence(tmp_path: Path) -> None:
         rt.batch(tmp_path / "scan", tmp_path / "results", workers=1)
 
 
-class Bar:
-    """A bar of tqdm's kind that remembers what it showed."""
-
-    made: "list[Bar]" = []  # noqa: RUF012 - of all bars
-
-    def __init__(self, total: float, **_: Any) -> None:
-        self.total, self.n, self.shown, self.closed = total, 0.0, list[float](), False
-        Bar.made.append(self)
-
-    def refresh(self) -> None:  # noqa: D102 - as tqdm has it
-        self.shown.append(self.n)
-
-    def set_description_str(self, *_: Any, **__: Any) -> None:  # noqa: D102
-        pass
-
-    def close(self) -> None:  # noqa: D102
-        self.closed = True
-
-
 def test_a_class_of_tqdm_shows_one_bar_for_the_whole_work(tmp_path: Path) -> None:
-    Bar.made.clear()
+    shown: list[tuple[tqdm, float]] = []
+
+    class Bar(tqdm):
+        def refresh(self, *_: Any, **__: Any) -> None:
+            shown.append((self, self.n))
+
     rt.simulate("sphere_20mm", tmp_path / "set", views=2, image_wh=(32, 24), monitor=Bar)
-    (bar,) = Bar.made
-    assert bar.closed
-    assert bar.shown == sorted(bar.shown)
+    (bar,) = {one for one, _ in shown}
+    numbers = [number for _, number in shown]
+    assert numbers == sorted(numbers)
     assert bar.n == pytest.approx(bar.total)
+    assert bar.disable, "tqdm's word for closed"
+
+
+def test_a_callable_hears_of_every_view_and_can_stop(tmp_path: Path) -> None:
+    scene = rt.load_scene("sphere_20mm", views=4, image_wh=(64, 48))
+    heard: list[tuple[str, int, int]] = []
+
+    def listen(*step: Any) -> None:
+        heard.append(step)
+        if len(heard) == 2:
+            monitor.cancel()
+
+    monitor = rt.Monitor(listen)
+    with pytest.raises(rt.Cancelled):
+        rt.simulate(scene, tmp_path / "set", profile="clean", monitor=monitor)
+    assert heard == [("render", 1, 4), ("render", 2, 4)]
+    assert not (tmp_path / "set" / "dataset.json").exists()
+    made = rt.simulate(scene, tmp_path / "set", profile="clean")
+    assert len(made.frames) == 4, "the same call takes it up"
 
 
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
         (lambda: rt.load_scene(3), r"scene must be a path, not '3' \(int\)"),
+        (lambda: rt.load_scene("sphere_20mm", views=0), "views"),
         (lambda: rt.load_result(None), "folder must be a path, not None"),
         (lambda: rt.simulate(None, "x"), "scene must be a Scene or a path, not None"),
         (lambda: rt.reconstruct(5.0), r"dataset must be a Dataset or a path, not '5.0' \(float\)"),
         (lambda: rt.reconstruct("x", voxel_mm="small"), "voxel_mm must be a number or None, not 'small'"),
+        (lambda: rt.reconstruct("x", voxel_mm=0.0), "0.01"),
+        (lambda: rt.reconstruct("x", device="tpu"), "tpu"),
         (lambda: rt.reconstruct("x", mass_g=0.0), "mass_g must be .* g, not 0"),
         (lambda: rt.reconstruct("x", settings={}), "settings must be a Settings or None"),
         (lambda: rt.score([], "x"), "result must be a Result or a path"),
+        (lambda: rt.score("no_such_result", "x"), "no_such_result"),
         (lambda: rt.simulate("sphere_20mm", "x", monitor=3), "monitor must be"),
+        (lambda: rt.plot("x", by="length"), "by must be one of order"),
         (lambda: rt.view(7), "result must be a Result or a path"),
         (lambda: rt.export(7, "x.stl"), "result must be a Result or a path"),
         (lambda: rt.growth([], "x"), "results is an empty list"),
@@ -162,12 +244,6 @@ def test_a_class_of_tqdm_shows_one_bar_for_the_whole_work(tmp_path: Path) -> Non
         (lambda: rt.batch("x", "memory://y"), "output must be a folder, not the address memory://y"),
     ],
 )
-def test_a_wrong_type_is_one_sentence(call: Any, sentence: str) -> None:
+def test_a_mistake_is_one_sentence(call: Any, sentence: str) -> None:
     with pytest.raises(rt.UserError, match=sentence):
         call()
-
-
-def test_texts_name_all_profiles() -> None:
-    for function in (rt.load_scene, rt.simulate, rt.scan):
-        for name, _ in profiles():
-            assert f"``{name}``" in (function.__doc__ or "")
