@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cases, commands, gate, scatter
+from benchmarks import cases, commands, gate, ladder, reconstructions, scatter, tree_faults
 from benchmarks.arguments import parser
 from benchmarks.output import about, results_folder, results_table, say
 from benchmarks.run import Run
@@ -74,55 +74,69 @@ def _scatter_path() -> Path:
 
 
 def _chosen(given: argparse.Namespace) -> tuple[list[cases.Case], bool]:
-    """Return the selected cases, and whether they are a part that can neither be gated nor become the baseline."""
-    selection = {name: getattr(given, name) for name in ("scenes", "profiles", "seeds", "methods") if getattr(given, name) is not None}
-    if given.quick and "seeds" in selection:
-        raise UserError("the quick set has no seeds; omit --seeds or --quick.")
+    """Return the selected cases, and whether they are a part of the set."""
+    selection = {
+        name: getattr(given, name) for name in ("scenes", "profiles", "rings", "seeds", "methods") if getattr(given, name) is not None
+    }
+    if given.nightly and (given.quick or selection):
+        raise UserError("--nightly is a set of its own; omit --quick, and the selection.")
+    if given.nightly:
+        return cases.ladder(scenes=cases.NIGHTLY, profiles=("clean", "bench"), rings=(1,), methods=("coverage",)), True
+    unknown = [name for name in ("rings", "seeds") if given.quick and name in selection]
+    if unknown:
+        raise UserError(f"the quick set has no {unknown[0]}; omit --{unknown[0]} or --quick.")
     return (cases.quick(**selection) if given.quick else cases.ladder(**selection)), bool(selection)
+
+
+def _check(given: argparse.Namespace, *, is_part: bool) -> None:
+    """Raise UserError if the run cannot become the baseline."""
+    if (given.change, given.fault) != (reconstructions.UNCHANGED, tree_faults.NONE) and given.update_baseline:
+        raise UserError("changed pictures or roots cannot become the baseline; omit --change, --fault or --update-baseline.")
+    if is_part and given.quick and given.update_baseline:
+        raise UserError("a part of the quick set is incomplete, so it cannot become the baseline.")
 
 
 def _run(given: argparse.Namespace) -> int:
     chosen: list[cases.Case] = []
+    is_part = False
     if given.what == "accuracy":
         chosen, is_part = _chosen(given)
         if given.list:
             say("\n".join(case.name for case in chosen))
             return 0
-        if given.change != "none" and given.update_baseline:
-            raise UserError("changed pictures cannot become the baseline; omit --change or --update-baseline.")
-        if is_part and (given.update_baseline or (given.gate and not given.quick)):
-            what = "cannot become the baseline" if given.update_baseline else "can only be gated with --quick"
-            raise UserError(f"a part of the ladder is incomplete, so it {what}.")
-    baseline_path = HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
+        _check(given, is_part=is_part)
+    is_ladder = given.what == "accuracy" and not given.quick
+    baseline_path = ladder.PATH if is_ladder else HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
     # a missing baseline is reported before an hour of measuring
-    baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
-    is_scattered = given.what == "accuracy" and given.quick and baseline is not None
-    rounding = scatter.read(_scatter_path()) if is_scattered else None
-    run = _measure(given, chosen)
-    is_long = given.what == "accuracy" and not given.quick
-    shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
+    baseline = _baseline(baseline_path, chosen, is_ladder=is_ladder, is_part=is_part) if given.gate and not given.update_baseline else None
+    rounding = scatter.read(_scatter_path()) if given.what == "accuracy" and given.quick and baseline is not None else None
+    run = _measure(given, chosen, is_part=is_part)
+    shown = [
+        metric for metric in run.metrics if not is_ladder or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))
+    ]
     say("\n" + results_table(shown))
 
     described = _about(given)
-    change = getattr(given, "change", "none")
-    suffix = "" if change == "none" else "_" + change.replace(":", "_")
-    output = given.output or results_folder() / f"{baseline_path.stem.removeprefix('baseline_')}{suffix}.json"
+    words = [word.replace(":", "_") for word in (getattr(given, "change", "none"), getattr(given, "fault", "none")) if word != "none"]
+    name = "_".join([given.what, *(["quick"] if given.quick else []), *words])
+    output = given.output or results_folder() / f"{name}.json"
     values = {m.key: {"value": m.value if m.measured else None, "unit": m.unit} for m in run.metrics}
     stored = json.loads(json.dumps({"about": described, "metrics": values, "crashed": run.crashed, "details": run.details}, default=str))
     atomic.write_json(output, stored)
     say(f"\nevery number: {output}")
-    if is_long:
+    if is_ladder:
         _write_ladder(run, output)
 
     if given.update_baseline:
-        if run.crashed:
+        if is_ladder:
+            _update_ladder(run)
+        elif run.crashed:
             raise UserError(f"{baseline_path} is not changed: {next(iter(run.crashed))} crashed.")
-        gate.write_baseline(baseline_path, run.metrics, about=described)
+        else:
+            gate.write_baseline(baseline_path, run.metrics, about=described)
         say(f"recorded: {baseline_path}")
-        return 0
+        return 1 if run.crashed else 0
     if baseline is not None:
-        if rounding is not None:
-            baseline = baseline.without({case.name for case in cases.quick()} - {case.name for case in chosen})
         findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding)
         say("\n" + gate.table(findings))
         runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.metrics_of_pictures(run.metrics, chosen)]
@@ -133,12 +147,40 @@ def _run(given: argparse.Namespace) -> int:
     return 1 if run.crashed else 0
 
 
-def _measure(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
+def _baseline(path: Path, chosen: Sequence[cases.Case], *, is_ladder: bool, is_part: bool) -> gate.Baseline:
+    """Return the baseline of the chosen cases."""
+    if is_ladder:
+        from benchmarks import accuracy, table
+
+        known = {record["case"]["name"]: record for record in ladder.read()}
+        missing = [case.name for case in chosen if case.name not in known]
+        if missing:
+            raise UserError(f"{path} does not contain {missing[0]}; measure it with --update-baseline, and commit the file.")
+        records = [known[case.name] for case in chosen]
+        of_cases = [metric for case in chosen for metric in accuracy.metrics(case, known[case.name])]
+        return gate.baseline_of(of_cases + ([] if is_part else [line.metric() for line in table.lines(records)]), path=path)
+    baseline = gate.read_baseline(path)
+    if not is_part:
+        return baseline
+    own = {case.name for case in chosen}
+    return baseline.without({key.rpartition("/")[0] for key in baseline.values} - own)
+
+
+def _measure(given: argparse.Namespace, chosen: Sequence[cases.Case], *, is_part: bool) -> Run:
     if given.what == "accuracy":
         from benchmarks import accuracy, table
 
-        run = accuracy.measure(chosen, device=given.device, say=say, afresh=given.afresh, change=given.change)
-        if not given.quick:
+        # numbers of the projection depend on no picture: they are measured with the quick set
+        run = accuracy.measure(
+            chosen,
+            device=given.device,
+            say=say,
+            afresh=given.afresh,
+            change=given.change,
+            fault=given.fault,
+            projection=given.quick and not is_part,
+        )
+        if not given.quick and not is_part:
             run.metrics += [line.metric() for line in table.lines(run.details.values())]
         return run
     if given.what == "speed":
@@ -165,12 +207,24 @@ def _write_ladder(run: Run, output: Path) -> None:
     say("\ntable and figure: " + ", ".join(str(path) for path in written))
 
 
+def _update_ladder(run: Run) -> None:
+    """Record the measured cases of the ladder, and write the page and the figure of the documentation."""
+    from benchmarks import figure, table
+
+    records = ladder.update(run.details.values())
+    docs = HERE.parent / "docs"
+    atomic.write_text(docs / "ladder.md", table.page(records))
+    figure.draw(records, docs / "pictures" / "error_by_age.png")
+
+
 _COMMANDS = {
     "adopt": commands.adopt,
+    "against": commands.against_frozen,
     "batch": commands.batch,
     "compare": commands.compare,
     "damages": commands.damages,
     "fingerprints": commands.fingerprints,
+    "freeze": commands.freeze,
     "growth": commands.growth,
     "intervals": commands.intervals,
     "scatter": _scatter,

@@ -7,29 +7,28 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cache, datasets, worker
+from benchmarks import cache, datasets, reconstructions, tree_faults, worker
 from benchmarks.cases import Case
 from benchmarks.metric import Direction, Metric
+from benchmarks.reconstructions import UNCHANGED
 from benchmarks.run import Run, Say
 from rhizotwin import sources
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.provenance import versions
-
-_SOURCES = {
-    "coverage": ("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"),
-    "thesis": ("rhizotwin.baselines", "rhizotwin.scoring.score"),
-}
-"""Modules that determine the results for a dataset, by method."""
-_VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
-
-_CHANGES = "benchmarks.perturb"
-UNCHANGED = "none"
 
 Record = dict[str, Any]
 """One scored case as a JSON object: its description, its cost, and the score."""
 
 
-def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False, change: str = UNCHANGED, projection: bool = True) -> Run:
+def measure(
+    cases: Sequence[Case],
+    *,
+    device: str,
+    say: Say,
+    afresh: bool = False,
+    change: str = UNCHANGED,
+    fault: str = tree_faults.NONE,
+    projection: bool = True,
+) -> Run:
     """Run the cases in order; a failed case is recorded, and the rest continue.
 
     Parameters
@@ -44,6 +43,8 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
         Whether to repeat measurements of an earlier run with the same sources, settings and versions.
     change : str
         Change of the pictures: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+    fault : str
+        Deliberate fault of the roots before they are scored: ``none``, or a key of `tree_faults.FAULTS`.
     projection : bool
         Whether to measure the projection too, which does not depend on pictures.
 
@@ -59,10 +60,10 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     for number, case in enumerate(cases, start=1):
         head = f"[{number}/{len(cases)}] {case.name}"
         began = time.perf_counter()
-        record = None if afresh else load_record(case, device=device, change=change)
+        record = None if afresh else load_record(case, device=device, change=change, fault=fault)
         try:
             fresh = record is None
-            record = record or compute_record(case, device=device, change=change)
+            record = record or compute_record(case, device=device, change=change, fault=fault, afresh=afresh)
         except RuntimeError as error:
             run.crashed[case.name] = str(error)
             clock.finished(case, time.perf_counter() - began)
@@ -75,7 +76,7 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     return run
 
 
-def load_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
+def load_record(case: Case, *, device: str, change: str = UNCHANGED, fault: str = tree_faults.NONE) -> Record | None:
     """Return the record of a case from an earlier run with the same sources, settings, calibration and versions.
 
     Return None if there is none.
@@ -86,41 +87,33 @@ def load_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record |
         Pictures, method and voxel.
     device : str
         Computing device.
-    change : str
-        Change of the pictures, see `measure`.
+    change, fault : str
+        Change of the pictures and fault of the roots, see `measure`.
 
     Returns
     -------
     dict or None
         Record of the case; None if there is none.
     """
-    path = _kept_path(case, device=device, change=change)
-    if not path.is_file():
-        return None
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:  # a damaged file is ignored, and the case measured again
+        record = json.loads(_kept_path(case, device=device, change=change, fault=fault).read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # a damaged file is ignored, and the case measured again
         return None
-    return record if isinstance(record, dict) and {"case", "score", "wall_s", "peak_memory_mib"} <= record.keys() else None
+    return record if isinstance(record, dict) and {"case", "commit", "score", "wall_s", "peak_memory_mib"} <= record.keys() else None
 
 
-def _kept_path(case: Case, *, device: str, change: str) -> Path:
-    settings = {
-        "dataset": datasets.place(case.pictures).name,
-        "truth": sources.digest(datasets.TRUTH),
-        "method": case.method,
-        "voxel_mm": case.voxel_mm,
-        "device": device,
-        "change": change,
-        "versions": versions(_VERSIONED),
-    }
-    entries = _SOURCES[case.method] if change == UNCHANGED else (*_SOURCES[case.method], _CHANGES)
-    code = (sources.digest_of_results if case.method == "coverage" else sources.digest)(entries)
-    return cache.folder() / "scores" / f"{cache.key(settings, sources=code)}.json"
+def _kept_path(case: Case, *, device: str, change: str, fault: str) -> Path:
+    settings = {"reconstruction": _place(case, device=device, change=change).name, "truth": sources.digest(datasets.TRUTH), "fault": fault}
+    faults = () if fault == tree_faults.NONE else ("benchmarks.tree_faults",)
+    return cache.folder() / "scores" / f"{cache.key(settings, sources=sources.digest(('rhizotwin.scoring.score', *faults)))}.json"
 
 
-def compute_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
-    """Render a case's pictures if they are missing, reconstruct and score them, and cache the result.
+def _place(case: Case, *, device: str, change: str) -> Path:
+    return reconstructions.place(case.pictures, device=device, method=case.method, voxel_mm=case.voxel_mm, change=change)
+
+
+def compute_record(case: Case, *, device: str, change: str = UNCHANGED, fault: str = tree_faults.NONE, afresh: bool = False) -> Record:
+    """Render a case's pictures and reconstruct them, if they are missing, score the result, and cache the score.
 
     Parameters
     ----------
@@ -128,21 +121,21 @@ def compute_record(case: Case, *, device: str, change: str = UNCHANGED) -> Recor
         Pictures, method and voxel.
     device : str
         Computing device.
-    change : str
-        Change of the pictures, see `measure`.
+    change, fault : str
+        Change of the pictures and fault of the roots, see `measure`.
+    afresh : bool
+        Whether to reconstruct again.
 
     Returns
     -------
     dict
         Score, times and memory.
     """
-    rendering = None
-    if not datasets.is_ready(case.pictures):
-        rendering = worker.start(["dataset", worker.pictures_as_text(case.pictures)], device=device)["wall"]
-    folder = datasets.place(case.pictures)
-    found = worker.start(["score", str(folder), case.method, f"{case.voxel_mm}", change], device=device)
-    record = {"case": describe_case(case), "render_s": rendering, **found}
-    atomic.write_json(_kept_path(case, device=device, change=change), record)
+    folder = reconstructions.make(case, device=device, change=change, afresh=afresh)
+    dataset_folder = reconstructions.render(case.pictures, device=device)
+    found = worker.start(["score", str(folder / "result"), str(dataset_folder), fault], device=device)
+    record = {"case": describe_case(case), **(reconstructions.read_cost(folder) or {}), **found}
+    atomic.write_json(_kept_path(case, device=device, change=change, fault=fault), record)
     return record
 
 
@@ -170,6 +163,7 @@ def summary(record: Record) -> str:
     text = f"volume {percent(found['volume_error'])}, interval {'holds' if found['interval_holds_truth'] else 'misses'}"
     if roots:
         text += f", length {percent(roots['length_error'])}, tips {roots['tip_precision']:.2f} / {roots['tip_recall']:.2f}"
+        text += f", identity {found['topology']['identity']:.3f}"
     return f"{text}, {record['wall_s']:.0f} s, {record['peak_memory_mib'] / 1024.0:.1f} GiB"
 
 
@@ -201,13 +195,21 @@ def metrics(case: Case, record: Record) -> list[Metric]:
     }
     if case.method == "coverage":
         rows["interval_holds"] = ("interval_holds_truth", "1", "up", 0.0, 0.0)
-        if case.pictures.is_plant:  # one tip is a few per cent of a small plant's
+        if case.pictures.has_roots:  # one tip, or one branch point, is a few per cent of a small plant's
             rows |= {
                 "length_error": ("roots.length_error", "1", "zero", 0.0, 0.005),
                 "line_recall": ("roots.recall", "1", "up", 0.0, 0.005),
                 "line_precision": ("roots.precision", "1", "up", 0.0, 0.005),
                 "tip_recall": ("roots.tip_recall", "1", "up", 0.0, 0.03),
                 "tip_precision": ("roots.tip_precision", "1", "up", 0.0, 0.03),
+                "identity": ("topology.identity", "1", "up", 0.0, 0.005),
+                "order_length": ("topology.order_length", "1", "up", 0.0, 0.005),
+                "main_length": ("topology.main_length", "1", "up", 0.0, 0.01),
+                "branch_recall": ("topology.branch_recall", "1", "up", 0.0, 0.03),
+                "branch_precision": ("topology.branch_precision", "1", "up", 0.0, 0.03),
+                "ghosts_mm": ("topology.ghosts_mm", "mm", "down", 0.1, 2.0),
+                "doubled_mm": ("topology.doubled_mm", "mm", "zero", 0.1, 2.0),
+                "missing_mm": ("topology.missing_mm", "mm", "down", 0.1, 2.0),
             }
     return [
         Metric(key=f"{case.name}/{name}", value=_at(found, where), unit=unit, direction=direction, rel_tol=rel_tol, abs_tol=abs_tol)

@@ -32,7 +32,7 @@ def adopt(folder: Path) -> Path:
         goal.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="adopting-", dir=goal.parent) as working:
             copy = Path(working) / "dataset"
-            shutil.copytree(folder, copy, copy_function=_link)
+            shutil.copytree(folder, copy, copy_function=link)
             _render_firsts(copy, dataset, pictures)
             copy.rename(goal)
         datasets.sign(goal)
@@ -80,7 +80,7 @@ def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
         raise UserError(f"{dataset.folder}: {differing[0]} differs when it is rendered again")
 
 
-def _link(source: str, target: str) -> None:
+def link(source: str, target: str) -> None:
     """Create a hard link to a file, or copy it if that is not possible.
 
     Pictures are replaced, and never modified in place.

@@ -3,8 +3,9 @@
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-from benchmarks import cases, intervals, scatter
+from benchmarks import cases, intervals, scatter, tree_faults
 
 
 def parser() -> argparse.ArgumentParser:
@@ -43,6 +44,7 @@ def parser() -> argparse.ArgumentParser:
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
     _add_growth(what.add_parser("growth", help=_GROWTH, description=_GROWTH))
     _add_batch(what.add_parser("batch", help=_BATCH, description=_BATCH))
+    _add_frozen(what)
     printed = what.add_parser("fingerprints", help="write the fingerprints with which `rhizotwin bench make` compares a rendered benchmark")
     printed.add_argument("name", metavar="NAME", help="name of the benchmark, such as quick-1")
     printed.add_argument("folder", type=Path, metavar="FOLDER", help="folder in which `rhizotwin bench make` rendered it")
@@ -52,6 +54,21 @@ def parser() -> argparse.ArgumentParser:
     )
     adopted.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     return made
+
+
+_FREEZE = "twelve cases with pictures, intermediate values and scores in one folder, to compare changes of the reconstruction with"
+_AGAINST = "reconstruct frozen pictures with the present code; the change of every kind of intermediate values, and of the scores"
+
+
+def _add_frozen(what: Any) -> None:
+    freeze = what.add_parser("freeze", help=_FREEZE, description=f"{_FREEZE}; a stopped run is resumed")
+    against = what.add_parser("against", help=_AGAINST, description=_AGAINST)
+    against.add_argument("frozen", type=Path, metavar="FROZEN", help="folder written by `freeze`")
+    freeze.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="new folder (default: in the cache folder)")
+    against.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: only the table)")
+    for one in (freeze, against):
+        one.add_argument("--cases", type=_words, metavar="NAME,...", help="only these cases (a wrong name lists them)")
+        one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
 
 
 _THESIS = (
@@ -178,7 +195,7 @@ def _add_scatter(one: argparse.ArgumentParser) -> None:
 
 def _add_selection(one: argparse.ArgumentParser) -> None:
     one.epilog = (
-        "a part of the ladder, for example (it gives a part of the table, and can only be gated with --quick):\n"
+        "a part of the ladder, for example (it gives a part of the table; --update-baseline renews its cases):\n"
         "  python -m benchmarks accuracy --scenes 'radish_day0*,fallen_plant' --profiles clean,bench --methods coverage -o before.json\n"
         "two runs are compared case by case:\n  python -m benchmarks compare before.json after.json"
     )
@@ -186,6 +203,8 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
         "--scenes", type=_words, metavar="PATTERN,...", help="only scenes of the ladder whose name matches, such as 'radish_day0*'"
     )
     _add_profiles_and_methods(one)
+    one.add_argument("--rings", type=_rings, metavar="N,...", help="only plants in this number of rings, 1 or 2")
+    one.add_argument("--nightly", action="store_true", help="dense root systems in one ring: " + ", ".join(cases.NIGHTLY))
     one.add_argument(
         "--seeds",
         type=_seeds,
@@ -200,6 +219,12 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
         default="none",
         metavar="KIND:SEED",
         help="rounded:S, pictures as another machine may have rounded them; lossy:S, one in twenty mirrored; S: 1, 2, ...",
+    )
+    one.add_argument(
+        "--fault",
+        choices=[tree_faults.NONE, *tree_faults.FAULTS],
+        default=tree_faults.NONE,
+        help="deliberate fault of the found roots, at which the gate must shut (default: %(default)s)",
     )
     one.add_argument("--list", action="store_true", help="list the cases and exit")
     one.add_argument("--afresh", action="store_true", help="repeat measurements of an earlier run with the same code")
@@ -222,6 +247,10 @@ def _words(text: str) -> tuple[str, ...]:
     if not words:
         raise argparse.ArgumentTypeError("is empty")
     return words
+
+
+def _rings(text: str) -> tuple[int, ...]:
+    return tuple(int(word) for word in _choices(("1", "2"))(text))
 
 
 def _choices(allowed: Sequence[str]) -> Callable[[str], tuple[str, ...]]:

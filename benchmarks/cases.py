@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import product
 from typing import Literal
 
 from rhizotwin.bench import benchmarks
@@ -33,6 +34,9 @@ LADDER: dict[str, tuple[str, ...]] = {
 }
 """Scenes (patterns) of the ladder with the profiles in which each has a target."""
 
+NIGHTLY = ("radish_day20b", "radish_day30c", "wheat")
+"""Dense root systems, measured every night in one ring: small plants do not show that fine roots are lost."""
+
 SEED_SETS: dict[str, tuple[int, ...]] = {"first": (0,), "second": (101, 102)}
 """Named sets of seeds. ``second`` is for final tests only, and never used during development: its plants are new to the
 method."""
@@ -54,24 +58,33 @@ class Pictures:
     image_wh: tuple[int, int] = (800, 600)
     seed: int = 0
     """Random seed of all disturbances, and of the plant if there is one."""
+    sway_mm: float = 0.0
+    """Sway of the roots' tips between the pictures (standard deviation), in addition to the profile, mm."""
 
     @property
     def name(self) -> str:
         """Short name for keys and messages."""
         rings = "" if self.rings == 1 else f"{self.rings}x"
         seed = "" if self.seed == 0 else f"/seed{self.seed}"
-        return f"{self.scene}/{self.profile}/{rings}{self.views}x{self.image_wh[0]}x{self.image_wh[1]}{seed}"
+        sway = "" if self.sway_mm == 0.0 else f"/sway{self.sway_mm:g}"
+        return f"{self.scene}/{self.profile}/{rings}{self.views}x{self.image_wh[0]}x{self.image_wh[1]}{seed}{sway}"
 
     @property
     def is_plant(self) -> bool:
         """Return whether the scene has individual roots."""
         return any(fnmatchcase(self.scene, pattern) for pattern in PLANTS)
 
+    @property
+    def has_roots(self) -> bool:
+        """Return whether the truth contains centre lines, of a plant or of a printed root."""
+        return self.scene != "sphere_20mm"
+
     def scene_to_render(self) -> Scene:
         """Return the library's scene with this plant, these views, this sensor and the profile's disturbances."""
-        return benchmarks.rendered_scene(
+        scene = benchmarks.rendered_scene(
             load_scene(self.scene), self.profile, rings=self.rings, views=self.views, image_wh=self.image_wh, seed=self.seed * self.is_plant
         )
+        return replace(scene, disturbances=replace(scene.disturbances, sway_mm=self.sway_mm)) if self.sway_mm else scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +104,8 @@ class Case:
 def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES, methods: Sequence[Method] = METHODS) -> list[Case]:
     """Return the small cases that are run for every change, or a selection.
 
-    They are a solid, a printed phantom by both methods, the same on a real bench and with the pictures of the demo, a
-    bulb, and thin roots.
+    They are a solid, a printed phantom on a real bench by both methods, the pictures of the demo, a bulb, and thin
+    roots.
 
     Parameters
     ----------
@@ -112,17 +125,16 @@ def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES,
         If no case matches.
     """
     small = (400, 300)
-    sphere, printed, bench, demo, bulb, plant = (
+    sphere, bench, demo, bulb, plant = (
         Pictures(scene="sphere_20mm", views=24, image_wh=small),
-        Pictures(scene="printed_8ml", image_wh=small),
         Pictures(scene="printed_8ml", profile="bench", image_wh=small),
         Pictures(scene="printed_8ml"),
         Pictures(scene="bulb", profile="bench", image_wh=small),
         Pictures(scene="radish_day05a", rings=2, views=20),  # in smaller pictures its roots are too thin for tubes
     )
     every = [
-        *(Case(pictures=pictures) for pictures in (sphere, printed, bench, demo, bulb, plant)),
-        Case(pictures=printed, method="thesis"),
+        *(Case(pictures=pictures) for pictures in (sphere, bench, demo, bulb, plant)),
+        Case(pictures=bench, method="thesis"),
     ]
     return _some([case for case in every if case.pictures.profile in profiles and case.method in methods], scenes, profiles)
 
@@ -139,18 +151,22 @@ def ladder(
     *,
     scenes: Sequence[str] = ("*",),
     profiles: Sequence[str] = PROFILES,
+    rings: Sequence[Literal[1, 2]] = (1, 2),
     seeds: Sequence[int] = SEED_SETS["first"],
     methods: Sequence[Method] = METHODS,
 ) -> list[Case]:
-    """Return the cases of the full table, or a selection by scenes, profiles, seeds and methods.
+    """Return the cases of the full table, or a selection by scenes, profiles, rings, seeds and methods.
 
-    Plants are photographed in two rings, phantoms (solids and printed roots) in one. Clean pictures of phantoms do not
-    depend on a seed, so that they occur once.
+    Plants are photographed in one ring (the library's plan) and in two, in the profile harsh in two only; phantoms
+    (solids and printed roots) in one. Clean pictures of phantoms do not depend on a seed, so that they occur once. The
+    thesis's method is measured for phantoms and for clean pictures.
 
     Parameters
     ----------
     scenes, profiles : sequence of str
         Patterns of names; matching cases are selected.
+    rings : sequence of int
+        Numbers of rings.
     seeds : sequence of int
         Random seeds of plants and disturbances.
     methods : sequence of Method
@@ -168,14 +184,16 @@ def ladder(
     """
     names = [name for pattern in LADDER for name, _ in library() if fnmatchcase(name, pattern)]
     cases = []
-    for seed in seeds:
-        for name in names:
-            for profile in next(allowed for pattern, allowed in LADDER.items() if fnmatchcase(name, pattern)):
-                rings: Literal[1, 2] = 1 if name in PHANTOMS else 2
-                is_repeated = name in PHANTOMS and profile == "clean" and seed != seeds[0]
-                if profile in profiles and not is_repeated:
-                    pictures = Pictures(scene=name, profile=profile, rings=rings, seed=seed)
-                    sizes = CAMERA_SIZES.get(name, ()) if profile == "clean" and seed == 0 else ()
-                    larger = [Case(pictures=replace(pictures, image_wh=size)) for size in sizes if "coverage" in methods]
-                    cases += [*(Case(pictures=pictures, method=method) for method in methods), *larger]
+    for seed, name in product(seeds, names):
+        for profile in next(allowed for pattern, allowed in LADDER.items() if fnmatchcase(name, pattern)):
+            is_phantom = name in PHANTOMS
+            if profile not in profiles or (is_phantom and profile == "clean" and seed != seeds[0]):
+                continue
+            possible: tuple[Literal[1, 2], ...] = (1,) if is_phantom else (2,) if profile == "harsh" else (1, 2)
+            for count in (one for one in possible if one in rings):
+                pictures = Pictures(scene=name, profile=profile, rings=count, seed=seed)
+                measured = [method for method in methods if method == "coverage" or is_phantom or profile == "clean"]
+                sizes = CAMERA_SIZES.get(name, ()) if (count, profile, seed) == (1, "clean", 0) and "coverage" in methods else ()
+                cases += [Case(pictures=pictures, method=method) for method in measured]
+                cases += [Case(pictures=replace(pictures, image_wh=size)) for size in sizes]
     return _some(cases, scenes, profiles)

@@ -7,7 +7,7 @@ because the first import of Dr.Jit selects the LLVM of the process.
 import argparse
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +192,30 @@ def against(given: argparse.Namespace) -> int:
     if given.output is not None:
         atomic.write_json(given.output, commit_comparison.as_json(given.against, ratios))
     return 0
+
+
+def freeze(given: argparse.Namespace) -> int:
+    """Keep pictures and intermediate values of the frozen cases."""
+    from benchmarks import frozen
+
+    folder = given.output or results_folder() / "frozen"
+    records = frozen.freeze(folder, given.cases or tuple(frozen.CASES), device=given.device, say=say)
+    say("\n" + frozen.table(records))
+    say(f"frozen: {folder}; compare a changed reconstruction with `./run bench against {folder}`")
+    return 0
+
+
+def against_frozen(given: argparse.Namespace) -> int:
+    """Compare the reconstruction with frozen cases; return 1 if a case crashed."""
+    from benchmarks import frozen
+
+    rows = frozen.compare(given.frozen, given.cases, device=given.device, say=say)
+    say("\n" + frozen.compared_table(rows))
+    if given.output is not None:
+        stored = [{**row, "changes": [asdict(one) for one in row.get("changes", ())]} for row in rows]
+        atomic.write_json(given.output, {"about": about("against", given.device), "cases": stored})
+        say(f"every number: {given.output}")
+    return 1 if any("crashed" in row for row in rows) else 0
 
 
 def adopt(given: argparse.Namespace) -> int:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -137,6 +137,20 @@ def table(findings: Sequence[Finding]) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.5g}"
+
+
+def baseline_of(metrics: Iterable[Metric], *, path: Path) -> Baseline:
+    """Return a baseline of measured numbers.
+
+    Parameters
+    ----------
+    metrics : iterable of Metric
+        Numbers; those that are not finite are left out, so that they are reported as unknown.
+    path : Path
+        File of which they are made, which messages name.
+    """
+    measured = [metric for metric in metrics if metric.measured]
+    return Baseline(path=path, values={m.key: m.value for m in measured}, units={m.key: m.unit for m in measured})
 
 
 def read_baseline(path: Path) -> Baseline:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +34,15 @@ def scene_in_air() -> Scene:
     )
 
 
-def write(folder: Path) -> tuple[str, ...]:
+def write(folder: Path, *, truth: Path | None = None) -> tuple[str, ...]:
     """Write masks, cameras and the scene into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the masks.
+    truth : Path or None
+        New folder for the ground truth, which a dataset of the masks does not contain; None: it is not kept.
 
     Returns
     -------
@@ -50,13 +58,14 @@ def write(folder: Path) -> tuple[str, ...]:
     masks.mkdir(parents=True)
     with tempfile.TemporaryDirectory(prefix="rhizotwin-air-") as working:
         simulate(scene, Path(working) / "set", profile_name="clean", seed=0)
-        truth = load_truth(Path(working) / "set")
         posed = []
-        for number, view in enumerate(truth.views):
+        for number, view in enumerate(load_truth(Path(working) / "set").views):
             name = f"view_{number:03d}.png"
             coverage = cv2.imread(str(Path(working) / "set" / "truth" / "masks" / name), cv2.IMREAD_UNCHANGED)
             cv2.imwrite(str(masks / name), np.where(coverage >= _HALF, 255, 0).astype(np.uint8))
             posed.append((name, np.asarray(view.cam_from_canister)))
+        if truth is not None:
+            shutil.copytree(Path(working) / "set" / "truth", truth)
     write_nerfstudio(folder / "transforms.json", scene.camera.as_pinhole(), posed)
     # an older commit does not read keys that were added since, which have their default values here
     usual, plain = (files.scene_to_dict(one) for one in (Scene(), scene))

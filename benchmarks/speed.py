@@ -41,7 +41,7 @@ def measure(*, quick: bool, device: str, say: Say) -> Run:
     if not quick:
         jobs.append(("render/path/800x600", ["render", "path"]))
     for voxel_mm in (0.27,) if quick else (0.27, 0.07):
-        jobs.append((f"reconstruct/40x800x600/{voxel_mm:g}", ["reconstruct", str(dataset_folder), str(voxel_mm)]))
+        jobs.append((f"reconstruct/40x800x600/{voxel_mm:g}", ["stages", str(dataset_folder), str(voxel_mm)]))
     for name, arguments in jobs:
         try:
             repeated = [worker.start(arguments, device=device) for _ in range(repeats)]

@@ -117,55 +117,79 @@ def dataset(pictures: Pictures | RandomScan) -> dict[str, Any]:
     return {"folder": str(datasets.make(pictures))}
 
 
-def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, working: Path) -> dict[str, Any]:
-    """Reconstruct by a method and score; times and memory are those of the reconstruction, without scoring.
+def reconstruct(given: argparse.Namespace) -> dict[str, Any]:
+    """Reconstruct a dataset by a method into a folder (`benchmarks.reconstructions`).
+
+    A result of changed pictures is saved as that of the original dataset, with whose truth it is compared.
 
     Parameters
     ----------
-    dataset_folder : Path
-        Folder of the dataset.
-    method : str
-        ``coverage`` or ``thesis``.
-    voxel_mm : float
-        Edge of the voxels.
-    change : str
-        Change of the dataset, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
-    working : Path
-        Empty folder for the result.
+    given : argparse.Namespace
+        Dataset, goal, method, voxel_mm, change, and whether the stages are kept.
 
     Returns
     -------
     dict
-        Score, times and memory.
+        Times and memory.
     """
-    from benchmarks import perturb
+    from benchmarks import commits, perturb
     from rhizotwin.baselines import reconstruct_baseline
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.settings import Settings
-    from rhizotwin.scenes import memory
-    from rhizotwin.scoring import score as scoring
-    from rhizotwin.stored.result_files import read_summary
+    from rhizotwin.scenes import atomic, memory
+    from rhizotwin.scenes.dataset import load_dataset
 
-    kind, _, seed = change.partition(":")
+    kind, _, seed = given.change.partition(":")
     vectors = perturb.halve_vectors() if kind == "rounded" and int(seed) % 2 else "default vectors"
+    original = load_dataset(given.dataset)
+    folder = given.dataset
     if kind != "none":
         write = perturb.write_rounded if kind == "rounded" else perturb.write_lossy
-        dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
+        folder = write(given.dataset, given.working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
-    find = partial(reconstruct_baseline, method="thesis") if method == "thesis" else reconstruct
-    find(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
-    taken = {
+    kept = {"keep_stages": given.goal / "stages"} if given.stages else {}
+    find = partial(reconstruct_baseline, method="thesis") if given.method == "thesis" else partial(reconstruct, **kept)
+    result = find(folder, settings=Settings(voxel_mm=given.voxel_mm))
+    cost = {
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - busy,
         "peak_memory_mib": memory.peak_mib(),
         "load": os.getloadavg()[0],
         "vectors": vectors,
+        "commit": commits.last_of_reconstruction(),
     }
-    found = scoring.score(working / "result", dataset_folder).to_dict()
+    replace(result, dataset=str(given.dataset), dataset_sha256=original.sha256).save(given.goal / "result")
+    atomic.write_json(given.goal / "cost.json", cost)
+    return cost
+
+
+def score(result_folder: Path, dataset_folder: Path, fault: str) -> dict[str, Any]:
+    """Score a result.
+
+    Parameters
+    ----------
+    result_folder, dataset_folder : Path
+        Folders of the result and of its dataset.
+    fault : str
+        Deliberate fault of the roots (`benchmarks.tree_faults`), or ``none``.
+
+    Returns
+    -------
+    dict
+        Score, and a summary of the result.
+    """
+    from benchmarks import tree_faults
+    from rhizotwin.scoring import score as scoring
+    from rhizotwin.stored.load import load_result
+    from rhizotwin.stored.result_files import read_summary
+
+    result = load_result(result_folder)
+    if fault != tree_faults.NONE:
+        result = replace(result, solid=replace(result.solid, roots=tree_faults.apply(fault, result.solid.roots)))
+    found = scoring.score(result, dataset_folder).to_dict()
     if found["masks"]:
         del found["masks"]["per_view"]
-    summary = {key: value for key, value in read_summary(working / "result").items() if key not in LONG}
-    return {**taken, "score": found, "summary": summary}
+    return {"score": found, "summary": {key: value for key, value in read_summary(result_folder).items() if key not in LONG}}
 
 
 def projection() -> dict[str, Any]:
@@ -183,16 +207,22 @@ def parser() -> argparse.ArgumentParser:
     jobs = made.add_subparsers(dest="job", required=True)
     rendering = jobs.add_parser("render")
     rendering.add_argument("fidelity", choices=["backlit", "path"])
-    reconstructing = jobs.add_parser("reconstruct")
-    reconstructing.add_argument("dataset", type=Path)
-    reconstructing.add_argument("voxel_mm", type=float)
+    timing = jobs.add_parser("stages")
+    timing.add_argument("dataset", type=Path)
+    timing.add_argument("voxel_mm", type=float)
     making = jobs.add_parser("dataset")
     making.add_argument("pictures", type=parse_pictures)
+    reconstructing = jobs.add_parser("reconstruct")
+    reconstructing.add_argument("dataset", type=Path)
+    reconstructing.add_argument("goal", type=Path)
+    reconstructing.add_argument("method", choices=METHODS)
+    reconstructing.add_argument("voxel_mm", type=float)
+    reconstructing.add_argument("change")
+    reconstructing.add_argument("--stages", action="store_true")
     scoring = jobs.add_parser("score")
+    scoring.add_argument("result", type=Path)
     scoring.add_argument("dataset", type=Path)
-    scoring.add_argument("method", choices=METHODS)
-    scoring.add_argument("voxel_mm", type=float)
-    scoring.add_argument("change")
+    scoring.add_argument("fault")
     jobs.add_parser("projection")
     return made
 
@@ -207,9 +237,10 @@ def main() -> int:
     engine.start(given.device)
     work = {
         "render": lambda: render(given.fidelity, given.working),
-        "reconstruct": lambda: stages(given.dataset, given.voxel_mm, given.working),
+        "stages": lambda: stages(given.dataset, given.voxel_mm, given.working),
         "dataset": lambda: dataset(given.pictures),
-        "score": lambda: score(given.dataset, given.method, given.voxel_mm, given.change, given.working),
+        "reconstruct": lambda: reconstruct(given),
+        "score": lambda: score(given.result, given.dataset, given.fault),
         "projection": projection,
     }
     found = work[given.job]()

@@ -35,6 +35,7 @@ from rhizotwin.scoring.score_solid import (
     volume_fields,
     volume_rows,
 )
+from rhizotwin.scoring.score_topology import TopologyScore, compare_topology
 from rhizotwin.scoring.score_traits import TraitScore, compare_traits
 from rhizotwin.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
 from rhizotwin.stored import result_files
@@ -75,6 +76,8 @@ class Score(VolumeScore):
     """Agreement of the visual hull with the true solid."""
     roots: RootScore | None
     """Agreement of the centre lines with the true centre lines. It is None if the truth or the result has no roots."""
+    topology: TopologyScore | None
+    """Agreement of the tree with the true tree. It is None if the truth or the result has no roots."""
     plants: tuple[PlantScore, ...]
     """Scores of the plants, if the canister contains several. The tuple is empty for a single plant."""
     shoot: ShootScore | None
@@ -131,6 +134,7 @@ class Score(VolumeScore):
             ]
         return [
             *rows,
+            *(self.topology.rows() if self.topology is not None else ()),
             ("voxels", f"recall {v.recall:.4f}, precision {v.precision:.4f}, IoU {v.iou:.4f}"),
             ("  by volume", f"recall {v.recall_weighted:.4f}, precision {v.precision_weighted:.4f}, IoU {v.iou_weighted:.4f}"),
             *surface_rows(self.surface),
@@ -234,6 +238,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         masks=compare_masks(found.silhouettes, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
         roots=compare_roots(found.roots, true_roots) if both else None,
+        topology=compare_topology(found.roots, true_roots) if both else None,
         plants=compare_plants(found.plants, found.roots, truth.plants, true_roots) if both else (),
         shoot=compare_shoot(found.shoot, truth.shoot, mesh_path.parent),
         traits=compare_traits(found.measured, _true_traits(true_roots, true_solid, truth.volume_mm3)),

@@ -131,16 +131,7 @@ class FileScore:
                 ("  tips", f"{r.tips}, true {r.tips_true}: recall {r.tip_recall:.3f}, precision {r.tip_precision:.3f}"),
             ]
         if self.topology is not None:
-            t = self.topology
-            rows.append(
-                (
-                    "roots",
-                    (
-                        f"{t.roots}, true {t.roots_true}: {t.matched:.3f} matched; correct "
-                        f"parent {t.parents:.3f}, correct order {t.orders:.3f}"
-                    ),
-                )
-            )
+            rows += self.topology.rows()
         for name, one in self.traits.items():
             held = (
                 ""

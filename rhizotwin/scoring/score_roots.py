@@ -59,7 +59,7 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
     near = away < NEAR_MM
     ratio = on_found.radius_mm[near] / np.maximum(on_true.radius_mm[nearest[near]], 1e-9)
     tips, true_tips = (np.array([root.points_mm[-1] for root in roots if root.tip_seen]).reshape(-1, 3) for roots in (found, true))
-    matched = _count_matches(tips, true_tips)
+    matched = count_matches(cdist(tips, true_tips) <= TIP_MM)
     length, true_length = rsml.length_mm(found), rsml.length_mm(true)
     return RootScore(
         length_mm=length,
@@ -76,9 +76,6 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
     )
 
 
-def _count_matches(these: Array, others: Array) -> int:
-    """Count the pairs of tips (A, 3) and (B, 3) within `TIP_MM`, each tip in at most one pair."""
-    if not len(these) or not len(others):
-        return 0
-    near = csr_array(cdist(these, others) <= TIP_MM)
-    return int((maximum_bipartite_matching(near, perm_type="column") >= 0).sum())
+def count_matches(near: NDArray[np.bool_]) -> int:
+    """Count the pairs of a maximum one-to-one matching, from the table (A, B) of permitted pairs."""
+    return int((maximum_bipartite_matching(csr_array(near), perm_type="column") >= 0).sum()) if near.size else 0
