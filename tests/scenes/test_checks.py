@@ -5,11 +5,24 @@ from typing import Any
 
 import pytest
 
+from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Lights, MarkerStrip, NetPot, Ring, Scene, Water
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Lights, MarkerStrip, NetPot, Ring, Scene, Tank, Water
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.shoots import Shoot
 from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
+
+WHITE, RED, NIR = Band(name="white"), Band(name="red", wavelength_nm=670.0, panel_level=0.0), Band(name="nir", wavelength_nm=850.0)
+BANDS, TABLE = Camera(bands=(WHITE, RED, NIR)), (0.0, 0.7, 0.5)
+A, WIDE = Plant(plant="A"), Plant(plant="A", at_mm=(60.0, 0.0), specimen=SphereSpecimen(diameter_mm=40.0))
+LOW = CapturePlan(rings=(Ring(height_mm=-100.0),))
+
+
+def bands_of(*names: str) -> dict[str, Any]:
+    return {"camera": BANDS, "plan": CapturePlan(rings=(Ring(bands=names),))}
+
 
 MISFITS: list[tuple[str, dict[str, Any], str]] = [
     ("wall fills the canister", {"canister": Canister(outer_radius_mm=40.0, wall_mm=40.0)}, r"\[canister\] wall_mm = 40.*below"),
@@ -32,6 +45,26 @@ MISFITS: list[tuple[str, dict[str, Any], str]] = [
     ("ball in the wall", {"specimen": SphereSpecimen(centre_mm=(50.0, 40.0, -55.0))}, r"\[specimen\] centre_mm.*within 73"),
     ("ball in the grid", {"specimen": SphereSpecimen(centre_mm=(0.0, 0.0, -17.0))}, r"-8 \(grid"),
     ("plant without roots", {"specimen": GrownSpecimen(orders=())}, r"\[specimen\] orders"),
+    ("band of two words", {"camera": Camera(bands=(Band(name="near infrared"),))}, r"\[camera.bands 1\] name.*one lower-case word"),
+    ("band twice", {"camera": Camera(bands=(WHITE, WHITE))}, r"\[camera.bands 2\] name.*must be one lower-case word, and unique"),
+    ("unknown band in a ring", bands_of("blue"), r"\[plan.rings 1\].*which are white, red, nir"),
+    ("bands in a ring only", {"plan": CapturePlan(rings=(Ring(bands=("blue",)),))}, r"requires \[\[camera.bands\]\]"),
+    ("dark ring", bands_of("red"), "panel and front light are on"),
+    ("spectrum not in order", {"shoot": Shoot(spectrum=((800.0, 0.5), (700.0, 0.1)))}, r"\[shoot\] spectrum.*increasing"),
+    ("reflectance", {"shoot": Shoot(spectrum=((700.0, 1.5),))}, r"\[shoot\] spectrum.*from 0 to 1"),
+    ("transfer without a table", {"camera": Camera(transfer="table")}, "transfer"),
+    ("table without transfer", {"camera": Camera(transfer_table=(0.0, 1.0))}, "transfer"),
+    ("table that falls", {"camera": Camera(transfer="table", transfer_table=TABLE)}, "transfer"),
+    ("tank too near", {"tank": Tank(front_mm=70.0)}, "so that the canister can rotate"),
+    ("tank too low", {"tank": Tank(level_mm=-2.0)}, "below skirt_bottom_mm of the net pot"),
+    ("tank beyond the backlight", {"tank": Tank(front_mm=300.0)}, "below lights.backlight_distance_mm"),
+    ("strip through the tank", {"tank": Tank(), "plan": LOW}, "strip's lower edge is behind the tank's liquid"),
+    ("plant twice", {"plants": (A, replace(A, at_mm=(9.0, 0.0)))}, "is already the name of another plant"),
+    ("plant called plant", {"plants": (Plant(plant="plant"),)}, "is reserved for plants without a name"),
+    ("plant in the wall", {"plants": (replace(A, at_mm=(80.0, 0.0)),)}, "inside the canister's wall"),
+    ("plants in one place", {"plants": (A, Plant(plant="B", at_mm=(1.0, 0.0)))}, "must be at least 2 mm from A"),
+    ("plants and a specimen", {"plants": (A,), "specimen": SphereSpecimen()}, r"must be omitted if there are \[\[plants\]\]"),
+    ("specimen of a plant", {"plants": (WIDE,)}, "must be within the water"),
 ]
 """Changes that make the default scene impossible, and what the message must name."""
 
@@ -40,17 +73,22 @@ MISFITS: list[tuple[str, dict[str, Any], str]] = [
 def test_misfit_is_refused(change: dict[str, Any], says: str) -> None:
     with pytest.raises(UserError, match=says) as caught:
         check_scene(replace(Scene(), **change), where="mine.toml")
-    assert str(caught.value).startswith("mine.toml: [")
+    assert str(caught.value).startswith(("mine.toml: [", "mine.toml: specimen: "))
 
 
-def test_what_fits_is_accepted() -> None:
-    for scene in (
-        Scene(),
-        Scene(water=Water(n_water=1.0), canister=Canister(n_wall=1.0)),
-        Scene(strip=MarkerStrip(first_id=525)),  # the last markers of the dictionary
-        Scene(plan=CapturePlan(rings=(Ring(distance_mm=80.0),))),
-    ):
-        check_scene(scene)
+FITTING: dict[str, dict[str, Any]] = {
+    "default": {},
+    "air alone": {"water": Water(n_water=1.0), "canister": Canister(n_wall=1.0)},
+    "last markers of the dictionary": {"strip": MarkerStrip(first_id=525)},
+    "camera close to the pot": {"plan": CapturePlan(rings=(Ring(distance_mm=80.0),))},
+    "bands": bands_of("red", "white"),
+    "tank without a strip before it": {"tank": Tank(), "plan": LOW, "strip": MarkerStrip(rows=0)},
+}
+
+
+@pytest.mark.parametrize("change", FITTING.values(), ids=FITTING)
+def test_what_fits_is_accepted(change: dict[str, Any]) -> None:
+    check_scene(replace(Scene(), **change))
 
 
 def test_line_of_a_misfit() -> None:
