@@ -57,7 +57,7 @@ def bands_shown(twin: Twin, dataset: Dataset) -> list[tuple[str, str]]:
 
 
 @pytest.mark.slow
-def test_a_scan_takes_every_view_in_all_bands_of_its_ring_and_takes_missing_ones_again(tmp_path: Path) -> None:
+def test_every_view_in_its_bands_and_missing_ones_again(tmp_path: Path) -> None:
     twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG)
     made = scanned(twin, tmp_path / "d")
     assert [(frame.view, frame.band) for frame in made.frames] == [
@@ -84,7 +84,7 @@ def test_a_twin_without_noise_is_scanned_in_all_bands(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_reset_in_another_band_is_recovered_in_the_band_that_shows_the_markers(tmp_path: Path) -> None:
+def test_a_reset_in_red_is_recovered_in_the_band_of_the_markers(tmp_path: Path) -> None:
     whole = scanned(Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG), tmp_path / "whole")
     times = {frame.file: frame.time_s for frame in whole.frames}
     in_red = 0.5 * (times["images/view_001_white.png"] + times["images/view_001_red.png"])
@@ -119,7 +119,7 @@ def test_an_old_picture_is_not_stored_as_that_of_another_band(change: int, tmp_p
     assert any("identical" in event["text"] for event in made.origin["log"])
 
 
-def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
+def test_lamps_outputs_and_filter_decide_the_band() -> None:
     twin = Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG)
     devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     devices.arm.prepare()
@@ -137,7 +137,7 @@ def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
     devices.close()
 
 
-def test_first_look_turns_the_filter_to_the_band_that_shows_the_markers() -> None:
+def test_first_look_is_in_the_band_of_the_markers() -> None:
     twin = Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG)
     devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     image = take_first_look(devices, twin.calibrated_scene(), Observers(say=lambda _: None))

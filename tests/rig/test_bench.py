@@ -236,7 +236,7 @@ def test_a_rig_without_an_arm_says_so() -> None:
     assert Bench(rig=RigFile(arm=None)).types("park", "relax", "joint 1 +3", "go 400 0").count("this rig has no arm") == 4
 
 
-def test_an_arm_that_lost_its_torque_is_prepared_again_and_one_that_was_not_ready_is_left_without_torque(
+def test_an_arm_without_torque_is_prepared_again_or_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bench = Bench()

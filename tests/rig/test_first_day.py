@@ -77,7 +77,7 @@ def test_a_sound_rig_on_a_tripod(tmp_path: Path) -> None:
     assert (tmp_path / "focus.png").stat().st_size > 0
 
 
-def test_a_table_that_turns_the_other_way_and_a_mirrored_picture_are_found(tmp_path: Path) -> None:
+def test_a_wrong_direction_and_a_mirrored_picture_are_found(tmp_path: Path) -> None:
     other_way = replace(SCENE, turntable=Turntable(direction=-1), disturbances=Disturbances())
     for step, named, options in (("table", "The direction is wrong", {"scene": other_way}), ("strip", "mirrored", {"mirrored": True})):
         found = of(walked(tmp_path, rig=TRIPOD, **options), step)
@@ -111,7 +111,7 @@ def test_focus_is_not_judged_on_a_bare_panel(tmp_path: Path, monkeypatch: pytest
     assert "no dark object is visible in front of the panel" in found.text
 
 
-def test_an_answer_that_is_missing_leaves_the_rig_safe_and_the_report(tmp_path: Path) -> None:
+def test_a_missing_answer_leaves_the_rig_safe_and_the_report(tmp_path: Path) -> None:
     given = iter(["yes"])
 
     def answer(_: str) -> str:
@@ -124,7 +124,7 @@ def test_an_answer_that_is_missing_leaves_the_rig_safe_and_the_report(tmp_path: 
     assert (tmp_path / "first_day.md").exists()
 
 
-def test_the_end_of_the_input_ends_the_checklist_before_anything_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_the_input_ends_before_anything_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", StringIO("yes\n"))
     bench = rigs.open_bench("twin", None, errors=rigs.TwinErrors())
     with ExitStack() as stack, pytest.raises(UserError, match="a question was not answered"):

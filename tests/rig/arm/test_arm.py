@@ -14,7 +14,7 @@ from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COU
 
 
 @BOTH
-def test_moves_all_joints_with_one_command_and_asks_nothing_meanwhile(tells: bool) -> None:
+def test_moves_all_joints_by_one_command_and_asks_nothing(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells)
     wanted = (30.0, 24.0, -60.0, 12.0, 0.0)
     read = arm.move_to(wanted)
@@ -84,7 +84,7 @@ def test_no_joint_is_ever_faster_than_allowed(joints_deg: tuple[float, ...], spe
     assert all(abs(at[servo] - wanted[servo]) <= 0.5 + 1e-9 for servo in IDS)
 
 
-def test_a_long_move_is_made_in_parts_on_one_straight_way_and_a_bus_may_demand_slow_ones() -> None:
+def test_a_long_move_in_parts_and_a_bus_that_demands_slow_ones() -> None:
     arm, bus = arm_and_bus(part=replace(PART, max_speed_deg_per_s=1.0))
     arm.move_to((90.0, -45.0, 0.0, 0.0, 0.0))
     assert [duration_s for _, duration_s in bus.moves] == [pytest.approx(30.0)] * 3
@@ -121,7 +121,7 @@ def test_a_blocked_joint_stops_the_arm_and_is_named(tells: bool) -> None:
 
 
 @BOTH
-def test_a_lost_command_is_repeated_once_unless_it_is_within_the_dead_band(tells: bool) -> None:
+def test_a_lost_command_beyond_the_dead_band_is_repeated_once(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells)
     bus.lose_moves = 1
     np.testing.assert_allclose(arm.move_to((2.0, 0.0, 0.0, 0.0, 0.0)), (2.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
@@ -151,7 +151,7 @@ def test_an_error_in_a_move_is_followed_by_one_attempt_to_stop(error: RigError |
     assert bus.names().count("stop") == 1
 
 
-def test_torque_lost_on_the_way_is_named_and_rather_the_heat_that_caused_it() -> None:
+def test_lost_torque_or_the_heat_that_caused_it_is_named() -> None:
     for celsius, error, says in (
         (30, LostError, r"shoulder \(servo 5\) has lost its torque.*voltage drop"),
         (86, UnsafeError, r"shoulder \(servo 5\) is at 86 °C"),
@@ -214,7 +214,7 @@ def test_prepare_refuses_a_servo_that_stands_where_it_may_not(servo: int, counts
         assert arm.holds()
 
 
-def test_prepare_refuses_a_wrong_supply_an_arm_that_is_being_moved_and_torque_that_stays_off() -> None:
+def test_prepare_refuses_supply_motion_and_torque_that_stays_off() -> None:
     arm, bus = arm_and_bus(prepared=False)
     for volt in (6.4, 8.6):
         bus.volt = volt

@@ -97,7 +97,7 @@ def test_distances_of_a_pose_by_hand() -> None:
 # Paths.
 
 
-def test_default_arm_is_clear_at_rest_and_on_its_way_to_the_rings() -> None:
+def test_default_arm_is_clear_at_rest_and_to_the_rings() -> None:
     arm = ArmPart()
     rig = RigFile(arm=arm)
     at_rest = pairs(rig, SCENE, np.array([arm.park_deg]))
@@ -117,7 +117,7 @@ def shoot_ring_of_the_page() -> Ring:
     return Ring(**plan["plan"]["rings"][1])
 
 
-def test_base_may_be_near_the_floor_but_not_in_the_table_and_a_margin_is_kept_and_named() -> None:
+def test_base_near_floor_or_in_table_and_a_margin_that_is_named() -> None:
     way = [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)]
     check_path(replace(RIG, arm=replace(ARM, position_mm=(650.0, 0.0, -194.0))), SCENE, way)
     with pytest.raises(UnsafeError, match="arm: the base would"):
@@ -210,7 +210,7 @@ def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> No
 # Leaving a place that is too near.
 
 
-def test_arm_that_sagged_into_a_margin_or_lies_on_the_floor_may_move_away_but_not_nearer() -> None:
+def test_arm_within_a_margin_may_move_away_but_not_nearer() -> None:
     sagged = (0.0, 84.0, 30.0, 0.0, 0.0)
     floor = distance_of(RIG, "camera", "the floor", sagged)
     rig = replace(RIG, clearance=Clearance(margin_mm=floor + 5.0))

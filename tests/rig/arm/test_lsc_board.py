@@ -23,7 +23,7 @@ def test_a_move_is_one_frame() -> None:
         LscBoard(ScriptedLine()).move({1: 500, 2: 1001}, 1.0)
 
 
-def test_positions_are_signed_in_any_order_and_among_frames_of_the_board_s_own() -> None:
+def test_positions_signed_in_any_order_among_other_frames() -> None:
     for piece in (1, 1000):
         with scripted(LscBoard, *[("55 55 04 15 01 05", "55 55 06 15 01 05 fd ff")] * 2, piece=piece) as board:
             assert board.positions([5]) == {5: -3}
@@ -74,7 +74,7 @@ def test_voltage() -> None:
         LscBoard(ScriptedLine(*[(ASK_VOLTS, VOLTS_7_5), (ASK_VOLTS, "55 55 04 0f 4c 2d")] * 5)).voltage_v([1])
 
 
-def test_torque_goes_off_by_the_manuals_frame_and_on_by_a_move_to_where_the_servos_are() -> None:
+def test_torque_off_by_its_frame_and_on_by_a_move_in_place() -> None:
     with scripted(LscBoard, *[("55 55 09 14 06 01 02 03 04 05 06", SILENT)] * 2) as board:
         board.load([1, 2, 3, 4, 5, 6], False)
     with scripted(LscBoard, (ASK_12, BOTH_500), (ASK_12, BOTH_501), ("55 55 0b 03 02 e8 03 01 f5 01 02 f5 01", SILENT)) as board:
@@ -83,7 +83,7 @@ def test_torque_goes_off_by_the_manuals_frame_and_on_by_a_move_to_where_the_serv
         LscBoard(ScriptedLine(*[(ASK_12, "55 55 09 15 02 01 f4 01 02 fd ff")] * 2)).load([1, 2], True)
 
 
-def test_stop_holds_where_the_servos_came_by_even_with_a_damaged_reading() -> None:
+def test_stop_holds_where_the_servos_are_despite_damage() -> None:
     on_its_way = ["55 55 09 15 02 01 f4 01 02 fd ff", "55 55 09 15 02 01 fe 03 02 fe ff", "55 55 09 15 02 01 08 02 02 fd ff"]
     there = ("55 55 0b 03 02 e8 03 01 08 02 02 00 00", SILENT)
     with scripted(LscBoard, *[(ASK_12, answer) for answer in on_its_way], there) as board:

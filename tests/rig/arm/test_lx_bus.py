@@ -66,7 +66,7 @@ def test_a_move_waits_everywhere_and_starts_at_once(echo: bool) -> None:
         bus.move(TO_500_AND_600, 1.0)
 
 
-def test_a_target_that_was_not_taken_is_sent_again_before_anything_moves() -> None:
+def test_a_target_not_taken_is_sent_again_before_a_move() -> None:
     with scripted(LxBus, (WAIT_1, SILENT), (ASK_WAIT_1, "55 55 01 07 08 f3 01 e8 03 10"), *ARMED, *STARTED) as bus:
         bus.move(TO_500_AND_600, 1.0)
     with (
@@ -87,12 +87,12 @@ def test_a_servo_that_missed_the_start_is_started_by_number() -> None:
         bus.move(TO_500_AND_600, 1.0)
 
 
-def test_a_single_servo_is_started_by_number_so_that_no_target_of_a_failed_move_starts() -> None:
+def test_a_single_servo_is_started_by_number() -> None:
     with scripted(LxBus, *ARMED[2:], (START_2, SILENT), (ASK_MOVE_2, MOVE_2_IS)) as bus:
         bus.move({2: 600}, 1.0)
 
 
-def test_servos_that_never_report_a_start_are_left_to_their_positions() -> None:
+def test_servos_that_never_report_a_start_are_left_alone() -> None:
     not_started = [(ASK_MOVE_1, MOVE_1_IS_NOT), (ASK_MOVE_2, MOVE_2_IS_NOT)]
     one_by_one = [("55 55 01 03 0b f0", SILENT), (START_2, SILENT), *not_started]
     with scripted(LxBus, *ARMED, (START_ALL, SILENT), *not_started, *one_by_one * 3) as bus:
@@ -112,7 +112,7 @@ def test_nothing_is_sent_that_must_not_be() -> None:
     check_move({0: 0, 253: 1000}, 30.0)
 
 
-def test_torque_is_switched_until_it_reads_so_and_one_silent_servo_does_not_keep_the_others_on() -> None:
+def test_torque_is_switched_until_it_reads_so_of_each_servo() -> None:
     on, off = "55 55 01 04 1f 01 da", "55 55 01 04 1f 00 db"
     with scripted(LxBus, (on, SILENT), (ASK_LOAD_1, LOAD_1_OFF), (on, SILENT), (ASK_LOAD_1, LOAD_1_ON)) as bus:
         bus.load([1], True)
@@ -129,7 +129,7 @@ def test_stop_asks_nothing() -> None:
         bus.stop([1, 2])
 
 
-def test_silence_of_the_adapter_is_distinguished_from_silence_of_a_servo() -> None:
+def test_silence_of_the_adapter_or_of_a_servo() -> None:
     silence = [(ASK_POS_1, SILENT)] * 5
     with pytest.raises(NoAnswerError, match="the adapter sends no echo"):
         LxBus(ScriptedLine(*silence), echo="yes").positions([1])

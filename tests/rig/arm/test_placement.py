@@ -98,7 +98,7 @@ def test_refused_with_the_numbers(rig: RigFile, ring: Ring, match: str) -> None:
         compute_joints(rig, planned_camera_pose(ring))
 
 
-def test_an_arm_that_stands_askew_turns_the_camera_round_the_table() -> None:
+def test_an_askew_arm_turns_the_camera_round_the_table() -> None:
     rig = with_arm(position_mm=(650.0, 25.0, -100.0), rotation_deg=(2.0, 3.0, 178.0))
     ring = Ring(height_mm=-20.0, tilt_deg=4.0)
     camera = cam_from_rig(rig.arm, compute_joints(rig, planned_camera_pose(ring)))

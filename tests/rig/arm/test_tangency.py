@@ -38,7 +38,7 @@ def seen_off_mm(measured: Array) -> float:
 
 
 @given(camera=cameras)
-def test_tangent_pose_faces_the_axis_level_and_upright_from_the_same_place(camera: Array) -> None:
+def test_tangent_pose_is_that_of_appendix_c2(camera: Array) -> None:
     np.testing.assert_allclose(frames.invert(tangent_pose(camera)), printed_desired(camera), atol=1e-9)
 
 

@@ -173,7 +173,7 @@ def test_grey_is_linear_and_left_aligned_in_every_format(sensor: _Sensor, stream
         assert image[0, 0] / 65520 == pytest.approx(level, abs=1.5 / 4095)
 
 
-def test_settings_are_given_before_the_start_and_a_picture_is_exposed_after_the_call(sensor: _Sensor) -> None:
+def test_settings_before_the_start_and_exposure_after_the_call(sensor: _Sensor) -> None:
     sensor.metadata["AnalogueGain"] = 2.01
     camera = opened()
     shot = camera.capture()
@@ -191,7 +191,7 @@ def test_settings_are_given_before_the_start_and_a_picture_is_exposed_after_the_
     assert camera.capture().image[0, 0] / 65520 == pytest.approx(0.75, abs=1e-3)
 
 
-def test_frames_with_old_settings_are_passed_over_but_not_for_ever(sensor: _Sensor) -> None:
+def test_frames_with_old_settings_are_passed_over_a_while(sensor: _Sensor) -> None:
     sensor.late = TRIES - 1
     opened()
     assert sensor.requests == sensor.released == TRIES
@@ -242,7 +242,7 @@ def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: _Sensor) 
         camera.capture()
 
 
-def test_a_camera_that_cannot_be_had_and_compressed_pixels_are_refused(sensor: _Sensor) -> None:
+def test_no_camera_and_compressed_pixels_are_refused(sensor: _Sensor) -> None:
     sensor.stream_format = "RGGB_PISP_COMP1"
     with pytest.raises(RigError, match="delivers raw pixels as RGGB_PISP_COMP1 64x48, but only SRGGB12 64x48"):
         opened()
@@ -276,7 +276,7 @@ def test_the_finest_mode_of_the_hq_camera_is_taken() -> None:
         choose_mode([{"unpacked": "R10", "bit_depth": 10, "size": (1456, 1088)}], (728, 544), name="camera 0")
 
 
-def test_without_picamera2_or_with_one_for_another_numpy_or_no_number(monkeypatch: pytest.MonkeyPatch, sensor: _Sensor) -> None:
+def test_without_number_or_picamera2_or_its_numpy(monkeypatch: pytest.MonkeyPatch, sensor: _Sensor) -> None:
     def fail(name: str) -> ModuleType:
         raise ValueError(f"{name}: numpy.dtype size changed")
 

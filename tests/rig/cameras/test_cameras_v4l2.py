@@ -116,7 +116,7 @@ def opened(address: str = "0", settings: CameraSettings = SETTINGS) -> V4l2Camer
     return camera
 
 
-def test_everything_automatic_is_off_after_what_restarts_the_stream(device: _Device) -> None:
+def test_everything_automatic_is_off_after_the_stream_starts(device: _Device) -> None:
     shot = opened().capture()
     assert device.controls == {
         cv2.CAP_PROP_AUTO_EXPOSURE: 1.0,
@@ -135,7 +135,7 @@ def test_everything_automatic_is_off_after_what_restarts_the_stream(device: _Dev
     assert at(cv2.CAP_PROP_AUTO_WB) < at(cv2.CAP_PROP_WB_TEMPERATURE)
 
 
-def test_a_picture_is_exposed_after_the_call_and_grey_is_luminance(device: _Device) -> None:
+def test_a_picture_is_exposed_after_the_call_in_luminance(device: _Device) -> None:
     camera = opened()
     camera._capture.fill()
     device.colour = (10, 100, 200)  # blue, green, red
@@ -166,7 +166,7 @@ def test_settings_that_go_back_once_frames_come(device: _Device) -> None:
         camera.capture()
 
 
-def test_a_camera_may_lack_colours_gain_and_focus_but_no_exposure(device: _Device) -> None:
+def test_a_camera_may_lack_colours_and_gain_but_no_exposure(device: _Device) -> None:
     device.controls = {prop: ALL[prop] for prop in (cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE)}
     camera = opened()
     assert camera.capture().gain is None

@@ -65,7 +65,7 @@ def flat_picture(board: CharucoBoard = BOARD, *, px_per_mm: float = 3.0) -> NDAr
     return np.asarray(255.0 * cv2.resize(paper, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def test_a_board_straight_on_has_its_corners_where_they_were_drawn_even_in_a_large_dark_picture() -> None:
+def test_corners_of_a_board_straight_on_even_large_and_dark() -> None:
     large = cv2.resize(flat_picture(), None, fx=4.0, fy=4.0, interpolation=cv2.INTER_CUBIC).astype(np.uint16) * 8
     assert max(large.shape) > 2100
     for picture, px_per_mm, atol in ((flat_picture(), 3.0, 0.02), (large, 12.0, 0.1)):
@@ -146,7 +146,7 @@ def test_standard_deviations_are_honest() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.7
 
 
-def test_a_picture_that_fits_no_other_and_a_wrong_corner_are_left_out_by_name() -> None:
+def test_a_bent_picture_and_a_wrong_corner_are_left_out() -> None:
     views = seen_views(CURVED)
     bent = views["07.png"]
     views["07.png"] = replace(bent, corners_px=bent.corners_px + 3.0 * np.sin(bent.corners_px / 40.0))
@@ -185,7 +185,7 @@ def test_poses_that_determine_no_lens_are_refused() -> None:
             calibrate_views(seen_views(camera, poses=poses), BOARD, camera.image_wh)
 
 
-def test_too_few_pictures_are_refused_few_and_one_way_of_tilting_warned_of() -> None:
+def test_too_few_pictures_are_refused_few_are_warned_of() -> None:
     views = seen_views(Camera(), pictures=6)
     with pytest.raises(RigError, match="2 pictures of the board can be used"):
         calibrate_views(dict(list(views.items())[:2]), BOARD, (800, 600))
@@ -222,7 +222,7 @@ def corner_errors(folder: Path) -> list[tuple[BoardView, Array]]:
     return errors
 
 
-def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(twin: Path) -> None:
+def test_corners_of_the_twin_are_where_they_are_projected(twin: Path) -> None:
     assert true_lens(twin)[0].distortion == BENCH
     errors = corner_errors(twin)
     wrong = np.concatenate([error for _, error in errors])
@@ -248,7 +248,7 @@ def test_a_board_that_does_not_suit_the_camera_is_refused(tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
 
 
-def test_the_lens_of_the_twin_is_found_and_bad_pictures_are_named(twin: Path, tmp_path: Path) -> None:
+def test_the_lens_of_the_twin_and_its_bad_pictures(twin: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pictures"
     folder.mkdir()
     paths = [folder / path.name for path in sorted(twin.glob("*.png"))]

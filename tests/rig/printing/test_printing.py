@@ -133,9 +133,7 @@ def test_ids_keep_away_from_markers_or_leave_the_strip() -> None:
     assert sorted(found_markers(drawn(strip_pages(tight, paper=Paper())[0]))) == list(range(62))
 
 
-def test_the_board_is_what_opencv_draws_and_is_never_taken_for_the_strip(
-    board_drawn: NDArray[np.uint8], strip_drawn: NDArray[np.uint8]
-) -> None:
+def test_the_board_is_opencvs_and_never_taken_for_the_strip(board_drawn: NDArray[np.uint8], strip_drawn: NDArray[np.uint8]) -> None:
     board = CharucoBoard()
     corners, ids, _, markers = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(board_drawn)
     assert sorted(np.ravel(ids)) == list(range(24))
@@ -146,7 +144,7 @@ def test_the_board_is_what_opencv_draws_and_is_never_taken_for_the_strip(
         assert cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(dictionary)).detectMarkers(picture)[1] is None
 
 
-def test_pdf_pages_have_the_paper_s_size_and_ask_not_to_be_scaled(tmp_path: Path) -> None:
+def test_pdf_pages_have_the_size_and_ask_not_to_be_scaled(tmp_path: Path) -> None:
     pages = strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0)))
     with plt.rc_context({"savefig.bbox": "tight", "savefig.dpi": 30}):  # a user's settings do not matter
         (path,) = write_pages(pages, tmp_path / "strip.pdf", title="strip")

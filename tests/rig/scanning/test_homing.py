@@ -71,7 +71,7 @@ def test_of_all_turns_the_nearest_that_the_table_takes(angle: float, near: float
     assert all(abs(found - near) <= abs(other - near) + 1e-6 for other in others if other >= LEAST_DEG)
 
 
-def test_where_nothing_is_seen_the_given_angle_counts_and_otherwise_a_person_is_asked() -> None:
+def test_unseen_angle_is_as_given_or_a_person_is_asked() -> None:
     assert find_angle(None, [], SCENE, near_deg=0.0, given_deg=370.0).table_deg == pytest.approx(10.0)
     answers = iter(["somewhere", "nan", "1e9", " 45 deg"])
     found = find_angle(None, [], SCENE, near_deg=0.0, ask=lambda _: next(answers))
@@ -79,7 +79,7 @@ def test_where_nothing_is_seen_the_given_angle_counts_and_otherwise_a_person_is_
     assert find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
 
 
-def test_markers_to_be_expected_are_read_but_not_those_of_another_strip() -> None:
+def test_expected_markers_are_read_but_not_of_another_strip() -> None:
     sketch = Sketch(SCENE, distortion=SCENE.camera.distortion, canister_from_strip=np.eye(4))
     image = sketch.picture(Sight(cam_from_rig=level(), rig_from_canister=np.eye(4), table_deg=0.0, panel=1.0, front=1.0))
     read = read_strip(image, SCENE)

@@ -36,7 +36,7 @@ def test_complete_scan_is_the_plan(tmp_path: Path) -> None:
     assert {"disk", "turntable", "lights", "camera", "picture", "markers"} <= {line.split()[0].rstrip(":") for line in said}
 
 
-def test_angle_zero_is_the_seam_toward_the_camera_whatever_a_person_says(tmp_path: Path) -> None:
+def test_angle_zero_is_the_seam_whatever_a_person_says(tmp_path: Path) -> None:
     with pytest.raises(RigError, match=r"--table-angle is 30 deg, but the markers show 7[67]\.\d deg"):
         run(World(), tmp_path / "d", table_angle_deg=30.0)
     world = World(table_true_deg=123.4)
@@ -54,7 +54,7 @@ def test_angle_that_the_table_kept_is_used_again(tmp_path: Path) -> None:
     assert world.calls.count("table.declare") == 1
 
 
-def test_without_markers_a_person_is_asked_for_the_angle_and_it_is_not_guessed(tmp_path: Path) -> None:
+def test_without_markers_the_angle_is_asked_not_guessed(tmp_path: Path) -> None:
     world, asked, answers = World(scene=BLIND), [], iter(["north", "77"])
     with pytest.raises(RigError, match=r"angle is unknown \(no markers were found.*--table-angle"):
         run(World(scene=BLIND), tmp_path / "d")
@@ -92,7 +92,7 @@ def test_refused_before_anything_moves(scene: Scene, joints_deg: tuple[float, ..
     assert not (tmp_path / "d").exists()
 
 
-def test_dark_and_saturated_pictures_and_those_of_another_size_are_refused(tmp_path: Path) -> None:
+def test_dark_saturated_and_other_sizes_are_refused(tmp_path: Path) -> None:
     quiet, full = Observers(say=lambda _: None), np.full((300, 400), 65520, np.uint16)
     for level, image, scene, named in (
         (0.1, None, SCENE, "too dark"),

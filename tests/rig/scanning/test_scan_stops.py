@@ -242,7 +242,7 @@ def test_camera_that_hangs_is_noticed_at_the_second_picture(
 
 
 @BOTH_SCENES
-def test_table_that_only_says_that_it_turns_is_noticed_at_the_second_picture(
+def test_table_that_does_not_turn_is_noticed_at_once(
     scene: Scene, given_deg: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world = World(scene=scene, table_true_deg=77.0)
@@ -280,7 +280,7 @@ def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [7, 22], ids=["before the first picture", "among the pictures"])
-def test_a_table_that_rests_anywhere_in_its_play_is_approached_first(number: int, tmp_path: Path) -> None:
+def test_a_table_anywhere_in_its_play_is_approached_first(number: int, tmp_path: Path) -> None:
     """The play of 0.5 degrees, which the next move takes up, is more than half of the four steps that a geared motor can lose."""
 
     def scanned(world: World, **options: Any) -> Dataset:

@@ -79,7 +79,7 @@ def test_complete_scan_is_the_plan(protocol: str, tmp_path: Path) -> None:
     assert is_safe(twin)
 
 
-def test_table_that_was_reset_is_found_within_a_tenth_of_a_degree(tmp_path: Path) -> None:
+def test_reset_table_is_found_within_a_tenth_of_a_degree(tmp_path: Path) -> None:
     """Reset among the pictures: true angles before and after agree but for the motor's own errors."""
     scene = replace(SCENE, camera=Camera(), strip=MarkerStrip(), plan=CapturePlan(rings=(Ring(views=6),)))
     twin = twin_of(scene=scene)

@@ -71,7 +71,7 @@ def test_the_list_is_written_before_the_picture(tmp_path: Path, monkeypatch: pyt
     assert order == ["list of 1", "view_000.png", "list of 2", "view_001.png"]
 
 
-def test_the_picture_that_is_being_written_counts_for_the_next_placement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_being_written_counts_for_the_placement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write, asked = encode_png, threading.Event()
 
     def slowly(image: np.ndarray) -> bytes:
@@ -109,7 +109,7 @@ DIFFERENCES = {
 """What is not as it was when the scan was begun, by how it must be named."""
 
 
-def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_path: Path) -> None:
+def test_differences_are_refused_by_name_but_not_ports(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0)
     for named, changes in DIFFERENCES.items():
         with pytest.raises(UserError, match=f"a scan with different values of {named}; use the same"):
@@ -129,7 +129,7 @@ def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_
         begin(tmp_path / "d", resume=True)
 
 
-def test_a_scan_is_resumed_after_an_update_that_added_a_key_of_the_rig_file(tmp_path: Path) -> None:
+def test_a_scan_is_resumed_after_an_update_of_the_rig_file(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0)
     path = tmp_path / "d" / "dataset.json"
     plain = json.loads(path.read_text())

@@ -43,7 +43,7 @@ def terminal() -> Iterator[_Terminal]:
         os.close(there.master)
 
 
-def test_all_bytes_pass_both_ways_and_a_read_does_not_wait_for_more(terminal: _Terminal) -> None:
+def test_all_bytes_pass_and_a_read_does_not_wait_for_more(terminal: _Terminal) -> None:
     every = bytes(range(256))
     terminal.port.write(every)
     heard = b""
@@ -157,7 +157,7 @@ def test_every_byte_is_recorded(terminal: _Terminal) -> None:
     port.close()
 
 
-def test_a_socket_is_a_port_and_held_against_other_programs_of_this_computer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_socket_is_a_port_that_one_program_has(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("serial.urlhandler.protocol_socket.time.sleep", lambda _seconds: None)  # pyserial rests after closing a socket
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"socket://127.0.0.1:{listening.getsockname()[1]}"

@@ -136,7 +136,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> tuple[HatTurntable, HatLights, _Dr
     return table, lights, driver, strips
 
 
-def test_the_motor_stands_where_the_table_says_and_every_move_arrives_from_below(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_motor_stands_as_read_and_arrives_from_below(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     table, _, driver, _ = bench
     last: list[int] = []
     wave = driver.tx_wave

@@ -83,7 +83,7 @@ def test_a_lost_board_stays_lost_until_it_is_started(answers: tuple[str, ...], t
     assert link.sessions == 2
 
 
-def test_a_reset_between_commands_is_seen_before_anything_is_sent(talk: Talk) -> None:
+def test_a_reset_is_seen_before_anything_is_sent(talk: Talk) -> None:
     talk.script.answer("ok", "start")
     with pytest.raises(LostError, match="was reset"):
         talk.link.command("M400")
@@ -123,7 +123,7 @@ def test_an_unknown_command_is_named_unless_it_is_allowed(talk: Talk) -> None:
     link.command("M150 S0", optional=True)
 
 
-def test_an_answer_is_waited_for_behind_the_ok_of_an_earlier_command(talk: Talk) -> None:
+def test_an_answer_is_waited_for_behind_an_earlier_ok(talk: Talk) -> None:
     """The doubled ``ok`` of G1 passes for that of M400, whose own comes before the position."""
     asked = ("N9 M114", (2.0, "echo:busy: processing", 1.5, "ok", MOVED, "ok"))
     link = talk.then((M400, (0.001, "ok")), asked, ("N10 M17", ("ok",)))

@@ -57,7 +57,7 @@ POSITIONS = {
 }
 
 
-def test_positions_of_every_version_are_read_and_cut_ones_refused() -> None:
+def test_positions_are_read_and_cut_ones_refused() -> None:
     assert {line: found and found[1] for line in POSITIONS for found in [POSITION.search(line)]} == POSITIONS
 
 

@@ -26,7 +26,7 @@ def on(board: Any, part: TurntablePart = PART, *, at_deg: float | None = None) -
     return table
 
 
-def test_a_board_after_power_up_does_not_know_its_angle_until_it_is_declared(board: Any) -> None:
+def test_after_power_up_the_angle_is_unknown_until_declared(board: Any) -> None:
     table = on(board)
     assert board.energised
     assert not table.knows_zero()
@@ -123,7 +123,7 @@ def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
         table.position_deg()
 
 
-def test_a_move_that_was_not_made_is_noticed_beyond_the_tolerance(make_board: Any) -> None:
+def test_a_move_not_made_is_noticed_beyond_the_tolerance(make_board: Any) -> None:
     """As a firmware whose software endstops stay on would do."""
     for tolerance_deg, goes in ((PART.tolerance_deg, "X400"), (0.5, "X449.75")):
         board = make_board()
@@ -151,7 +151,7 @@ def test_a_reset_in_a_move_is_noticed_and_the_angle_is_gone(banner: str, at: int
         table.move_to(9.0)
 
 
-def test_a_reset_that_the_lights_came_upon_first_is_not_overlooked(board: Any) -> None:
+def test_a_reset_that_the_lights_met_is_not_overlooked(board: Any) -> None:
     """They started the shared link anew: it is in order, but what the table knew is not."""
     table = on(board, at_deg=0.0)
     table.move_to(9.0)
@@ -161,7 +161,7 @@ def test_a_reset_that_the_lights_came_upon_first_is_not_overlooked(board: Any) -
         table.move_to(18.0)
 
 
-def test_release_switches_the_motor_off_even_of_a_board_that_was_reset(board: Any) -> None:
+def test_release_works_even_on_a_board_that_was_reset(board: Any) -> None:
     table = on(board, at_deg=9.0)
     table.release()
     assert not board.energised
@@ -179,7 +179,7 @@ def test_release_switches_the_motor_off_even_of_a_board_that_was_reset(board: An
     assert board.closed == 1
 
 
-def test_no_answer_in_a_move_does_not_hang_and_the_next_one_is_approached_and_verified_as_the_first(board: Any) -> None:
+def test_a_move_without_answer_ends_and_the_next_is_as_the_first(board: Any) -> None:
     table = on(board, at_deg=0.0)
     table.move_to(9.0)
     first, begin_s = len(board.sent) + 1, board.clock.now_s()

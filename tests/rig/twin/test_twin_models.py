@@ -20,7 +20,7 @@ def arrived(unit: Servo, counts: int, duration_ms: int = 1000) -> Servo:
     return unit
 
 
-def test_a_servo_moves_at_uniform_speed_within_its_time_and_reads_whole_counts() -> None:
+def test_a_servo_moves_uniformly_and_reads_whole_counts() -> None:
     unit = servo()
     unit.move(501, 1000)
     unit.advance(0.3)
@@ -33,7 +33,7 @@ def test_a_servo_moves_at_uniform_speed_within_its_time_and_reads_whole_counts()
     assert (unit.moving, unit.true_counts) == (False, pytest.approx(1000.0))
 
 
-def test_play_has_the_sign_of_the_approach_and_an_error_belongs_to_the_move_not_to_the_place() -> None:
+def test_play_is_of_the_approach_and_an_error_of_the_move() -> None:
     below, above = (arrived(servo(Imperfections(servo_backlash_deg=(0.8, 0.8)), start=start), 500) for start in (400.0, 600.0))
     assert below.counts == above.counts == 500
     assert (above.true_counts - below.true_counts) * DEG_PER_COUNT == pytest.approx(0.8)
@@ -43,7 +43,7 @@ def test_play_has_the_sign_of_the_approach_and_an_error_belongs_to_the_move_not_
     assert np.std(spread) == pytest.approx(0.3, rel=0.15)
 
 
-def test_sag_is_linear_in_the_torque_and_half_seen_and_a_dead_band_moves_nothing() -> None:
+def test_sag_is_linear_and_half_seen_a_dead_band_moves_nothing() -> None:
     unit = servo(Imperfections(servo_sag_deg=(1.2, 1.2)))
     unit.load(True)
     for torque, sag_deg, seen in ((0.0, 0.0, 0), (0.5, 0.6, 1), (1.0, 1.2, 2), (-1.0, -1.2, -2)):
@@ -82,7 +82,7 @@ def test_a_table_takes_the_time_of_a_trapezoid() -> None:
     assert table.remaining_s() == pytest.approx(move_s(9.0, speed=30.0, acceleration=15.0), rel=1e-3)
 
 
-def test_a_rotor_stands_on_whole_microsteps_released_on_full_steps_and_jumps_when_first_energised_only() -> None:
+def test_a_rotor_on_microsteps_full_steps_and_its_first_jump() -> None:
     table = stepper()
     assert turned(table, 5.02) == pytest.approx(round(5.02 * MICROSTEPS / 1.8) * 1.8 / MICROSTEPS)
     table.release()
@@ -99,7 +99,7 @@ def test_a_rotor_stands_on_whole_microsteps_released_on_full_steps_and_jumps_whe
     assert table.true_deg - before == pytest.approx(jumped)
 
 
-def test_play_is_taken_up_by_arriving_from_one_side_and_power_up_keeps_the_place() -> None:
+def test_play_is_taken_up_from_one_side_power_up_keeps_place() -> None:
     table = stepper(Imperfections(table_play_deg=0.2))
     up = turned(table, 36.0)
     turned(table, 50.4)

@@ -147,7 +147,7 @@ def test_a_scan_with_the_twin_has_a_truth(tmp_path: Path) -> None:
     assert not (tmp_path / "record.jsonl").exists()
 
 
-def test_a_picture_shows_where_the_devices_are_not_where_they_were_told_to_be(tmp_path: Path) -> None:
+def test_a_picture_shows_where_the_devices_really_are(tmp_path: Path) -> None:
     scene, rig = scene_of((200, 150)), default_rig("lx")
     assert rig.arm is not None
     low = replace(rig, arm=replace(rig.arm, position_mm=(650.0, 0.0, -100.0)))  # the parked camera sees the strip
@@ -164,7 +164,7 @@ def test_a_picture_shows_where_the_devices_are_not_where_they_were_told_to_be(tm
     assert twin.record.shot_of(first + np.uint16(16)) is None
 
 
-def test_the_twin_stands_as_the_simulator_draws_it_without_an_arm_on_a_tripod() -> None:
+def test_the_twin_stands_as_the_simulator_draws_it() -> None:
     scene = scene_of((64, 48))
     twin, world = Twin(scene, seed=5, profile_name="bench", pictures="sketch"), draw_world(scene, seed=5)
     np.testing.assert_array_equal(twin.world.table_from_canister, world.table_from_canister)

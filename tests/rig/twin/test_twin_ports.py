@@ -34,7 +34,7 @@ def asked(port: serial.SerialBase, line: bytes) -> bytes:
     return answer
 
 
-def test_a_read_ends_with_its_bytes_or_its_time_out_or_not_for_ever() -> None:
+def test_a_read_ends_with_bytes_or_time_out_or_is_refused() -> None:
     rig = twin()
     port = opened(rig.rig.arm.port, timeout=0.5)
     assert port.read(8) == b""

@@ -86,7 +86,7 @@ def test_pictures_arrive_as_they_were_taken(server: CameraServer, camera: Number
     assert (shot.exposure_s, shot.gain) == (0.01, 2.0)
 
 
-def test_each_capture_is_a_new_picture_even_if_requests_arrive_twice(server: CameraServer, camera: NumberedCamera) -> None:
+def test_each_capture_is_new_even_if_requests_arrive_twice(server: CameraServer, camera: NumberedCamera) -> None:
     with proxy(server, lambda answer, _: answer, repeats=2) as url:
         remote = remote_of(url)
         remote.prepare()
@@ -117,7 +117,7 @@ FAULTS: dict[str, tuple[Callable[[bytes], bytes | None], str]] = {
 
 
 @pytest.mark.parametrize(("mangle", "said"), FAULTS.values(), ids=FAULTS)
-def test_an_answer_that_does_not_arrive_costs_no_picture_and_none_ever_ends_in_a_sentence(
+def test_a_lost_answer_costs_no_picture_and_none_ever_is_named(
     server: CameraServer, camera: NumberedCamera, mangle: Callable[[bytes], bytes | None], said: str
 ) -> None:
     clock = Time()

@@ -19,7 +19,7 @@ from rhizotwin.rig.rig_file import CameraPart
 from tests.rig.cameras.http_camera.numbered import SETTINGS, A, B, NumberedCamera, client
 
 
-def test_another_computer_takes_the_camera_and_a_port_is_taken_once(server: CameraServer, camera: NumberedCamera) -> None:
+def test_one_computer_has_the_camera_and_one_program_the_port(server: CameraServer, camera: NumberedCamera) -> None:
     first, second = client(server), client(server)
     with pytest.raises(LostError, match="another computer has taken over the camera"):
         first.capture()
