@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks import adopt, commits, datasets, masks_in_air, reconstructions, worker
 from benchmarks.accuracy import percent
@@ -177,12 +178,13 @@ def compare(folder: Path, names: Sequence[str] | None, *, device: str, say: Say)
         with tempfile.TemporaryDirectory(prefix="rhizotwin-against-") as working:
             goal, dataset = Path(working) / "now", folder / name / "dataset"
             try:
-                cost = worker.start(["reconstruct", str(dataset), str(goal), "coverage", f"{voxel_mm}", "none", "--stages"], device=device)
+                worker.start(["reconstruct", str(dataset), str(goal), "coverage", f"{voxel_mm}", "none", "--stages"], device=device)
                 score = worker.start(["score", str(goal / "result"), str(dataset), "none"], device=device)["score"]
             except RuntimeError as error:
                 rows.append({"name": name, "crashed": str(error)})
                 say(f"{name}: CRASHED\n{error}")
                 continue
+            cost = reconstructions.read_cost(goal) or {}
             changes = describe(load_result(folder / name / "result"), load_result(goal / "result"))
             changes.append(_compare_stages(folder / name / "stages", goal / "stages"))
         rows.append({"name": name, "changes": changes, "before": before, "after": {"name": name, "score": score, "cost": cost}})
@@ -205,7 +207,7 @@ def _cameras(before: Result, after: Result) -> Change:
 
 
 def _opacity(before: Result, after: Result) -> Change:
-    old, new = ({one.file: one for one in result.silhouettes} for result in (before, after))
+    old, new = before.silhouettes, after.silhouettes
     both = [name for name in old if name in new]
     area = sum(float(old[name].coverage.sum(dtype=np.float64)) for name in both)
     apart = sum(float(np.abs(old[name].coverage - new[name].coverage).sum(dtype=np.float64)) for name in both)
@@ -246,11 +248,11 @@ def _tree(before: Result, after: Result) -> list[Change]:
 
 
 def _terms(before: Result, after: Result) -> Change:
-    old, new = ({term.name: term.mm3 for term in result.solid.volume.terms} for result in (before, after))
-    apart = {name: new.get(name, 0.0) - old.get(name, 0.0) for name in old | new}
-    name = max(apart, key=lambda one: abs(apart[one]), default="")
-    text = f"{len(new)} terms; largest change: {name} {old.get(name, 0.0):.3g} -> {new.get(name, 0.0):.3g} mm3" if name else "none"
-    return Change(kind="terms", text=text, same=not name or abs(apart[name]) <= 1e-6 * before.solid.volume.mm3)
+    old, new = ({term.name: term.less_mm3 + term.more_mm3 for term in result.solid.volume.terms} for result in (before, after))
+    apart = {name: abs(new.get(name, 0.0) - old.get(name, 0.0)) for name in old | new}
+    name = max(apart, key=lambda one: apart[one], default="")
+    text = f"{len(new)} terms; largest change: {name}, width {old.get(name, 0.0):.3g} -> {new.get(name, 0.0):.3g} mm3" if name else "none"
+    return Change(kind="terms", text=text, same=not name or apart[name] <= 1e-6 * before.solid.volume.mm3)
 
 
 def _compare_stages(before: Path, after: Path) -> Change:
@@ -271,7 +273,7 @@ def _compare_stages(before: Path, after: Path) -> Change:
     return Change(kind="stages", text="differ: " + "; ".join(differing) if differing else "identical arrays", same=not differing)
 
 
-def _alike(old: np.ndarray[Any, Any], new: np.ndarray[Any, Any]) -> bool:
+def _alike(old: NDArray[Any], new: NDArray[Any]) -> bool:
     if old.shape != new.shape:
         return False
     return bool(np.array_equal(old, new, equal_nan=True) if old.dtype.kind == "f" else np.array_equal(old, new))

@@ -5,7 +5,7 @@ the documentation, and the baseline of the gate, are made from this file.
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ def update(records: Iterable[Record], *, path: Path = PATH) -> list[Record]:
     return kept
 
 
-def commits_of(records: Sequence[Record]) -> list[str]:
+def commits_of(records: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the distinct commits of records, sorted."""
     return sorted({str(record["commit"]) for record in records})
 

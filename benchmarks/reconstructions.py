@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import cache, datasets, worker
-from benchmarks.cases import DEFAULT_VOXEL_MM, Case, Method
-from benchmarks.datasets import Pictures
+from benchmarks.cases import DEFAULT_VOXEL_MM, Case, Method, Pictures
 from rhizotwin import sources
 from rhizotwin.scenes.provenance import versions
 

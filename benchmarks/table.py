@@ -220,8 +220,8 @@ def page(records: Sequence[Record]) -> str:
     return f"""# Results of the ladder
 
 This page is written by `./run bench accuracy --update-baseline` from `benchmarks/ladder.json` ([accuracy](accuracy.md#the-ladder)).
-The commit of a number is the last one that changed the reconstruction when it was measured: {", ".join(commits)}. The check of the sources fails
-if a number is more than 60 commits of `recon` old.
+The commit of a number is the last one that changed the reconstruction when it was measured: {", ".join(commits)}. The check of the
+sources fails if a number is more than 60 commits of `recon` old.
 
 Pictures have 800x600 pixels, voxels 0.27 mm. One ring is the plan of the library's scenes (40 views). Two rings are that ring, and one
 from 10 mm above the rim (80 views). Intervals in brackets belong to volumes that are not reliable, bold ones miss the truth. Found and

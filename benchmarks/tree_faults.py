@@ -61,7 +61,7 @@ def swap_continuations(roots: Roots) -> Roots:
     laterals = [k for k, root in enumerate(roots) if root.parent >= 0 and len(root.points_mm) > 3]
     crossings = [(a, b, *_closest(roots[a].points_mm, roots[b].points_mm)) for a, b in combinations(laterals, 2)]
     near = [one for one in crossings if one[4] <= CROSSING_MM] or [min(crossings, key=lambda one: one[4])]
-    a, b, i, j, _ = max(near, key=lambda one: _shorter_tail(roots, one))
+    a, b, i, j, _ = max(near, key=lambda one: _shortest_part(roots, one))
     swapped = list(roots)
     swapped[a], swapped[b] = _joined(roots[a], i, roots[b], j), _joined(roots[b], j, roots[a], i)
     return tuple(swapped)
@@ -74,9 +74,11 @@ def _closest(points: Floats, others: Floats) -> tuple[int, int, float]:
     return int(i) + 1, int(j) + 1, float(apart[i, j])
 
 
-def _shorter_tail(roots: Roots, crossing: tuple[int, int, int, int, float]) -> float:
+def _shortest_part(roots: Roots, crossing: tuple[int, int, int, int, float]) -> float:
+    """Return the length of the shortest of the four parts into which two roots divide each other, mm."""
     a, b, i, j, _ = crossing
-    return min(polyline.length_mm(roots[a].points_mm[i:]), polyline.length_mm(roots[b].points_mm[j:]))
+    parts = [part for k, at in ((a, i), (b, j)) for part in (roots[k].points_mm[: at + 1], roots[k].points_mm[at:])]
+    return min(polyline.length_mm(part) for part in parts)
 
 
 def _joined(start: Root, i: int, end: Root, j: int) -> Root:

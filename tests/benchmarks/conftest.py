@@ -27,10 +27,13 @@ def record_of() -> Callable[..., dict[str, Any]]:
             "poses": {"used": 6, "median_mm": 0.03, "median_deg": 0.004},
             "masks": {"area_error": 0.0, "iou": 0.99},
             "hull": {"recall": 1.0, "volume_error": 0.1},
-            "roots": roots if case.pictures.is_plant and case.method == "coverage" else None,
         }
+        tree = {"identity": 0.95, "order_length": 0.96, "main_length": 0.97, "branch_recall": 0.8, "branch_precision": 0.9}
+        tree |= {"ghosts_mm": 2.0, "doubled_mm": -1.0, "missing_mm": 3.0}
+        has_tree = case.pictures.has_roots and case.method == "coverage"
+        stages |= {"roots": roots if has_tree else None, "topology": tree if has_tree else None, "volume_trusted": True}
         score = volume | interval | voxels | stages
-        taken = {"wall_s": 30.0, "cpu_s": 50.0, "peak_memory_mib": 2048.0, "load": 1.0, "render_s": None}
+        taken = {"wall_s": 30.0, "cpu_s": 50.0, "peak_memory_mib": 2048.0, "load": 1.0, "commit": "0123abcd"}
         return {"case": describe_case(case), "score": score, **taken}
 
     return record

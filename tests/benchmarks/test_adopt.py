@@ -47,7 +47,7 @@ def change(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new, 1))
 
 
-def test_what_fits_is_taken_and_its_truth_is_written_anew_whenever_its_sources_change(copy):
+def test_what_fits_is_taken_and_its_truth_kept_up_to_date(copy):
     before = (copy / "dataset.json").read_bytes()
     change(copy / "truth" / "truth.json", '"surface_mm2"', '"of_older_code"')
     assert not datasets.is_ready(BALL)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,7 @@ from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
 from rhizotwin.recon.uncertainty import calibration
+from rhizotwin.scenes import atomic
 
 PLANT = Pictures(scene="radish_day05a", rings=2, views=3, image_wh=(80, 60))
 CASES = [Case(pictures=PLANT), Case(pictures=PLANT, method="thesis")]
@@ -44,9 +46,12 @@ def fake_worker(monkeypatch, tmp_path, record_of):
         asked.append(arguments)
         if arguments[0] == "projection":
             return {"metrics": []}
-        if arguments[0] == "score" and arguments[2] == "thesis":
-            raise RuntimeError("ended with code 1\nZeroDivisionError: no views")
-        return {"wall": 1.0} | {name: value for name, value in record_of(CASES[0]).items() if name not in ("case", "render_s")}
+        if arguments[0] == "reconstruct":
+            if arguments[3] == "thesis":
+                raise RuntimeError("ended with code 1\nZeroDivisionError: no views")
+            cost = {name: value for name, value in record_of(CASES[0]).items() if name not in ("case", "score")}
+            atomic.write_json(Path(arguments[2]) / "cost.json", cost)
+        return {"wall": 1.0, "score": record_of(CASES[0])["score"], "summary": {}}
 
     monkeypatch.setattr(worker, "start", start)
     monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
@@ -69,19 +74,26 @@ def test_a_crashed_case_is_recorded_and_the_rest_go_on():
 
 def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypatch, tmp_path):
     first = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
-    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score", "dataset", "score"]
+    assert [job[0] for job in fake_worker] == ["projection", "dataset", "reconstruct", "dataset", "score", "dataset", "reconstruct"]
     fake_worker.clear()
     again = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
-    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"]  # the crashed one only
+    assert [job[0] for job in fake_worker] == ["projection", "dataset", "reconstruct"]  # the crashed one only
     assert again.metrics == first.metrics
-    fake_worker.clear()
-    accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None, afresh=True)
-    monkeypatch.setattr(accuracy.sources, "digest", lambda *_names, **_given: "changed")
-    accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
+
+    def jobs(**given):
+        fake_worker.clear()
+        accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None, projection=False, **given)
+        return [job[0] for job in fake_worker if job[0] != "dataset"]
+
+    assert jobs() == []
+    assert jobs(afresh=True) == ["reconstruct", "score"]
+    assert jobs(fault="ghost") == ["score"]  # a fault of the roots, or a changed score, needs no new reconstruction
+    digest = accuracy.sources.digest
+    monkeypatch.setattr(accuracy.sources, "digest", lambda names, **given: digest(names, **given) + "scoring" * ("scoring" in names[0]))
+    assert jobs() == ["score"]
     (tmp_path / "calibration.json").write_text("{}", encoding="utf-8")
     monkeypatch.setattr(calibration, "TABLE", tmp_path / "calibration.json")
-    accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
-    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"] * 3
+    assert jobs() == ["reconstruct", "score"]
 
 
 def test_a_stage_that_gave_nothing_is_not_a_number_and_fails(record_of, tmp_path):
@@ -91,7 +103,7 @@ def test_a_stage_that_gave_nothing_is_not_a_number_and_fails(record_of, tmp_path
     assert measured["interval_holds"].value == 1.0
     assert measured["length_error"].value == -0.02
     assert measured["pose_median_mm"].value == 0.03
-    record["score"]["poses"] = record["score"]["roots"] = None  # a plant in which no roots were found
+    record["score"]["poses"] = record["score"]["roots"] = record["score"]["topology"] = None  # a plant in which no roots were found
     lost = {metric.key.rpartition("/")[2]: metric for metric in accuracy.metrics(CASES[0], record)}
     assert math.isnan(lost["pose_median_mm"].value)
     assert math.isnan(lost["length_error"].value)
@@ -132,11 +144,14 @@ def test_update_then_gate_then_fail(fake_speed, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--scenes", "sphere*", "--gate"], "part of the ladder"),
+        (["--scenes", "sphere*", "--seeds", "7", "--gate"], "does not contain sphere_20mm/clean"),
         (["--quick", "--scenes", "sphere*", "--update-baseline"], "cannot become the baseline"),
         (["--quick", "--change", "rounded:1", "--update-baseline"], "changed pictures"),
+        (["--fault", "tips", "--update-baseline"], "changed pictures"),
+        (["--nightly", "--rings", "2"], "--nightly is a set of its own"),
         (["--scenes", "fallen_plant", "--profiles", "harsh"], "no case of the ladder"),
         (["--quick", "--seeds", "1"], "the quick set has no seeds"),
+        (["--quick", "--rings", "1"], "the quick set has no rings"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

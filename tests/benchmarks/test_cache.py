@@ -45,7 +45,7 @@ CHANGED = 'CHANGED = "otherwise"\n'
     ],
     ids=lambda value: str(value).strip(),
 )
-def test_pictures_have_another_key_if_and_only_if_what_changes_decides_them(our_sources, name, text, decides):
+def test_the_key_changes_with_what_decides_the_pictures(our_sources, name, text, decides):
     before, truth_before = pictures_digest(our_sources), sources.digest(datasets.TRUTH, root=our_sources)
     path = our_sources / "rhizotwin" / name
     content = path.read_bytes() if path.is_file() else None
@@ -63,7 +63,7 @@ def test_the_key_depends_on_settings_and_sources_only():
     assert key != cache.key(SETTINGS, sources="t")
 
 
-def test_pictures_of_a_growing_plant_are_kept_until_something_changes(monkeypatch):
+def test_pictures_of_a_growing_plant_are_kept(monkeypatch):
     kept = growth.place("bench")
     assert growth.place("bench") == kept
     assert growth.place("clean") != kept

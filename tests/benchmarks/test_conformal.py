@@ -74,7 +74,7 @@ def test_failed_scans_are_counted_and_set_the_exit_code(
     assert (said in capsys.readouterr().out) == bool(crashed)
 
 
-def test_a_factor_is_one_unless_the_coverage_is_significantly_lower() -> None:
+def test_a_factor_is_one_unless_coverage_is_significantly_lower() -> None:
     assert conformal.calibrate(scans(60, seed=1, half=0.1), widest=0.25)["clear"]["tips"] == 1.0  # all hold: not narrowed
     assert conformal.calibrate(scans(12, seed=1, half=0.025), widest=0.25)["clear"]["tips"] == 1.0
     assert conformal.calibrate(scans(12, seed=1, half=0.004), widest=0.25)["clear"]["tips"] > 2.0
@@ -95,7 +95,7 @@ def test_interval_score_by_hand() -> None:
     )
 
 
-def test_probability_integral_is_uniform_for_intervals_of_the_right_width() -> None:
+def test_probability_integral_of_right_intervals_is_uniform() -> None:
     found = conformal.probability_integral(scans(4000, seed=3, half=1.645 * 0.02), "tips")
     assert np.histogram(found, bins=4, range=(0.0, 1.0))[0] / 4000 == pytest.approx(np.full(4, 0.25), abs=0.03)
 

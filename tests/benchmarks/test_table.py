@@ -42,17 +42,19 @@ def test_numbers_of_groups(records):
     assert found["ladder/plants/clean/tip_recall"].value == pytest.approx((18 * 0.97 + 0.77) / 19)
     assert found["ladder/plants/clean/tip_recall_worst"].value == pytest.approx(0.77)  # beside every mean stands the worst
     assert found["ladder/plants/clean/length_mean"].thesis is None
-    assert found["ladder/thin_families/clean/volume_worst"].runs == 4 + 2  # one of them at two sizes more
+    assert found["ladder/thin_families/clean/volume_worst"].runs == 4
+    assert found["ladder/thin_families_one_ring/clean/volume_worst"].runs == 4 + 2  # one of them at two sizes more
+    assert found["ladder/plants_one_ring/bench/identity"].value == pytest.approx(0.95)
     assert found["ladder/thick_families/bench/volume_worst"].verdict == "yes"
     assert found["ladder/all/bench/interval_holds"].value == 1.0
     assert "ladder/fallen_plant/harsh/volume_worst" not in found
-    part = [record for record in records if record["case"]["scene"] == "radish_day05a" and record["case"]["method"] == "coverage"]
+    part = [r for r in records if (r["case"]["scene"], r["case"]["method"], r["case"]["rings"]) == ("radish_day05a", "coverage", 2)]
     assert {line.group for line in table.lines(part)} == {"radish_day05-15", "plants", "all"}
     assert all(line.runs == 1 and line.thesis is None for line in table.lines(part))
 
 
 def test_a_run_without_a_number_cannot_reach_the_goal(records):
-    broken = next(r for r in records if r["case"]["scene"] == "radish_day10b" and r["case"]["method"] == "coverage")
+    broken = next(r for r in records if (r["case"]["scene"], r["case"]["method"], r["case"]["rings"]) == ("radish_day10b", "coverage", 2))
     broken["score"]["volume_error"] = None
     broken["score"]["roots"] = None
     found = by_key(records)
