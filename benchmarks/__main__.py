@@ -44,10 +44,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _scatter(given: argparse.Namespace) -> int:
     """Measure and record the scatter, and report the gate's verdict on each run."""
+    if given.frozen is not None:
+        return commands.tree_scatter(given)
     selection = {name: getattr(given, name) for name in ("scenes", "profiles", "methods") if getattr(given, name) is not None}
     chosen = cases.quick(**selection)
     baseline = gate.read_baseline(HERE / "baseline_accuracy_quick.json")
-    runs = scatter.measure(chosen, runs=given.runs, change=given.change, device=given.device, say=say)
+    runs = scatter.measure(chosen, runs=given.runs or scatter.RUNS, change=given.change, device=given.device, say=say)
     crashed = {case: why for run in runs for case, why in run.crashed.items()}
     if crashed:
         raise UserError(f"{next(iter(crashed))} crashed; the recorded scatter is not changed.")
@@ -140,7 +142,7 @@ def _run(given: argparse.Namespace) -> int:
         findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding)
         say("\n" + gate.table(findings))
         runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.metrics_of_pictures(run.metrics, chosen)]
-        unmeasured = sum(count < scatter.RUNS for count in runs or ())
+        unmeasured = sum(count < scatter.LEAST_RUNS for count in runs or ())
         if unmeasured:
             say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
         return 0 if gate.all_pass(findings) else 1
@@ -209,12 +211,11 @@ def _write_ladder(run: Run, output: Path) -> None:
 
 def _update_ladder(run: Run) -> None:
     """Record the measured cases of the ladder, and write the page and the figure of the documentation."""
-    from benchmarks import figure, table
+    from benchmarks import figure
 
     records = ladder.update(run.details.values())
-    docs = HERE.parent / "docs"
-    atomic.write_text(docs / "ladder.md", table.page(records))
-    figure.draw(records, docs / "pictures" / "error_by_age.png")
+    commands.write_ladder_page(records)
+    figure.draw(records, HERE.parent / "docs" / "pictures" / "error_by_age.png")
 
 
 _COMMANDS = {

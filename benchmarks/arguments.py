@@ -7,6 +7,13 @@ from typing import Any
 
 from benchmarks import cases, intervals, scatter, tree_faults
 
+CHANGES = ("rounded", "dithered", "shuffled", "lossy")
+"""Changes of the pictures (`benchmarks.perturb`, which is imported by the commands that need it)."""
+
+
+FROZEN_RUNS = 8
+"""Runs with changed pictures of each frozen case."""
+
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
@@ -180,10 +187,19 @@ def _add_damages(one: argparse.ArgumentParser) -> None:
 
 
 def _add_scatter(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--quick", action="store_true", required=True, help="use the small set (the full one would take weeks)")
+    which = one.add_mutually_exclusive_group(required=True)
+    which.add_argument("--quick", action="store_true", help="the small set, whose scatter is the tolerance of the gate")
+    which.add_argument(
+        "--frozen",
+        type=_words,
+        metavar="NAME,...",
+        help="frozen cases under rounding, noise of half a grey level and another order of views",
+    )
     one.add_argument("--scenes", type=_words, metavar="PATTERN,...", help="only these scenes; numbers of the others are not changed")
     _add_profiles_and_methods(one)
-    one.add_argument("--runs", type=int, default=scatter.RUNS, metavar="N", help="default: %(default)s")
+    one.add_argument(
+        "--runs", type=int, metavar="N", help=f"runs with changed pictures (default: {scatter.RUNS}, of frozen cases {FROZEN_RUNS})"
+    )
     one.add_argument(
         "--change",
         choices=(scatter.ROUNDED, "lossy"),
@@ -218,7 +234,8 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
         type=_change,
         default="none",
         metavar="KIND:SEED",
-        help="rounded:S, pictures as another machine may have rounded them; lossy:S, one in twenty mirrored; S: 1, 2, ...",
+        help="rounded:S, pictures as another machine may have rounded them; dithered:S, with noise of half a grey level; "
+        "shuffled:S, in another order; lossy:S, one in twenty mirrored; S: 1, 2, ...",
     )
     one.add_argument(
         "--fault",
@@ -237,8 +254,8 @@ def _add_profiles_and_methods(one: argparse.ArgumentParser) -> None:
 
 def _change(text: str) -> str:
     kind, _, seed = text.partition(":")
-    if text != "none" and (kind not in ("rounded", "lossy") or not seed.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is none of rounded:SEED, lossy:SEED, none")
+    if text != "none" and (kind not in CHANGES or not seed.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(f'{name}:SEED' for name in CHANGES)}, none")
     return text
 
 

@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from benchmarks.arguments import FROZEN_RUNS
 from benchmarks.output import about, results_folder, results_table, say
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -216,6 +217,28 @@ def against_frozen(given: argparse.Namespace) -> int:
         atomic.write_json(given.output, {"about": about("against", given.device), "cases": stored})
         say(f"every number: {given.output}")
     return 1 if any("crashed" in row for row in rows) else 0
+
+
+def write_ladder_page(records: Sequence[dict[str, Any]]) -> None:
+    """Write the page of the documentation with the committed results of the ladder and the scatter of the tree."""
+    from benchmarks import table, tree_scatter
+
+    atomic.write_text(HERE.parent / "docs" / "ladder.md", table.page(records, tree_scatter.read()))
+
+
+def tree_scatter(given: argparse.Namespace) -> int:
+    """Measure and record the scatter of frozen trees under changes of the pictures that should not matter."""
+    from benchmarks import ladder, tree_scatter
+
+    runs = FROZEN_RUNS if given.runs is None else given.runs
+    if runs < 1:
+        raise UserError(f"--runs {runs}: must be at least 1")
+    stored = tree_scatter.measure(given.frozen, runs=runs, device=given.device, say=say)
+    say("\n" + tree_scatter.table(stored))
+    tree_scatter.write(stored)
+    write_ladder_page(ladder.read())
+    say(f"recorded: {tree_scatter.PATH}")
+    return 0
 
 
 def adopt(given: argparse.Namespace) -> int:

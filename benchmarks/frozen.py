@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -367,8 +367,14 @@ def compared_table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _cell(score: dict[str, Any], path: str, factor: float, form: str) -> str:
+def _cell(score: Mapping[str, Any], path: str, factor: float, form: str) -> str:
+    value = value_at(score, path)
+    return "-" if value is None else format(factor * value, form)
+
+
+def value_at(score: Mapping[str, Any], path: str) -> float | None:
+    """Return a number of a score by its path, such as ``roots.length_error``; None if a part of the path is missing."""
     value: Any = score
     for name in path.split("."):
         value = None if value is None else value.get(name)
-    return "-" if value is None else format(factor * float(value), form)
+    return None if value is None else float(value)

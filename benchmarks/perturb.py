@@ -1,4 +1,4 @@
-"""Simulated rounding of another machine, and a real loss of accuracy that the gate must distinguish from it.
+"""Harmless changes of pictures, under which results should not change, and a real loss of accuracy.
 
 Two processors render the same picture to about one part in 10^6 of full scale; where this crosses a step of the
 camera's converter, the stored value differs. Therefore a few pixels in a thousand are changed by one step, and given
@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
@@ -21,6 +22,8 @@ from rhizotwin.scenes.transfer import LINEAR
 LIGHT = 1e-6
 """Maximum difference of two renderings, as a fraction of full scale."""
 POSE_MM = 1e-6
+DITHER = 0.5
+"""Standard deviation of `write_dithered`, in steps of the camera's converter."""
 MIRRORED = 20
 """One in this number of pictures is mirrored by `write_lossy`."""
 
@@ -119,18 +122,53 @@ def write_lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
     return _write_dataset(dataset_folder, folder, one)
 
 
+def write_dithered(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+    """Write a dataset with additional noise of half a grey level; the parameters are those of `write_rounded`."""
+
+    def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
+        noise = np.random.default_rng([seed, number]).normal(0.0, DITHER, image.shape)
+        return frame, _move(image, np.round(noise).astype(np.int64))
+
+    return _write_dataset(dataset_folder, folder, one)
+
+
+def write_shuffled(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+    """Write a dataset with its pictures in random order; the parameters are those of `write_rounded`."""
+    written = _write_dataset(dataset_folder, folder, lambda _number, frame, image: (frame, image))
+    order = np.random.default_rng(seed).permutation(len(written.frames))
+    shuffled = replace(written, frames=tuple(written.frames[k] for k in order))
+    save_dataset(shuffled)
+    return shuffled
+
+
+WRITERS: dict[str, Callable[..., Dataset]] = {
+    "rounded": write_rounded,
+    "dithered": write_dithered,
+    "shuffled": write_shuffled,
+    "lossy": write_lossy,
+}
+"""Changes of pictures by their names."""
+
+
 def perturb_rounding(image: Grey, rng: np.random.Generator) -> Grey:
     """Return a picture (H, W) whose light differed by up to `LIGHT` of full scale before rounding.
 
     The converter's step is the lowest bit that the picture uses. A value changes by one step with the probability that
     the border between two steps is within the difference: on average half of `LIGHT` over the step.
     """
-    full = np.iinfo(image.dtype).max
+    changed = rng.random(image.shape) < 0.5 * LIGHT * np.iinfo(image.dtype).max / _step(image)
+    return _move(image, np.where(changed, rng.choice([-1, 1], image.shape), 0))
+
+
+def _step(image: Grey) -> int:
     used = int(np.bitwise_or.reduce(image, axis=None)) or 1
-    step = used & -used
-    changed = rng.random(image.shape) < 0.5 * LIGHT * full / step
-    moved = image.astype(np.int64) + step * np.where(changed, rng.choice([-1, 1], image.shape), 0)
-    return np.clip(moved, 0, full - full % step).astype(image.dtype)
+    return used & -used
+
+
+def _move(image: Grey, steps: NDArray[np.int64]) -> Grey:
+    """Add steps (H, W) of the converter to a picture (H, W)."""
+    full, step = np.iinfo(image.dtype).max, _step(image)
+    return np.clip(image.astype(np.int64) + step * steps, 0, full - full % step).astype(image.dtype)
 
 
 def _write_dataset(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey], tuple[Frame, Grey]]) -> Dataset:

@@ -84,7 +84,7 @@ def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: 
     runs : int
         Number of runs; the seeds are 1 to this.
     change : str
-        `ROUNDED`, or ``lossy`` (`benchmarks.perturb`); the run's number is its seed.
+        Name of the change (`benchmarks.perturb`); the run's number is its seed.
     device : str
         Computing device.
     say : Say

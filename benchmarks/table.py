@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from benchmarks import ladder
+from benchmarks import ladder, tree_scatter
 from benchmarks.cases import PHANTOMS, THICK_FAMILIES, THIN_FAMILIES
 from benchmarks.metric import Direction, Metric
 from benchmarks.targets import TARGETS
@@ -214,8 +214,16 @@ def _text(line: Line, value: float | None) -> str:
     return f"{value:.3f}" if line.direction == "up" else f"{100.0 * value:.1f} %"
 
 
-def page(records: Sequence[Record]) -> str:
-    """Return the page of the documentation with the committed results of the ladder (`benchmarks.ladder`)."""
+def page(records: Sequence[Record], scattered: Mapping[str, Any]) -> str:
+    """Return the page of the documentation.
+
+    Parameters
+    ----------
+    records : sequence of dict
+        Committed results of the ladder (`benchmarks.ladder`).
+    scattered : dict
+        Recorded scatter of the tree (`benchmarks.tree_scatter`).
+    """
     commits = ladder.commits_of(records)
     return f"""# Results of the ladder
 
@@ -228,7 +236,7 @@ from 10 mm above the rim (80 views). Intervals in brackets belong to volumes tha
 true centre lines agree where they are closer than 0.5 mm or half of the true diameter; identity, order, main roots, branch points, ghosts
 and missing length are defined in [accuracy](accuracy.md#measures-of-the-tree). Processor time and memory are those of the reconstruction.
 
-{markdown(lines(records), records)}"""
+{markdown(lines(records), records)}{tree_scatter.section(scattered)}"""
 
 
 def markdown(found: Sequence[Line], records: Sequence[Record]) -> str:

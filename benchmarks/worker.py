@@ -144,8 +144,7 @@ def reconstruct(given: argparse.Namespace) -> dict[str, Any]:
     original = load_dataset(given.dataset)
     folder = given.dataset
     if kind != "none":
-        write = perturb.write_rounded if kind == "rounded" else perturb.write_lossy
-        folder = write(given.dataset, given.working / "dataset", seed=int(seed)).folder
+        folder = perturb.WRITERS[kind](given.dataset, given.working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
     kept = {"keep_stages": given.goal / "stages"} if given.stages else {}
     find = partial(reconstruct_baseline, method="thesis") if given.method == "thesis" else partial(reconstruct, **kept)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from benchmarks import ladder, table
+from benchmarks import ladder, table, tree_scatter
 from benchmarks.cases import Case, Pictures
 from rhizotwin.scenes.errors import UserError
 
@@ -22,7 +22,7 @@ def test_a_part_renews_its_cases_and_leaves_the_others(record_of, tmp_path):
     assert (found["sphere_20mm"]["commit"], found["radish_day05a"]["commit"]) == ("0123abcd", "89abcdef")
     assert found["radish_day05a"]["score"]["volume_error"] == 0.123457
     assert "traits" not in found["radish_day05a"]["score"]
-    page = table.page(ladder.read(path))
+    page = table.page(ladder.read(path), {})
     assert "0123abcd, 89abcdef" in page
     assert [line.rpartition("| ")[2] for line in page.splitlines() if line.startswith("| `")] == ["89abcdef |", "0123abcd |"]
 
@@ -45,5 +45,5 @@ def test_the_committed_ladder_and_its_page_agree():
     records = ladder.read()
     assert len(records) > 20
     page = (ladder.PATH.parent.parent / "docs" / "ladder.md").read_text(encoding="utf-8")
-    assert page == table.page(records)
+    assert page == table.page(records, tree_scatter.read())
     assert json.loads(ladder.PATH.read_text(encoding="utf-8"))["records"] == records
