@@ -47,8 +47,10 @@ def _scatter(given: argparse.Namespace) -> int:
     if given.frozen is not None:
         return commands.tree_scatter(given)
     selection = {name: getattr(given, name) for name in ("scenes", "profiles", "methods") if getattr(given, name) is not None}
-    chosen = cases.quick(**selection)
-    baseline = gate.read_baseline(HERE / "baseline_accuracy_quick.json")
+    if given.nightly and selection:
+        raise UserError("--nightly is a set of its own; omit the selection.")
+    chosen = cases.nightly() if given.nightly else cases.quick(**selection)
+    path = ladder.PATH if given.nightly else HERE / "baseline_accuracy_quick.json"
     runs = scatter.measure(chosen, runs=given.runs or scatter.RUNS, change=given.change, device=given.device, say=say)
     crashed = {case: why for run in runs for case, why in run.crashed.items()}
     if crashed:
@@ -58,21 +60,27 @@ def _scatter(given: argparse.Namespace) -> int:
     if given.change == scatter.ROUNDED:
         scatter.write(_scatter_path(), values, about=_about(given))
         say(f"recorded: {_scatter_path()}")
-    rounding, everything = scatter.read(_scatter_path()), {key.rpartition("/")[0] for key in baseline.values}
+    rounding = scatter.read(_scatter_path())
     for case in chosen:
-        one, measured = baseline.without(everything - {case.name}), [scatter.metrics_of_pictures(run.metrics, [case]) for run in runs]
-        is_open = [gate.all_pass(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
+        try:
+            baseline = _baseline(path, [case], is_ladder=given.nightly, is_part=True)
+        except UserError as error:
+            say(str(error))
+            continue
+        measured = [scatter.metrics_of_pictures(run.metrics, [case]) for run in runs]
+        is_open = [gate.all_pass(gate.compare(metrics, baseline, scatter=rounding)) for metrics in measured]
         say(f"{case.name}: the gate is open in {sum(is_open)} of {len(is_open)} runs")
     return 0
 
 
 def _about(given: argparse.Namespace) -> dict[str, Any]:
-    """Return the description of a run that may be restricted to the quick set."""
-    return about(f"{given.what}{' --quick' if given.quick else ''}", given.device)
+    """Return the description of a run that may be restricted to a set."""
+    sets = [f" --{name}" for name in ("quick", "nightly") if getattr(given, name, False)]
+    return about(given.what + "".join(sets), given.device)
 
 
 def _scatter_path() -> Path:
-    return HERE / "scatter_accuracy_quick.json"
+    return HERE / "scatter_accuracy.json"
 
 
 def _chosen(given: argparse.Namespace) -> tuple[list[cases.Case], bool]:
@@ -83,7 +91,7 @@ def _chosen(given: argparse.Namespace) -> tuple[list[cases.Case], bool]:
     if given.nightly and (given.quick or selection):
         raise UserError("--nightly is a set of its own; omit --quick, and the selection.")
     if given.nightly:
-        return cases.ladder(scenes=cases.NIGHTLY, profiles=("clean", "bench"), rings=(1,), methods=("coverage",)), True
+        return cases.nightly(), True
     unknown = [name for name in ("rings", "seeds") if given.quick and name in selection]
     if unknown:
         raise UserError(f"the quick set has no {unknown[0]}; omit --{unknown[0]} or --quick.")
@@ -111,7 +119,7 @@ def _run(given: argparse.Namespace) -> int:
     baseline_path = ladder.PATH if is_ladder else HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
     # a missing baseline is reported before an hour of measuring
     baseline = _baseline(baseline_path, chosen, is_ladder=is_ladder, is_part=is_part) if given.gate and not given.update_baseline else None
-    rounding = scatter.read(_scatter_path()) if given.what == "accuracy" and given.quick and baseline is not None else None
+    rounding = scatter.read(_scatter_path()) if given.what == "accuracy" and baseline is not None else None
     run = _measure(given, chosen, is_part=is_part)
     shown = [
         metric for metric in run.metrics if not is_ladder or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))
@@ -144,7 +152,9 @@ def _run(given: argparse.Namespace) -> int:
         runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.metrics_of_pictures(run.metrics, chosen)]
         unmeasured = sum(count < scatter.LEAST_RUNS for count in runs or ())
         if unmeasured:
-            say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
+            say(
+                f"the tolerance of {unmeasured} of them is an estimate; `./run bench scatter` measures it for the quick and the nightly set"
+            )
         return 0 if gate.all_pass(findings) else 1
     return 1 if run.crashed else 0
 

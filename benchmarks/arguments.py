@@ -189,6 +189,7 @@ def _add_damages(one: argparse.ArgumentParser) -> None:
 def _add_scatter(one: argparse.ArgumentParser) -> None:
     which = one.add_mutually_exclusive_group(required=True)
     which.add_argument("--quick", action="store_true", help="the small set, whose scatter is the tolerance of the gate")
+    which.add_argument("--nightly", action="store_true", help="the dense root systems, in the same way")
     which.add_argument(
         "--frozen",
         type=_words,

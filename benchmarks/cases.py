@@ -147,6 +147,11 @@ def _some(cases: list[Case], scenes: Sequence[str], profiles: Sequence[str]) -> 
     return chosen
 
 
+def nightly() -> list[Case]:
+    """Return the dense root systems of every night: clean pictures in one ring, by our method."""
+    return ladder(scenes=NIGHTLY, profiles=("clean",), rings=(1,), methods=("coverage",))
+
+
 def ladder(
     *,
     scenes: Sequence[str] = ("*",),

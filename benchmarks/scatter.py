@@ -168,7 +168,7 @@ def read(path: Path) -> Scatter:
         ranges = {str(key): float(entry["range"]) for key, entry in stored["metrics"].items()}
         runs = {str(key): int(entry["runs"]) for key, entry in stored["metrics"].items()}
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); make it with `python -m benchmarks scatter --quick`.") from None
+        raise UserError(f"{path} is damaged ({error!r}); make it with `./run bench scatter --quick`.") from None
     if not all(math.isfinite(value) and value >= 0.0 for value in ranges.values()):
-        raise UserError(f"{path} is damaged (a range is negative or not a number); make it with `python -m benchmarks scatter --quick`.")
+        raise UserError(f"{path} is damaged (a range is negative or not a number); make it with `./run bench scatter --quick`.")
     return Scatter(path=path, ranges=ranges, runs=runs)

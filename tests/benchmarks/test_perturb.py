@@ -140,10 +140,10 @@ def test_the_command_measures_the_scatter_and_gates_by_it(capsys: pytest.Capture
     assert f"of {len(cases.quick()) - 1} of them is an estimate" in capsys.readouterr().out
     assert command.main(["scatter", "--quick"]) == 0
     assert capsys.readouterr().out.count("open in 20 of 20 runs") == len(cases.quick())
-    before = (tmp_path / "scatter_accuracy_quick.json").read_bytes()
+    before = (tmp_path / "scatter_accuracy.json").read_bytes()
     assert command.main(["scatter", "--quick", "--change", "lossy", "--runs", "1"]) == 0
     assert capsys.readouterr().out.count("open in 0 of 1 runs") == len(cases.quick())
-    assert (tmp_path / "scatter_accuracy_quick.json").read_bytes() == before
+    assert (tmp_path / "scatter_accuracy.json").read_bytes() == before
     assert command.main([*gated, "--change", "rounded:3"]) == 0
     assert command.main([*gated, "--change", "lossy:1"]) == 1
 
@@ -156,6 +156,6 @@ def test_the_gate_shuts_under_a_real_loss() -> None:
     folder = Path(accuracy.__file__).parent
     baseline = gate.read_baseline(folder / "baseline_accuracy_quick.json")
     values = {key: value for key, value in baseline.values.items() if key in {metric.key for metric in found}}
-    findings = gate.compare(found, replace(baseline, values=values), scatter=scatter.read(folder / "scatter_accuracy_quick.json"))
+    findings = gate.compare(found, replace(baseline, values=values), scatter=scatter.read(folder / "scatter_accuracy.json"))
     assert len(findings) > 10
     assert not gate.all_pass(findings), gate.table(findings)
