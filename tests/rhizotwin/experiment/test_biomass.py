@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,26 +47,34 @@ def twins() -> list[Measured]:
     return plants
 
 
-def weigh(path: Path, plants: list[Measured], density: float = 1.0) -> Path:
-    """Write the masses of plants whose true volumes lie between those of their neighbours."""
+def weigh(path: Path, plants: list[Measured], density: float = 1.0) -> list[Weighed]:
+    """Return the masses of plants whose true volumes lie between those of their neighbours."""
     rows = [
         f"{one.subject.plant},{density * true / 1000.0:.4f},{density * true / 30000.0:.4f}"
         for one, true in zip(plants, np.geomspace(30.0, 1800.0, 20), strict=True)
     ]
-    path.write_text(HEAD + "\n".join(rows) + "\n", encoding="utf-8")
-    return path
+    return masses_of(path, HEAD + "\n".join(rows) + "\n")
 
 
-def test_the_thesis_table_gives_its_densities_and_their_mean(thesis: tuple[Path, Path], command: Command) -> None:
+def masses_of(path: Path, text: str) -> list[Weighed]:
+    """Write a table and read its masses."""
+    path.write_text(text, encoding="utf-8")
+    return read_masses(path, balance_g=1e-4)
+
+
+def test_the_thesis_table_gives_its_densities_and_waters(thesis: tuple[Path, Path], command: Command) -> None:
     volumes, masses = thesis
     found, notes = biomass.pairs(read_all([volumes]), read_masses(masses, balance_g=1e-4))
-    printed = {row.cells["plant"]: row.cells["density (g/ml)"] for row in tables.read_table(volumes)}
-    known = biomass.ratios(found)
+    printed = {row.cells["plant"]: row.cells for row in tables.read_table(volumes)}
+    known = {pair.measured.subject.plant: ratio for pair, ratio in biomass.ratios(found)}
     assert len(known) == 16
-    for pair, ratio in known:  # printed with three decimals, from masses with three
-        assert ratio == pytest.approx(float(printed[pair.measured.subject.plant]), abs=1.1e-3)
-    assert np.mean([ratio for _, ratio in known]) == pytest.approx(0.034, abs=5e-4)
+    # printed with three decimals, from masses with three
+    assert known == pytest.approx({plant: float(printed[plant]["density (g/ml)"]) for plant in known}, abs=1.1e-3)
+    assert np.mean(list(known.values())) == pytest.approx(0.034, abs=5e-4)
     assert not notes
+    grams = {one.subject.plant: one.grams for one in read_masses(masses, balance_g=1e-4)}
+    water = {plant: 100.0 * (1.0 - own["root_dry"] / own["root_fresh"]) for plant, own in grams.items()}
+    assert water == pytest.approx({plant: float(printed[plant]["water (%)"]) for plant in grams}, abs=0.011)
     told = command.works("biomass", "fit", volumes, masses, "-o", volumes.with_name("model.json")).out
     assert "fresh root mass per volume: mean 0.03401 g/ml of 16 plants" in told
 
@@ -82,15 +90,8 @@ def test_the_mean_density_is_that_of_plants_and_not_of_weighings(tmp_path: Path,
     assert "fresh root mass per volume: mean 0.975 g/ml of 4 plants" in told
 
 
-def test_the_shipped_masses_are_the_thesis_own_water_contents(thesis: tuple[Path, Path]) -> None:
-    water = {row.cells["plant"]: float(row.cells["water (%)"]) for row in tables.read_table(thesis[0])}
-    for one in read_masses(thesis[1], balance_g=1e-4):
-        share = 100.0 * (1.0 - one.grams["root_dry"] / one.grams["root_fresh"])
-        assert share == pytest.approx(water[one.subject.plant], abs=0.011)
-
-
-def test_the_density_is_found_and_unseen_plants_lie_in_their_intervals(twins: list[Measured], tmp_path: Path) -> None:
-    found, _ = biomass.pairs(twins, read_masses(weigh(tmp_path / "m.csv", twins, 1.05), balance_g=1e-4))
+def test_the_density_is_found_with_an_honest_interval(twins: list[Measured], tmp_path: Path) -> None:
+    found, _ = biomass.pairs(twins, weigh(tmp_path / "m.csv", twins, 1.05))
     model = biomass.fit(found, balance_g=1e-4)
     fresh = next(relation for relation in model.relations if relation.kind == "root_fresh")
     assert (fresh.trait, fresh.proportional) == ("total_length", False)  # which has no error here
@@ -104,15 +105,15 @@ def test_the_density_is_found_and_unseen_plants_lie_in_their_intervals(twins: li
 
 
 def test_a_plant_that_is_weighed_on_six_days_counts_once(twins: list[Measured], tmp_path: Path) -> None:
-    once, _ = biomass.pairs(twins[::5], read_masses(weigh(tmp_path / "m.csv", twins), balance_g=1e-4))
+    once, _ = biomass.pairs(twins[::5], weigh(tmp_path / "m.csv", twins))
     one, six = (biomass.fit(found, balance_g=1e-4).tried for found in (once, 6 * once))
-    for a, b in zip(one, six, strict=True):
-        assert b.line.dof == 4 - (1 if b.proportional else 2)
-        assert b.predict(500.0, 0.03) == pytest.approx(a.predict(500.0, 0.03), rel=1e-6)
+    assert [line.line.dof for line in six] == [4 - (1 if line.proportional else 2) for line in one]
+    told = [np.array([line.predict(500.0, 0.03) for line in tried]) for tried in (six, one)]
+    assert told[0] == pytest.approx(told[1], rel=1e-6)
 
 
 def test_a_model_is_read_back_and_predicts(twins: list[Measured], tmp_path: Path) -> None:
-    found, _ = biomass.pairs(twins, read_masses(weigh(tmp_path / "m.csv", twins), balance_g=1e-4))
+    found, _ = biomass.pairs(twins, weigh(tmp_path / "m.csv", twins))
     model = biomass.fit(found, balance_g=1e-4)
     model_file.save_model(model, tmp_path / "model.json")
     assert model_file.load_model(tmp_path / "model.json") == model
@@ -122,19 +123,13 @@ def test_a_model_is_read_back_and_predicts(twins: list[Measured], tmp_path: Path
     assert all(float(row["low (g)"]) < float(row["mass (g)"]) < float(row["high (g)"]) for row in rows)
 
 
-def test_what_is_left_on_the_foil_is_added(tmp_path: Path) -> None:
-    path = tmp_path / "m.csv"
-    path.write_text("plant,root_fresh_mg,root_dry_mg,root_foil_mg,root_foil_scraped_mg\nA,100,5,800,801.5\nB,90,4,,\n", encoding="utf-8")
-    a, b = read_masses(path, balance_g=1e-4)
+def test_foil_is_added_and_rows_without_text_are_ignored(tmp_path: Path) -> None:
+    """Spreadsheets often write rows without text at the end of a table."""
+    head = "plant,root_fresh_mg,root_dry_mg,root_foil_mg,root_foil_scraped_mg\n"
+    a, b = masses_of(tmp_path / "m.csv", head + 'A,100,5,800,801.5\nB,90,4,,\n,,\n , ,\n"","",""\n')
     assert a.grams == pytest.approx({"root_fresh": 0.1, "root_dry": 0.0065})
     assert a.residue_g == pytest.approx({"root_dry": 0.0015})
     assert (b.grams["root_dry"], b.residue_g) == (pytest.approx(0.004), {})
-
-
-def test_rows_without_text_are_ignored(tmp_path: Path) -> None:
-    """Spreadsheets often write them at the end of a table."""
-    (tmp_path / "m.csv").write_text('plant,day,root_fresh_g\nA,1,0.5\n,,\n , ,\n"","",""\n', encoding="utf-8")
-    assert [one.subject.plant for one in read_masses(tmp_path / "m.csv", balance_g=1e-4)] == ["A"]
 
 
 MISTAKES = {
@@ -156,9 +151,8 @@ MISTAKES = {
 
 @pytest.mark.parametrize(("text", "named"), MISTAKES.values(), ids=MISTAKES.keys())
 def test_mistakes_in_the_table_are_one_sentence(text: str, named: str, tmp_path: Path) -> None:
-    (tmp_path / "mine.csv").write_text(text, encoding="utf-8")
     with pytest.raises(UserError) as refused:
-        read_masses(tmp_path / "mine.csv", balance_g=1e-4)
+        masses_of(tmp_path / "mine.csv", text)
     assert named in str(refused.value)
 
 
@@ -170,10 +164,8 @@ def test_one_mass_in_milligrams_is_noticed(thesis: tuple[Path, Path], command: C
     assert not volumes.with_name("m.json").exists()
 
 
-def test_a_model_of_another_species_is_refused(
-    twins: list[Measured], ball_result: Callable[..., Path], tmp_path: Path, command: Command
-) -> None:
-    found, _ = biomass.pairs(twins, read_masses(weigh(tmp_path / "m.csv", twins), balance_g=1e-4))
+def test_a_model_of_another_species_is_refused(twins: list[Measured], ball_result, tmp_path: Path, command: Command) -> None:
+    found, _ = biomass.pairs(twins, weigh(tmp_path / "m.csv", twins))
     by_volume = tuple(one for one in biomass.fit(found, balance_g=1e-4).tried if one.trait == "volume" and one.proportional)
     model, table = tmp_path / "model.json", tmp_path / "masses_told.csv"
     model_file.save_model(biomass.Model(species="Raphanus sativus", relations=by_volume, tried=(), notes=()), model)
@@ -186,14 +178,10 @@ def test_a_model_of_another_species_is_refused(
 
 
 def test_results_without_trust_and_without_partner_are_told(twins: list[Measured], tmp_path: Path) -> None:
-    path = weigh(tmp_path / "m.csv", twins)
-    path.write_text(path.read_text(encoding="utf-8") + "P99,1,\n", encoding="utf-8")
+    weighed = [*weigh(tmp_path / "m.csv", twins), *masses_of(tmp_path / "n.csv", HEAD + "P99,1,\n")]
     bad = Assessment(verdict="not reliable", reason="too few views")
-    doubted = [
-        *twins[:-1],
-        Measured(name="r", subject=twins[-1].subject, traits=twins[-1].traits, assessed=dict.fromkeys(twins[-1].traits, bad)),
-    ]
-    found, notes = biomass.pairs(doubted, read_masses(path, balance_g=1e-4))
+    doubted = replace(twins[-1], assessed=dict.fromkeys(twins[-1].traits, bad))
+    found, notes = biomass.pairs([*twins[:-1], doubted], weighed)
     assert len(biomass.ratios(found)) == 19
     assert any("plant P99 has no result" in note for note in notes)
     assert "volume: 1 of 20 values are excluded, because they are not reliable: too few views" in notes
@@ -201,44 +189,35 @@ def test_results_without_trust_and_without_partner_are_told(twins: list[Measured
 
 def test_a_result_without_a_day_is_not_paired_with_two_weighings(tmp_path: Path) -> None:
     plant = Measured(name="r", subject=Subject(plant="A"), traits={"volume": 500.0})
-    (tmp_path / "m.csv").write_text("plant,day,root_fresh_g\nA,5,0.05\nA,20,0.5\n", encoding="utf-8")
-    weighed = read_masses(tmp_path / "m.csv", balance_g=1e-4)
+    weighed = masses_of(tmp_path / "m.csv", "plant,day,root_fresh_g\nA,5,0.05\nA,20,0.5\n")
     with pytest.raises(UserError, match=r"A: the result r has no day, but masses of two days, .*line 2 and .*line 3; set the day"):
         biomass.pairs([plant], weighed)
     assert len(biomass.pairs([plant], weighed[:1])[0]) == 1
-    (tmp_path / "shoots.csv").write_text("plant,day,shoot_fresh_g\nA,5,0.1\n", encoding="utf-8")
-    assert len(biomass.pairs([plant], [weighed[0], *read_masses(tmp_path / "shoots.csv", balance_g=1e-4)])[0]) == 2
+    shoots = masses_of(tmp_path / "shoots.csv", "plant,day,shoot_fresh_g\nA,5,0.1\n")
+    assert len(biomass.pairs([plant], [weighed[0], *shoots])[0]) == 2
 
 
 def test_a_power_law_is_not_fitted_if_only_one_plant_differs() -> None:
     """Two days of a plant have values of their own; without this plant, all values are equal."""
-    days = [("A", 5.0, 1000.0), ("A", 9.0, 2000.0), *((plant, 5.0, 500.0) for plant in "BCD")]
-    whose = [Subject(plant=plant, day=day) for plant, day, _ in days]
-    plants = [Measured(name="r", subject=own, traits={"volume": volume}) for own, (_, _, volume) in zip(whose, days, strict=True)]
-    masses = [
-        Weighed(where="m", subject=own, grams={"root_fresh": volume / 1000.0 + 0.01 * k}, residue_g={})
-        for k, (own, (_, _, volume)) in enumerate(zip(whose, days, strict=True))
-    ]
+    days = [(Subject(plant=plant, day=day), mm3) for plant, day, mm3 in (("A", 5.0, 1000.0), ("A", 9.0, 2000.0))]
+    days += [(Subject(plant=plant, day=5.0), 500.0) for plant in "BCD"]
+    plants = [Measured(name="r", subject=own, traits={"volume": mm3}) for own, mm3 in days]
+    grams = [{"root_fresh": mm3 / 1000.0 + 0.01 * k} for k, (_, mm3) in enumerate(days)]
+    masses = [Weighed(where="m", subject=own, grams=own_g, residue_g={}) for (own, _), own_g in zip(days, grams, strict=True)]
     assert [one.proportional for one in biomass.fit(biomass.pairs(plants, masses)[0], balance_g=1e-4).tried] == [True]
 
 
-def test_plants_that_are_not_weighed_yet_may_have_several_results(tmp_path: Path) -> None:
+def test_plants_not_weighed_yet_may_have_several_results(tmp_path: Path) -> None:
     days = [Measured(name=f"r{day:g}", subject=Subject(plant="A", day=day), traits={"volume": 90.0 * day}) for day in (5.0, 9.0)]
-    (tmp_path / "m.csv").write_text("plant,day,root_fresh_g\nA\nA,,\nB,9,0.5\n", encoding="utf-8")
-    found, notes = biomass.pairs(days, read_masses(tmp_path / "m.csv", balance_g=1e-4))
+    found, notes = biomass.pairs(days, masses_of(tmp_path / "m.csv", "plant,day,root_fresh_g\nA\nA,,\nB,9,0.5\n"))
     assert found == []
     assert sum("the table contains no mass that matches this result" in note for note in notes) == 2
 
 
 def test_an_interval_that_begins_at_zero_is_an_uncertainty() -> None:
-    plant = Measured(
-        name="r",
-        subject=Subject(plant="A"),
-        traits={"volume": 500.0, "total_length": 90.0},
-        assessed={"volume": Assessment(verdict="not reliable", interval=(0.0, 5000.0))},
-    )
-    assert plant.log_sigma("volume") == pytest.approx(np.log(10.0) / IN_90)
-    assert plant.log_sigma("total_length") == 0.0
+    wide = {"volume": Assessment(verdict="not reliable", interval=(0.0, 5000.0))}
+    plant = Measured(name="r", subject=Subject(plant="A"), traits={"volume": 500.0, "total_length": 90.0}, assessed=wide)
+    assert (plant.log_sigma("volume"), plant.log_sigma("total_length")) == (pytest.approx(np.log(10.0) / IN_90), 0.0)
 
 
 def test_the_twins_eighteen_radishes_have_the_density_of_water() -> None:
@@ -248,10 +227,8 @@ def test_the_twins_eighteen_radishes_have_the_density_of_water() -> None:
     plants, masses = [], []
     for scene in scenes:
         assert isinstance(scene.specimen, GrownSpecimen)
-        error = metrics[f"{scene.name}/bench/2x40x800x600/0.27/coverage/volume_error"]["value"]
-        plants.append(
-            Measured(name=scene.name, subject=scene.subject, traits={"volume": 1000.0 * scene.specimen.volume_ml * (1.0 + error)})
-        )
+        volume = 1000.0 * scene.specimen.volume_ml * (1.0 + metrics[f"{scene.name}/bench/2x40x800x600/0.27/coverage/volume_error"]["value"])
+        plants.append(Measured(name=scene.name, subject=scene.subject, traits={"volume": volume}))
         masses.append(Weighed(where=scene.name, subject=scene.subject, grams={"root_fresh": scene.specimen.volume_ml}, residue_g={}))
     found, _ = biomass.pairs(plants, masses)
     assert len(found) == 18

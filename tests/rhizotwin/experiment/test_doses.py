@@ -40,16 +40,16 @@ def experiment(seed: int, factors: tuple[dict[str, float], ...], *, plants: int 
 POTASSIUM = tuple({"K": factor} for factor in (0.25, 0.5, 1.0, 2.0))
 
 
-def test_with_all_plants_on_all_days_the_slope_is_the_regression_of_their_means() -> None:
-    for seed in range(3):
-        seen, doses = experiment(seed, POTASSIUM)
-        (found,) = fit_responses(seen, doses)
-        assert (found.ion, found.with_ions, found.levels, found.plants) == ("K", ("H2PO4", "NO3"), 4, 24)
-        means = [np.mean([np.log(one.value) for one in seen if one.plant == plant]) for plant in doses]
-        line = linregress([own["K"] for own in doses.values()], means)
-        reach = student.ppf(0.95, 22) * line.stderr
-        assert (found.slope, found.slope_p) == pytest.approx((line.slope, line.pvalue), rel=0.02)
-        assert found.slope_interval == pytest.approx((line.slope - reach, line.slope + reach), rel=0.02)
+@pytest.mark.parametrize("seed", range(3))
+def test_of_complete_data_the_slope_is_a_regression_of_means(seed: int) -> None:
+    seen, doses = experiment(seed, POTASSIUM)
+    (found,) = fit_responses(seen, doses)
+    assert (found.ion, found.with_ions, found.levels, found.plants) == ("K", ("H2PO4", "NO3"), 4, 24)
+    means = [np.mean([np.log(one.value) for one in seen if one.plant == plant]) for plant in doses]
+    line = linregress([own["K"] for own in doses.values()], means)
+    reach = student.ppf(0.95, 22) * line.stderr
+    assert (found.slope, found.slope_p) == pytest.approx((line.slope, line.pvalue), rel=0.02)
+    assert found.slope_interval == pytest.approx((line.slope - reach, line.slope + reach), rel=0.02)
 
 
 def test_the_true_slope_is_inside_its_interval() -> None:
@@ -66,7 +66,7 @@ def test_a_saturating_response_is_called_curved() -> None:
     assert "not linear" in found.sentence("total_length")
 
 
-def test_ions_of_a_factorial_are_separated_and_those_of_one_factor_are_not() -> None:
+def test_ions_of_a_factorial_are_separated_by_factor() -> None:
     factorial = tuple({"KH2PO4": p, "MgSO4.7H2O": m, "KNO3": k} for p in (1.0,) for m in (0.5, 1.0, 2.0) for k in (0.5, 1.0, 2.0))
     seen, doses = experiment(2, factorial, plants=27)
     assert {frozenset(group) for group in group_ions(doses)} == {frozenset({"Mg", "SO4"}), frozenset({"K", "NO3"})}
@@ -85,18 +85,14 @@ def test_what_cannot_be_fitted_is_not() -> None:
     assert fit_responses(seen, dict.fromkeys(doses, doses["p0"])) == []
     assert fit_responses([one for one in seen if one.plant in ("p0", "p1")], doses) == []
     assert fit_responses(seen, {}) == []
-    (two,) = fit_responses(*experiment(3, POTASSIUM[:2]))
+    seen, doses = experiment(3, POTASSIUM[:2])
+    (two,) = fit_responses(seen, doses)
     assert two.curvature_p is None
     assert "could not be tested" in two.sentence("volume")
-
-
-def test_concentrations_that_share_too_few_days_are_not_fitted() -> None:
-    seen, doses = experiment(5, POTASSIUM[:2])
     assert reason_not_fitted(seen, doses) == ""
     apart = [one for one in seen if (doses[one.plant] == doses["p0"]) == (one.day == DAYS[0])]
-    assert (
-        reason_not_fitted(apart, doses) == "plants with different concentrations share too few days; scan all treatments on the same days"
-    )
+    why = "plants with different concentrations share too few days; scan all treatments on the same days"
+    assert reason_not_fitted(apart, doses) == why
     assert fit_responses(apart, doses) == []
 
 
@@ -108,9 +104,12 @@ def table(folder: Path, *, change: bool = False) -> Path:
     for one in seen:
         own = doses["p1" if change and (one.plant, one.day) == ("p0", DAYS[-1]) else one.plant]
         rows.append([one.plant, f"{one.day:g}", f"{one.value:.6g}", "reliable", *(f"{own[ion]:.7g}" for ion in heads)])
-    path = folder / "traits.csv"
-    path.write_text("\n".join(",".join(row) for row in rows), encoding="utf-8")
-    return path
+    return written(folder, "\n".join(",".join(row) for row in rows))
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "traits.csv").write_text(text, encoding="utf-8")
+    return folder / "traits.csv"
 
 
 def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Command) -> None:
@@ -127,20 +126,14 @@ def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Com
 
 @pytest.mark.parametrize(("cell", "named"), [("-1", "must be at least 0"), ("5 mmol/l", "is not a number"), ("inf", "not a finite number")])
 def test_a_wrong_concentration_is_one_sentence(cell: str, named: str, tmp_path: Path) -> None:
-    path = tmp_path / "traits.csv"
-    path.write_text(f"plant,day,total_length (mm),K (mmol/l)\np1,5,10,{cell}\n", encoding="utf-8")
     with pytest.raises(UserError, match=named):
-        read_all([path])
+        read_all([written(tmp_path, f"plant,day,total_length (mm),K (mmol/l)\np1,5,10,{cell}\n")])
 
 
-def test_a_trait_without_a_response_is_said(tmp_path: Path) -> None:
-    path = tmp_path / "traits.csv"
-    path.write_text("plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n", encoding="utf-8")
-    notes = growth.measure(read_all([path])).notes
+def test_too_few_scans_are_said_and_two_solutions_refused(tmp_path: Path) -> None:
+    two = "plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n"
     why = "plants with different concentrations have 2 scans, too few to estimate an uncertainty; scan more plants on each day"
+    notes = growth.measure(read_all([written(tmp_path, two)])).notes
     assert f"total_length: the dose response could not be fitted, because {why}" in notes
-
-
-def test_a_plant_in_two_solutions_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"plant p0 has two nutrient solutions\. .* differ in"):
         growth.measure(read_all([table(tmp_path, change=True)]))
