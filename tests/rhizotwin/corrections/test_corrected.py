@@ -10,13 +10,18 @@ import pytest
 import trimesh
 
 from rhizotwin import command_steps
-from rhizotwin.corrections import corrected, log
+from rhizotwin.corrections import against_pictures, corrected, log
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import assessments, result_traits
+from rhizotwin.recon.results import assessments, by_plant, divide_by_plant, result_traits
+from rhizotwin.recon.roots import plants as recon_plants
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.checks import Estimate
+from rhizotwin.scenes.plants import Plant as ScenePlant
+from rhizotwin.scenes.rsml_reader import read_rsml
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.stored.load import load_result
+from tests.rhizotwin import plant as plants
 from tests.rhizotwin.plant import Plant
 
 
@@ -25,13 +30,19 @@ def volume_of(folder: Path) -> float:
     return float((leaves.occupancy.astype(np.float64) * (leaves.size * leaves.voxel_mm) ** 3).sum())
 
 
-def test_nothing_done_changes_nothing(plant: Plant):
-    session = Session(plant.result)
-    assert session.measure().volume_mm3 == pytest.approx(volume_of(plant.result), rel=1e-6)
-    assert session.measure().length_mm == pytest.approx(load_result(plant.result).solid.length_mm)
+def test_nothing_done_changes_nothing_and_needs_no_settings(own: Path):
+    summary = json.loads((own / "result.json").read_text())
+    session = Session(own)
+    assert session.measure().volume_mm3 == pytest.approx(volume_of(own), rel=1e-6)
+    assert session.measure().length_mm == pytest.approx(load_result(own).solid.length_mm)
+    del summary["settings"]
+    (own / "result.json").write_text(json.dumps(summary))
+    session = Session(own)
+    session.do(log.edit("delete roots", roots=[1]))
+    assert session.measure().roots == 3
 
 
-def test_a_log_makes_the_same_result_again_and_the_original_stays(own: Path, tmp_path: Path):
+def test_a_log_makes_the_same_result_again(own: Path, tmp_path: Path):
     files = {path: path.read_bytes() for path in own.rglob("*") if path.is_file() and path.name != log.LOG_NAME}
     session = Session(own)
     session.do(log.edit("delete roots", roots=[1], who="ann"))
@@ -77,7 +88,7 @@ def test_a_result_that_is_corrected_again_lists_all_corrections(plant: Plant, tm
     assert made[0] == log.read(places[1] / "corrected.json", plant.result)
 
 
-def test_a_trait_that_was_not_reliable_is_not_reliable_after_corrections(own: Path, tmp_path: Path):
+def test_a_trait_that_was_not_reliable_stays_so(own: Path, tmp_path: Path):
     one, length = load_result(own), load_result(own).solid.length_mm
     interval = (0.9 * length, 2.0 * length)
     estimate = Estimate(name="total_length_mm", value=length, interval=interval, trusted=False, verdict="the roots are too thin")
@@ -95,21 +106,94 @@ def test_a_trait_that_was_not_reliable_is_not_reliable_after_corrections(own: Pa
 
 def test_the_shoot_is_kept_and_its_result_can_be_replaced(own: Path, tmp_path: Path):
     mesh = trimesh.creation.icosphere(radius=5.0)
-    numbers = {
-        "leaf_area_mm2": 80.0,
-        "stalks_mm3": 1.0,
-        "leaf_thickness_mm": 0.3,
-        "pot_top_mm": 8.0,
-        "hidden_share": 0.1,
-        "enclosed_share": 0.0,
-    }
-    shoot = Shoot(mesh=mesh, hull_mm3=500.0, blades_mm2=(80.0,), covered_px={"a": 9.0}, mm2_per_px={"a": 1.0}, **numbers)
+    shares = {"hidden_share": 0.1, "enclosed_share": 0.0, "stalks_mm3": 1.0, "leaf_thickness_mm": 0.3, "pot_top_mm": 8.0}
+    blades = {"leaf_area_mm2": 80.0, "blades_mm2": (80.0,), "covered_px": {"a": 9.0}, "mm2_per_px": {"a": 1.0}}
+    shoot = Shoot(mesh=mesh, hull_mm3=500.0, **shares, **blades)
     replace(load_result(own), shoot=shoot).save(own)
     session = Session(own)
     session.do(log.edit("delete roots", roots=[1]))
     for _ in range(2):
         corrected.write(session, tmp_path / "new")
-        kept = load_result(tmp_path / "new").shoot
-        assert kept is not None
-        assert kept.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)
         command_steps.refuse_place(tmp_path / "new", own)
+    kept = load_result(tmp_path / "new").shoot
+    assert kept is not None
+    assert kept.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("roots", [(1, 1), (0, 0)], ids=["laterals", "main root and a lateral"])
+def test_all_corrections_are_one_cause_and_one_check(plant: Plant, tmp_path: Path, roots: tuple[int, int]):
+    """Root 0 is so large that its deletion contradicts the pictures; what was root 2 or 1 is then root 1 or 0."""
+    source, found, first_mm3 = plant.result, against_pictures.Comparison(0.0, 0.0), Session(plant.result).summary["volume_mm3"]
+    for root, name in zip(roots, ("once", "twice"), strict=True):
+        session = Session(source)
+        session.do(log.edit("delete roots", roots=[root]))
+        found += against_pictures.compare(session, None)
+        source, summary = tmp_path / name, corrected.write(session, tmp_path / name)
+        assert found.missed > 0.01
+        assert against_pictures.recorded(summary).missed == pytest.approx(found.missed)
+        assert against_pictures.recorded(summary).surplus == pytest.approx(found.surplus)
+        (term,) = [one for one in summary["volume_budget"] if one["name"] == "corrections"]
+        assert term["more_mm3"] == pytest.approx(found.missed * first_mm3)
+        (check,) = [one for one in summary["checks"] if one["name"] == "corrections"]
+        assert check["value"] == pytest.approx(found.check().value)
+        assert summary["volume_verdict"].count("because of the corrections") == (found.check().state == "bad")
+    assert found.check().state == ("fair" if roots == (1, 1) else "bad")
+    again = corrected.write(Session(source), tmp_path / "again")
+    assert again["checks"] == summary["checks"], "written again, it keeps its reliability"
+    assert len(again["volume_budget"]) == len(summary["volume_budget"])
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a result of two plants: the plant on paper, and a straight root 14 mm beside it."""
+    folder = tmp_path_factory.mktemp("pair")
+    one = load_result(plants.make(folder, fibre=True).result)
+    roots = tuple(replace(root, plant="B" if k == 4 else "A") for k, root in enumerate(one.solid.roots))
+    known = [ScenePlant(plant="A"), ScenePlant(plant="B", at_mm=(-14.0, -10.0), treatment="low N")]
+    planted = recon_plants.check_assignment(roots, known, grid_z_mm=-15.0)
+    whole = {"leaves": one.solid.voxels, "surface": one.solid.surface, "finest_mm": one.solid.finest_mm}
+    shape = divide_by_plant.Shape(volume_mm3=one.solid.volume.mm3, terms=one.solid.volume.terms, **whole)
+    found = divide_by_plant.measure(shape, planted, known, Subject(species="Raphanus sativus"))
+    (folder / "pair").mkdir()
+    solid = replace(one.solid, roots=planted.roots)
+    replace(one, solid=solid, plants=found, subject=Subject(species="Raphanus sativus")).save(folder / "pair")
+    return folder / "pair"
+
+
+def own_of(folder: Path) -> dict[str, tuple[float, float, str]]:
+    """Return volume, length and treatment of each plant."""
+    summary = result_files.read_summary(folder)
+    found = by_plant.from_summary(summary, "result.json")
+    assert sum(one.volume_mm3 for one in found) == pytest.approx(summary["volume_mm3"])
+    return {one.subject.plant: (one.volume_mm3, float(one.traits.total_length_mm or 0.0), one.subject.treatment) for one in found}
+
+
+def test_plants_that_share_a_canister_keep_their_own_numbers(pair: Path, tmp_path: Path):
+    session = Session(pair)
+    corrected.write(session, tmp_path / "same")
+    before, same = own_of(pair), own_of(tmp_path / "same")
+    assert {name: values[2] for name, values in same.items()} == {"A": "", "B": "low N"}
+    for name, values in before.items():
+        assert same[name][:2] == pytest.approx(values[:2], rel=1e-6)
+    lateral = next(k for k, line in session.state.lines.items() if line.plant == "A" and line.parent >= 0)
+    other = next(k for k, line in session.state.lines.items() if line.plant == "B")
+    length = session.state.lines[lateral].length_mm
+    session.do(log.edit("parent", roots=[lateral, other]))
+    corrected.write(session, tmp_path / "moved")
+    after = own_of(tmp_path / "moved")
+    assert after["B"][1] - before["B"][1] == pytest.approx(length, rel=1e-6)
+    assert before["A"][1] - after["A"][1] == pytest.approx(length, rel=1e-6)
+    assert after["B"][0] > before["B"][0] + 1.0
+    assert {root.plant for root in read_rsml(tmp_path / "moved" / "roots.rsml")} == {"A", "B"}
+    session.do(log.edit("cut", roots=[lateral], point_mm=tuple(session.state.lines[lateral].points_mm[20])))
+    assert [line.plant for line in session.state.lines.values()].count("B") == 3  # what is cut off stays the plant's
+
+
+def test_a_plant_without_roots_is_one_no_more(pair: Path, tmp_path: Path):
+    session = Session(pair)
+    other = next(k for k, line in session.state.lines.items() if line.plant == "B")
+    session.do(log.edit("delete roots", roots=[other]))
+    corrected.write(session, tmp_path / "one")
+    assert set(own_of(tmp_path / "one")) == {"A"}
+    text = (tmp_path / "one" / "traits.csv").read_text(encoding="utf-8")
+    assert {line.split(",")[0] for line in text.splitlines()[1:]} == {"", "A"}

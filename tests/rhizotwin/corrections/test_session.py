@@ -1,4 +1,4 @@
-"""Sessions: undo and redo, and saved corrections."""
+"""Sessions: undo and redo, saved corrections, and logs that are wrong."""
 
 import json
 from dataclasses import replace
@@ -13,20 +13,12 @@ from rhizotwin.scenes.errors import UserError
 from tests.rhizotwin.plant import Plant
 
 
-def test_a_result_without_settings_can_be_corrected(own: Path):
-    summary = json.loads((own / "result.json").read_text())
-    del summary["settings"]
-    (own / "result.json").write_text(json.dumps(summary))
-    session = Session(own)
-    session.do(log.edit("delete roots", roots=[1]))
-    assert session.measure().roots == 3
-
-
 def test_undo_and_redo_go_all_the_way(plant: Plant):
     session = Session(plant.result)
     volumes = [session.measure().volume_mm3]
     lowest = np.argsort(session.solid.centre_mm[:, 2])[:5]
-    for edit in (*(log.edit("delete roots", roots=[root]) for root in (1, 2)), log.edit("delete voxels", runs=log.runs(sorted(lowest)))):
+    edits = [*(log.edit("delete roots", roots=[root]) for root in (1, 2)), log.edit("delete voxels", runs=log.runs(sorted(lowest)))]
+    for edit in edits:
         session.do(edit)
         volumes.append(session.measure().volume_mm3)
     assert volumes == sorted(volumes, reverse=True)
@@ -42,7 +34,7 @@ def test_undo_and_redo_go_all_the_way(plant: Plant):
     assert log.runs(range(10, 200)) == ((10, 190),)
 
 
-def test_saved_corrections_are_there_when_the_result_is_opened_again(own: Path):
+def test_saved_corrections_are_there_when_opened_again(own: Path):
     session = Session(own)
     session.do(log.edit("delete roots", roots=[1], who="ann"))
     session.save()
@@ -86,3 +78,27 @@ def test_saved_corrections_that_cannot_be_applied_are_kept(own: Path):
     with pytest.raises(UserError, match=r"root 99 does not exist\); move .*edits.json to open"):
         Session(own)
     assert path.read_bytes() == before
+
+
+def changed(**changes: object) -> dict[str, object]:
+    return {"edits": [{"do": "cut", "who": "a", "when": "b"} | changes]}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"shape_sha256": "0" * 64}, "corrections of a different result"),
+        (changed(do="explode"), "'explode'"),
+        (changed(file="/etc/passwd"), "unknown key 'file'"),
+        (changed(do="delete roots", roots=["x"]), "'x'"),
+        (changed(point_mm=[0, 0, float("nan")]), "not a valid point"),
+        (changed(do="delete box", box_mm=[]), "could not be read as a log"),
+        ({"schema_version": 99}, "schema_version"),
+    ],
+)
+def test_logs_that_are_wrong_are_refused(plant: Plant, tmp_path: Path, change: dict, reason: str):
+    path = tmp_path / log.LOG_NAME
+    log.write(path, log.new(plant.result))
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(UserError, match=reason):
+        log.read(path, plant.result)

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from rhizotwin.importer.damaged_rows import LEAST, RingPictures
 from rhizotwin.importer.picture_import import import_pictures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
@@ -87,8 +88,8 @@ def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene:
     said.get_ifd(0x8769)[0xA001] = 1  # sRGB
     Image.fromarray(picture(1)).save(folder / "d.jpg", exif=said, quality=100)
     made = import_pictures(folder, scene, tmp_path / "out")
-    for name in ("a.png", "b.tiff", "c.jpg", "d.jpg"):
-        assert (tmp_path / "out/images" / name).read_bytes() == (folder / name).read_bytes()
+    kept, given_files = ({path.name: path.read_bytes() for path in own.iterdir()} for own in (tmp_path / "out/images", folder))
+    assert kept == given_files
     np.testing.assert_array_equal(read_image(made.dataset, made.dataset.frames[1]), deep)
     grey = read_image(made.dataset, made.dataset.frames[2])
     assert np.abs(grey.astype(float) - (0.114 * 10 + 0.587 * 200 + 0.299 * 40)).max() < 4.0
@@ -98,7 +99,7 @@ def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene:
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".png"])
-def test_damage_that_no_checksum_shows_is_refused_by_its_neighbours(suffix: str, tmp_path: Path, scene: Scene) -> None:
+def test_damage_without_a_checksum_is_shown_by_neighbours(suffix: str, tmp_path: Path, scene: Scene) -> None:
     """Bare pixels that were overwritten; a PNG of the same pixels has a checksum that says that they are as they were taken."""
     (tmp_path / "in").mkdir()
     for k in range(6):
@@ -122,8 +123,8 @@ def test_given_cameras_project_like_opencv(tmp_path: Path, scene: Scene) -> None
     made = import_pictures(write_pictures(tmp_path / "in", *names), scene, tmp_path / "out", cameras=cameras)
     file = json.loads(cameras.read_text())
     point_mm = np.array([12.0, -7.0, -55.0])
+    assert [frame.table_deg for frame in made.dataset.frames] == [None] * 3
     for frame, pose in zip(made.dataset.frames, file["frames"], strict=True):
-        assert frame.table_deg is None
         gl_from_world = np.linalg.inv(np.array(pose["transform_matrix"]))
         x, y, z = (gl_from_world @ [*point_mm, 1.0])[:3]
         u, v = x / -z, -y / -z
@@ -150,15 +151,19 @@ def test_applied_transform_is_taken_back(tmp_path: Path) -> None:
         frame["transform_matrix"] = (np.vstack([applied, [0, 0, 0, 1]]) @ np.array(frame["transform_matrix"])).tolist()
     (tmp_path / "b.json").write_text(json.dumps(file | {"applied_transform": applied.tolist()}))
     moved = read_cameras(tmp_path / "b.json", Camera())
-    for name, cam_from_canister in plain.cam_from_canister.items():
-        np.testing.assert_allclose(moved.cam_from_canister[name], cam_from_canister, atol=1e-9)
+    assert list(moved.cam_from_canister) == list(plain.cam_from_canister) == ["a.png", "b.png"]
+    np.testing.assert_allclose(*(list(read.cam_from_canister.values()) for read in (moved, plain)), atol=1e-9)
 
 
-def test_pictures_without_a_camera_are_left_out_and_named(tmp_path: Path, scene: Scene) -> None:
+def test_pictures_without_a_camera_or_name_of_their_own(tmp_path: Path, scene: Scene) -> None:
     cameras = write_cameras(tmp_path / "transforms.json", ["a.png", "c"])
-    made = import_pictures(write_pictures(tmp_path / "in", "a.png", "b.png", "c.png"), scene, tmp_path / "out", cameras=cameras)
+    folder = write_pictures(tmp_path / "in", "a.png", "b.png", "c.png")
+    made = import_pictures(folder, scene, tmp_path / "out", cameras=cameras)
     assert [frame.file for frame in made.dataset.frames] == ["images/a.png", "images/c.png"]
     assert any("b.png" in note for note in made.notes)
+    assert cv2.imwrite(str(folder / "a.jpg"), picture(0))
+    with pytest.raises(UserError, match=r"a\.jpg and a\.png, whose names differ only in the suffix"):
+        list_pictures(folder)
 
 
 def frame(file: str = "a.png", pose: Any = None, **more: Any) -> dict[str, Any]:
@@ -198,12 +203,7 @@ def test_bad_cameras_are_refused_by_name(changed: dict[str, Any], named: str, tm
     assert not (tmp_path / "out").exists()
 
 
-def test_pictures_that_would_collide_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"a\.jpg and a\.png, whose names differ only in the suffix"):
-        list_pictures(write_pictures(tmp_path / "in", "a.png", "a.jpg"))
-
-
-def test_masks_are_stretched_and_what_is_no_silhouette_is_refused(tmp_path: Path, scene: Scene) -> None:
+def test_masks_are_stretched_and_other_pictures_refused(tmp_path: Path, scene: Scene) -> None:
     cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
 
     def imported(mask: np.ndarray, name: str) -> Dataset:
@@ -246,13 +246,47 @@ def test_pictures_in_bands_are_views_by_the_ends_of_their_names(scene: Scene, tm
     banded = replace(scene, camera=replace(scene.camera, bands=bands), plan=CapturePlan(rings=(Ring(views=2, first_deg=10.0),)))
     pictures = write_pictures(tmp_path / "p", "b_2_nir.png", "b_2_white.png", "b_10_nir.png", "b_10_white.png")
     made = import_pictures(pictures, scene=banded, out=tmp_path / "d").dataset
-    assert [(frame.view, frame.band, frame.table_deg) for frame in made.frames] == [
-        (0, "nir", 10.0),
-        (0, "white", 10.0),
-        (1, "nir", 190.0),
-        (1, "white", 190.0),
-    ]
+    expected = [(0, "nir", 10.0), (0, "white", 10.0), (1, "nir", 190.0), (1, "white", 190.0)]
+    assert [(frame.view, frame.band, frame.table_deg) for frame in made.frames] == expected
     assert load_dataset(tmp_path / "d") == made
     write_pictures(tmp_path / "q", "a.png")
     with pytest.raises(UserError, match=r"does not end with one of the camera's bands; rename the file, for example to a_white\.png"):
         import_pictures(tmp_path / "q", scene=banded, out=tmp_path / "e")
+
+
+HIGH, WIDE = 120, 160
+
+
+def turned(angle_deg: float, rng: np.random.Generator) -> np.ndarray[Any, Any]:
+    """Return a bright panel before which a few thin things turn, with noise."""
+    light = np.full((HIGH, WIDE), 190.0)
+    for radius, phase in ((10.0, 0.0), (35.0, 2.0), (60.0, 4.0)):
+        x = WIDE / 2.0 + radius * np.cos(np.deg2rad(angle_deg) + phase)
+        light[20:, round(x) - 1 : round(x) + 2] = 20.0
+    return np.clip(light + rng.normal(0.0, 2.0, light.shape), 0, 255).astype(np.uint8)
+
+
+def turn(count: int, *, spoilt: slice | None = None) -> RingPictures:
+    rng, made = np.random.default_rng(0), RingPictures()
+    for k in range(count):
+        taken = turned(360.0 * k / count, rng)
+        if spoilt is not None and k == 2:
+            taken[spoilt] = 0
+        made.add(Path(f"view_{k}.tif"), taken)
+    return made
+
+
+@pytest.mark.parametrize("rows", [slice(40, 41), slice(100, 120), slice(0, 14), slice(14, 120)], ids=str)
+def test_black_rows_are_found_where_they_are(rows: slice) -> None:
+    (found,) = turn(12, spoilt=rows).find_damaged()
+    assert (found.path, found.last) == (Path("view_2.tif"), rows.stop - 1)
+    assert abs(found.first - rows.start) <= 2
+
+
+def test_whole_pictures_another_light_and_few_pictures_have_none() -> None:
+    assert turn(12).find_damaged() == []
+    assert turn(12).excess().max() < 0.1
+    assert turn(12, spoilt=slice(0, HIGH)).find_damaged() == []  # another light
+    few = turn(LEAST - 1, spoilt=slice(40, 60))
+    assert not few.enough
+    assert few.find_damaged() == []

@@ -43,16 +43,14 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
 
 
 @pytest.mark.parametrize(("markers", "found", "taken"), [(1.0, 1.002, False), (1.002, 1.00205, True)])
-def test_a_focal_length_that_the_roots_corrected_was_not_taken_from_the_markers(markers: float, found: float, taken: bool) -> None:
-    by_markers = MarkerCalibration(
-        focal_scale=markers, focal_found=1.002, focal_sigma=0.001, table_sigma=None, table_correction_deg=None, canister=None
-    )
+def test_a_focal_length_of_the_roots_is_not_that_of_the_markers(markers: float, found: float, taken: bool) -> None:
+    unknown = dict.fromkeys(("table_sigma", "table_correction_deg", "canister"))
+    by_markers = MarkerCalibration(focal_scale=markers, focal_found=1.002, focal_sigma=0.001, **unknown)
     index = {"n_water": 1.334, "n_water_sigma": 1e-4, "n_water_given": 1.333}
     by_roots = RootCalibration(**index, focal_scale=1.00205 / 1.002, believed=True, nodes=700, before_px=0.09, after_px=0.05)
     scene = Scene()
-    rig = summarize_cameras(
-        Cameras(lens=scene.camera, optics=Optics.from_scene(scene), all=(), order=(), markers=by_markers, roots=by_roots)
-    )
+    cameras = Cameras(lens=scene.camera, optics=Optics.from_scene(scene), all=(), order=(), markers=by_markers, roots=by_roots)
+    rig = summarize_cameras(cameras)
     row = next(row for row in calibration_table.rows(rig) if row.quantity == "focal length relative to the given value")
     assert (row.found, row.taken) == (pytest.approx(found, abs=1e-9), taken)
 

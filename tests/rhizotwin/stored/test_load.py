@@ -33,23 +33,30 @@ def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
         np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)
 
 
+OTHER_KINDS = [
+    ("rig", {"focal_scale": None}),
+    ("rig", {"canister_edges": {"before_mm": None, "after_mm": 0.1}}),
+    ("rig", {"n_water_found": 1.33}),
+    ("rig", {"sway_mm": "<b>"}),
+    ("warnings", [5]),
+    ("plants", 2),
+    ("settings", {"finest_mm": "fine"}),
+    ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
+    ("volume_interval_mm3", [1.0]),
+]
+
+
 def test_a_value_of_another_kind_is_named(scan) -> None:
     made = scan(voxel_mm=1.0)
-    good = load_result(made.result).summary()
-    for key, value in (
-        ("rig", {"focal_scale": None}),
-        ("rig", {"canister_edges": {"before_mm": None, "after_mm": 0.1}}),
-        ("rig", {"n_water_found": 1.33}),
-        ("rig", {"sway_mm": "<b>"}),
-        ("warnings", [5]),
-        ("plants", 2),
-        ("settings", {"finest_mm": "fine"}),
-        ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
-        ("volume_interval_mm3", [1.0]),
-    ):
+    good, said = load_result(made.result).summary(), []
+    for key, value in OTHER_KINDS:
         made.edit_summary(**(good | {key: value}))
-        with pytest.raises(UserError, match=f"result.json contains an invalid value of '{key}'"):
+        with pytest.raises(UserError) as caught:
             load_result(made.result)
+        said.append(str(caught.value))
+    assert [
+        one for one, (key, _) in zip(said, OTHER_KINDS, strict=True) if f"result.json contains an invalid value of '{key}'" not in one
+    ] == []
 
 
 LEAVES = Leaves(
