@@ -17,7 +17,7 @@ from rhizotwin.scenes.errors import UserError
 
 HERE = Path(__file__).resolve().parent
 
-_IN_PROCESS = ("thesis", "batch", "growth", "damages", "adopt", "rig")
+_IN_PROCESS = ("thesis", "batch", "growth", "damages", "adopt", "rig", "freeze")
 """Commands that compute in this process; the others run workers."""
 
 

@@ -37,6 +37,9 @@ from rhizotwin.scoring.score_topology import compare_topology
 from rhizotwin.stored.load import load_result
 
 SCHEMA_VERSION = 1
+SAME = 1e-6
+"""Difference relative to the largest element below which arrays are the same: sums over threads differ by 1e-7
+(`docs/decisions/rounding.md`)."""
 AIR = "masks_in_air"
 AIR_VOXEL_MM = 0.4
 """Voxel of the masks in air, as in `benchmarks.commit_comparison`."""
@@ -203,7 +206,7 @@ def _cameras(before: Result, after: Result) -> Change:
     moved = [float(np.linalg.norm(np.linalg.inv(old)[:3, 3] - np.linalg.inv(new)[:3, 3])) for old, new in poses]
     differ = sum(old.used != new.used for old, new in zip(before.cameras, after.cameras, strict=True))
     largest = max(moved, default=0.0)
-    return Change(kind="cameras", text=f"at most {largest:.2g} mm apart; {differ} used in one only", same=largest < 1e-6 and not differ)
+    return Change(kind="cameras", text=f"at most {largest:.2g} mm apart; {differ} used in one only", same=largest < SAME and not differ)
 
 
 def _opacity(before: Result, after: Result) -> Change:
@@ -213,7 +216,7 @@ def _opacity(before: Result, after: Result) -> Change:
     apart = sum(float(np.abs(old[name].coverage - new[name].coverage).sum(dtype=np.float64)) for name in both)
     share = apart / area if area else 0.0
     return Change(
-        kind="opacity", text=f"{100.0 * share:.3g} % of the covered area", same=share < 1e-6 and len(both) == len(old) == len(new)
+        kind="opacity", text=f"{100.0 * share:.3g} % of the covered area", same=share < SAME and len(both) == len(old) == len(new)
     )
 
 
@@ -242,8 +245,8 @@ def _tree(before: Result, after: Result) -> list[Change]:
     links = f"identity {tree.identity:.4f}, same parent {tree.parents:.3f}, same order {100.0 * tree.order_length:.1f} % of the length"
     moved = abs(lines.length_error) + tree.ghosts_mm + tree.missing_mm
     return [
-        Change(kind="tubes", text=tubes, same=moved < 1e-6 and abs(lines.radius_error_median) < 1e-6),
-        Change(kind="links", text=links, same=tree.identity > 1.0 - 1e-6 and tree.parents == tree.order_length == 1.0),
+        Change(kind="tubes", text=tubes, same=moved < SAME and abs(lines.radius_error_median) < SAME),
+        Change(kind="links", text=links, same=tree.identity > 1.0 - SAME and tree.parents == tree.order_length == 1.0),
     ]
 
 
@@ -252,7 +255,7 @@ def _terms(before: Result, after: Result) -> Change:
     apart = {name: abs(new.get(name, 0.0) - old.get(name, 0.0)) for name in old | new}
     name = max(apart, key=lambda one: apart[one], default="")
     text = f"{len(new)} terms; largest change: {name}, width {old.get(name, 0.0):.3g} -> {new.get(name, 0.0):.3g} mm3" if name else "none"
-    return Change(kind="terms", text=text, same=not name or apart[name] <= 1e-6 * before.solid.volume.mm3)
+    return Change(kind="terms", text=text, same=not name or apart[name] <= SAME * before.solid.volume.mm3)
 
 
 def _compare_stages(before: Path, after: Path) -> Change:
@@ -270,13 +273,14 @@ def _compare_stages(before: Path, after: Path) -> Change:
                 ]
         if unlike:
             differing.append(f"{path.stem} ({len(unlike)} arrays, first {unlike[0]})")
-    return Change(kind="stages", text="differ: " + "; ".join(differing) if differing else "identical arrays", same=not differing)
+    return Change(kind="stages", text="differ: " + "; ".join(differing) if differing else "the same arrays", same=not differing)
 
 
 def _alike(old: NDArray[Any], new: NDArray[Any]) -> bool:
-    if old.shape != new.shape:
-        return False
-    return bool(np.array_equal(old, new, equal_nan=True) if old.dtype.kind == "f" else np.array_equal(old, new))
+    if old.shape != new.shape or old.dtype.kind != "f":
+        return np.array_equal(old, new)
+    size = float(np.nanmax(np.abs(old), initial=0.0, where=np.isfinite(old)))
+    return np.allclose(old, new, rtol=0.0, atol=SAME * size, equal_nan=True)
 
 
 def read(folder: Path) -> dict[str, Any]:
