@@ -13,16 +13,15 @@ RADISHES = [f"radish_day{day:02d}{plant}" for day in range(5, 31, 5) for plant i
 FAMILIES = ["bean", "maize", "wheat", "lettuce", "bulb", "carrot", "radish_swollen"]
 
 
-def test_the_library_is_complete_and_each_scene_loads_under_its_name() -> None:
+def test_the_library_is_complete_and_each_scene_has_its_name() -> None:
     solids = ["sphere_20mm", "printed_8ml", "fallen_plant", "gel_cylinder", "print_in_tank", "radish_bands", "radish_shoot", "two_radishes"]
     solids.append("wire_phantom")
-    assert sorted(name for name, _ in library()) == sorted([*solids, *FAMILIES, *RADISHES])
-    for name, description in library():
-        scene = load_scene(name)
-        assert (scene.name, scene.description) == (name, description)
-        assert description.strip(), name
-        assert "\n" not in description, name
-        assert scene.disturbances == Disturbances(), name
+    listed = list(library())
+    assert sorted(name for name, _ in listed) == sorted([*solids, *FAMILIES, *RADISHES])
+    scenes = [load_scene(name) for name, _ in listed]
+    assert [(scene.name, scene.description) for scene in scenes] == listed
+    assert all(text.strip() and "\n" not in text for _, text in listed)
+    assert {scene.disturbances for scene in scenes} == {Disturbances()}
     assert load_scene("radish_day15") == load_scene("radish_day15a")
 
 

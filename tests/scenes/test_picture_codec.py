@@ -1,19 +1,24 @@
-"""Pictures: grey levels kept, damage named."""
+"""Pictures: grey levels kept, damage named; TIFF files with and without imagecodecs, which is an extra."""
 
 import struct
+import sys
 import tracemalloc
 import zlib
 from io import BytesIO
 from typing import Any
 
 import cv2
+import imagecodecs
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
+from rhizotwin.scenes import picture_damage
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_codec import decode_grey
-from rhizotwin.scenes.picture_damage import is_sealed
+from rhizotwin.scenes.picture_damage import UnfitError, check_picture, is_sealed
 
 RNG = np.random.default_rng(7)
 GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)
@@ -40,7 +45,7 @@ WHOLE = {
 }
 
 
-@pytest.mark.parametrize("data", WHOLE.values(), ids=WHOLE.keys())
+@pytest.mark.parametrize("data", WHOLE.values(), ids=WHOLE)
 def test_whole_pictures_are_read_and_truncated_ones_named(data: bytes) -> None:
     assert decode_grey(data, where="a").shape == GREY.shape
     assert decode_grey(data + b"trailer of some phone \xff\xd8\xff", where="a").shape == GREY.shape
@@ -65,43 +70,59 @@ NO_PICTURE = {
 }
 
 
-@pytest.mark.parametrize(("data", "says"), NO_PICTURE.values(), ids=NO_PICTURE.keys())
+@pytest.mark.parametrize(("data", "says"), NO_PICTURE.values(), ids=NO_PICTURE)
 def test_what_is_no_picture(data: bytes, says: str) -> None:
     with pytest.raises(UserError, match=says):
         decode_grey(data, where="a")
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_levels_and_depth_are_kept(kind: type) -> None:
-    grey = RNG.integers(0, np.iinfo(kind).max, (6, 9), dtype=kind, endpoint=True)
-    for suffix in (".png", ".tiff"):
-        found = decode_grey(encoded(grey, suffix), where="a")
-        assert found.dtype == kind
-        np.testing.assert_array_equal(found, grey)
-
-
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_colours_by_luminance_without_alpha(kind: type) -> None:
+def test_levels_and_depth_are_kept_and_colours_are_luminance(kind: type) -> None:
     blue_green_red = RNG.integers(0, np.iinfo(kind).max, (6, 9, 3), dtype=kind, endpoint=True)
-    luminance = blue_green_red @ np.array([0.114, 0.587, 0.299])
-    for image in (blue_green_red, np.concatenate([blue_green_red, np.zeros((6, 9, 1), kind)], axis=2)):
-        found = decode_grey(encoded(image), where="a")
-        assert found.dtype == kind
-        np.testing.assert_allclose(found, luminance, atol=1.0, rtol=5e-5)  # OpenCV's weights are rounded to 14 bits
+    grey, with_alpha = decode_grey(encoded(blue_green_red[..., 0]), where="a"), np.concatenate([blue_green_red, 0 * blue_green_red], axis=2)
+    found = np.stack([decode_grey(encoded(image), where="a") for image in (blue_green_red, with_alpha[..., :4])])
+    assert grey.dtype == found.dtype == kind
+    np.testing.assert_array_equal(grey, blue_green_red[..., 0])
+    # OpenCV's weights are rounded to 14 bits
+    np.testing.assert_allclose(found, [blue_green_red @ np.array([0.114, 0.587, 0.299])] * 2, atol=1.0, rtol=5e-5)
 
 
 COMPRESSIONS = {"bare": 1, "LZW": 5, "Deflate": 8, "old Deflate": 32946, "PackBits": 32773}
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS.values(), ids=COMPRESSIONS.keys())
-def test_tiffs_are_read_whole_and_refused_truncated(compression: int) -> None:
-    for kind in (np.uint8, np.uint16):
-        grey = RNG.integers(0, np.iinfo(kind).max, (40, 60), dtype=kind, endpoint=True)
-        data = encoded(grey, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, compression)
-        np.testing.assert_array_equal(decode_grey(data, where="a"), grey)
-        for kept in (0.2, 0.5, 0.9):
-            with pytest.raises(UserError, match=r"the picture is (truncated|damaged)"):
-                decode_grey(data[: int(kept * len(data))], where="a")
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_tiffs_are_read_whole_and_refused_truncated(compression: str, kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    grey = RNG.integers(0, np.iinfo(kind).max, (40, 60), dtype=kind, endpoint=True)
+    data = encoded(grey, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, COMPRESSIONS[compression])
+    found = decode_grey(data, where="a")
+    assert found.dtype == kind
+    np.testing.assert_array_equal(found, grey)
+    for kept in (0.2, 0.5, 0.9):
+        with pytest.raises(UserError, match=r"the picture is (truncated|damaged)"):
+            decode_grey(data[: int(kept * len(data))], where="a")
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    if compression == "LZW":
+        with pytest.raises(UnfitError, match=r"TIFF with LZW compression, .* run pip install 'rhizotwin\[tiff\]', or convert it to PNG"):
+            check_picture(data)
+    else:
+        assert check_picture(data) == data
+
+
+RUNS = st.tuples(st.binary(min_size=1, max_size=1), st.integers(2, 128)).map(lambda run: (bytes([257 - run[1]]) + run[0], run[0] * run[1]))
+LITERALS = st.binary(min_size=1, max_size=128).map(lambda data: (bytes([len(data) - 1]) + data, data))
+NOTHING = st.just((b"\x80", b""))
+
+
+@given(st.lists(RUNS | LITERALS | NOTHING, min_size=1, max_size=8))
+def test_packbits(pieces: list[tuple[bytes, bytes]]) -> None:
+    packed = b"".join(packed for packed, _ in pieces)
+    assert picture_damage._packbits(packed) == b"".join(data for _, data in pieces)
+
+
+def test_bits_are_mirrored_as_imagecodecs_does() -> None:
+    data = bytes(range(256))
+    assert data.translate(picture_damage._MIRRORED) == bytes(imagecodecs.bitorder_decode(data))
 
 
 def test_flipped_bytes_in_a_compressed_tiff() -> None:
@@ -118,11 +139,10 @@ def test_what_has_a_checksum_is_known() -> None:
     assert [name for name, data in (WHOLE | tiffs).items() if is_sealed(data)] == ["png", "Deflate"]
 
 
-def test_half_a_jpeg_with_an_end_marker() -> None:
-    whole = WHOLE["jpeg"]
-    for kept in (0.6, 0.8, 0.95):
-        with pytest.raises(UserError, match=r"a\.jpg: the picture is damaged"):
-            decode_grey(whole[: int(kept * len(whole))] + b"\xff\xd9", where="a.jpg")
+@pytest.mark.parametrize("kept", [0.6, 0.8, 0.95])
+def test_half_a_jpeg_with_an_end_marker(kept: float) -> None:
+    with pytest.raises(UserError, match=r"a\.jpg: the picture is damaged"):
+        decode_grey(WHOLE["jpeg"][: int(kept * len(WHOLE["jpeg"]))] + b"\xff\xd9", where="a.jpg")
 
 
 def png_of(header: bytes, pixels: bytes) -> bytes:

@@ -82,24 +82,24 @@ def test_a_scene_file_holds_it_and_the_command_line_reads_it(tmp_path: Path) -> 
     own = Solution(recipe="kliman_2022", grams_per_l={"Ca(NO3)2.4H2O": 0.5}, factors={"K": 0.25})
     plain = {"recipe": "kliman_2022", "grams_per_l": own.grams_per_l, "factors": {"K": 0.25}}
     scene = files.scene_from_dict({"solution": plain}, where="x")
+    assert scene.solution == own
     files.save_scene(scene, tmp_path / "a.toml")
-    assert files.load_scene(tmp_path / "a.toml").solution == own
     (tmp_path / "s.toml").write_text('recipe = "kliman_2022"\n[grams_per_l]\n"Ca(NO3)2.4H2O" = 0.5\n')
     assert read_solution(f"{tmp_path / 's.toml'},K=0.25") == own
-    for text, said in (("kliman_2022,K", "not a factor"), ("kliman", "did you mean"), ("kliman_2022,K=-1", "between 0 and 100")):
-        with pytest.raises(UserError, match=said):
-            read_solution(text)
+    assert {scene: 1}[files.load_scene(tmp_path / "a.toml")] == 1, "scenes with solutions can be keys"
+    assert scene != files.scene_from_dict({"solution": {"recipe": "kliman_2022"}}, where="x")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("kliman_2022,K", "not a factor"), ("kliman", "did you mean"), ("kliman_2022,K=-1", "between 0 and 100")]
+)
+def test_wrong_words_of_the_command_line(text: str, said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        read_solution(text)
 
 
 def test_columns_of_tables() -> None:
-    ions = Solution(recipe="kliman_2022").ions_mmol_per_l
-    heads = headings([ions, {}])
+    heads = headings([Solution(recipe="kliman_2022").ions_mmol_per_l, {}])
     assert list(heads)[:3] == ["NO3", "NH4", "H2PO4"]
     assert "Cl" not in heads
     assert solution.from_summary({}, "result.json") == Solution()
-
-
-def test_scenes_with_solutions_can_be_keys() -> None:
-    one, same = (files.scene_from_dict({"solution": {"recipe": "kliman_2022", "factors": {"K": 0.5}}}, where="x") for _ in range(2))
-    assert {one: 1}[same] == 1
-    assert one != files.scene_from_dict({"solution": {"recipe": "kliman_2022"}}, where="x")

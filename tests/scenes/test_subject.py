@@ -18,7 +18,7 @@ from rhizotwin.sim.specimen import SpecimenSolid
 WHOLE = Subject(plant="P7", species="Raphanus sativus", treatment="low N", day=15.0, date="2022-10-16", replicate=2, notes="fell over")
 
 
-def test_scene_files_and_datasets_keep_it_and_one_without_is_read(tmp_path: Path) -> None:
+def test_scene_files_and_datasets_keep_it_or_do_without(tmp_path: Path) -> None:
     files.save_scene(Scene(subject=WHOLE), tmp_path / "scene.toml")
     assert files.load_scene(tmp_path / "scene.toml").subject == WHOLE
     save_dataset(Dataset(folder=tmp_path, scene=Scene(subject=WHOLE), frames=(Frame(file="a.png", sha256=""),)))
@@ -42,8 +42,6 @@ def test_cells_of_a_table_give_it_back() -> None:
         ({"date": "2022-W40-4"}, "must be a date such as 2022-10-06"),
         ({"treatment": "=HYPERLINK(1)"}, "must not begin with = or @"),
         ({"plant": "a\nb"}, "one line"),
-        ({"day": -1.0}, "must be between 0 and 36500"),
-        ({"plnat": "P7"}, "did you mean"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(wrong: dict[str, object], says: str) -> None:
