@@ -24,57 +24,26 @@ class Fault:
     file: str
     right: str
     wrong: str
-    tests: str
 
 
 FAULTS = (
     Fault(
-        "refraction turns the wrong way at the inner wall",
-        "recon/optics/refraction.py",
-        "heading + np.arcsin(b_g / r_i) - np.arcsin(b_w / r_i)",
-        "heading - np.arcsin(b_g / r_i) + np.arcsin(b_w / r_i)",
-        "tests/recon",
+        "refraction turns the wrong way at the inner wall", "recon/optics/refraction.py",
+        right="heading + np.arcsin(b_g / r_i) - np.arcsin(b_w / r_i)", wrong="heading - np.arcsin(b_g / r_i) + np.arcsin(b_w / r_i)",
     ),
+    Fault("a cube is empty at the outline", "recon/hull/marks.py", "(distance < -reach - slack_px)", "(distance < reach - slack_px)"),
+    Fault("corners are off by one pixel", "recon/calibration/markers.py", "+ 0.5) * scale - 0.5)", "+ 0.5) * scale + 0.5)"),
+    Fault("a one-sided term counts half", "recon/uncertainty/budget.py", "0.5 * max(this - other, 0.0)", "0.0 * max(this - other, 0.0)"),
+    Fault("thickness at a fork is that of all beyond", "recon/roots/hierarchy.py", "[way <= _REACH_MM].mean()", ".mean()"),
+    Fault("pixels are half a pixel off", "sim/sensor.py", "sample2.x * width - 0.5 -", "sample2.x * width -"),
+    Fault("the strip is upside down", "sim/strip.py", "(strip.rows - 1 - row) * strip.row_pitch_mm", "row * strip.row_pitch_mm"),
+    Fault("a servo frame's checksum is not inverted", "rig/arm/lx_bus.py", "(~sum(body) & 0xFF,)", "(sum(body) & 0xFF,)"),
+    Fault("the table arrives from above", "rig/table/turntable.py", "(0, angle_deg - room_deg)", "(0, angle_deg + room_deg)"),
     Fault(
-        "a cube is empty when it touches the outline",
-        "recon/hull/marks.py",
-        "(distance < -reach - slack_px)",
-        "(distance < reach - slack_px)",
-        "tests/recon",
+        "the end of the arm's way is not checked", "rig/arm/clearance.py",
+        "here.distance_mm[k] < here.margin_mm).any()", "here.distance_mm[k] < -here.margin_mm).any()",
     ),
-    Fault("corners are off by one pixel", "recon/calibration/markers.py", "+ 0.5) * scale - 0.5)", "+ 0.5) * scale + 0.5)", "tests/recon"),
-    Fault(
-        "a one-sided term of the budget counts half",
-        "recon/uncertainty/budget.py",
-        "0.5 * max(this - other, 0.0)",
-        "0.0 * max(this - other, 0.0)",
-        "tests/recon",
-    ),
-    Fault("thickness at a fork is that of all beyond", "recon/roots/hierarchy.py", "[way <= _REACH_MM].mean()", ".mean()", "tests/recon"),
-    Fault("pixels are half a pixel off", "sim/sensor.py", "sample2.x * width - 0.5 -", "sample2.x * width -", "tests/sim"),
-    Fault(
-        "the strip's rows are upside down",
-        "sim/strip.py",
-        "(strip.rows - 1 - row) * strip.row_pitch_mm",
-        "row * strip.row_pitch_mm",
-        "tests/sim",
-    ),
-    Fault("a servo frame's checksum is not inverted", "rig/arm/lx_bus.py", "(~sum(body) & 0xFF,)", "(sum(body) & 0xFF,)", "tests/rig/arm"),
-    Fault(
-        "the table arrives from above",
-        "rig/table/turntable.py",
-        "(0, angle_deg - room_deg)",
-        "(0, angle_deg + room_deg)",
-        "tests/rig/table",
-    ),
-    Fault(
-        "the end of the arm's way is not checked",
-        "rig/arm/clearance.py",
-        "here.distance_mm[k] < here.margin_mm).any()",
-        "here.distance_mm[k] < -here.margin_mm).any()",
-        "tests/rig/arm",
-    ),
-)
+)  # fmt: skip
 
 
 def noticed(fault: Fault, copy: Path) -> str:
@@ -86,7 +55,7 @@ def noticed(fault: Fault, copy: Path) -> str:
     file.write_text(source.replace(fault.right, fault.wrong), encoding="utf-8")
     words = [sys.executable, "-m", "pytest", "-q", "-x", "--numprocesses", "auto", "--dist", "loadfile", "-m", "not slow"]
     try:
-        for tests in (fault.tests, "tests"):
+        for tests in (f"tests/{Path(fault.file).parent}", "tests"):
             done = subprocess.run(
                 [*words, tests], cwd=copy, env=os.environ | {"PYTHONPATH": str(copy)}, capture_output=True, text=True, check=False
             )

@@ -30,33 +30,14 @@ def _flip(data: bytes, rng: Rng) -> bytes:
     return bytes(changed)
 
 
-def _span(data: bytes, rng: Rng) -> tuple[int, int]:
+def _stretch(data: bytes, rng: Rng) -> bytes:
+    """Remove, repeat, blank or overwrite a stretch, or cut the file there."""
     begin, end = sorted(int(at) for at in rng.integers(0, len(data) + 1, 2))
-    return begin, min(end, begin + int(2 ** rng.uniform(0.0, 12.0)))
-
-
-def _remove(data: bytes, rng: Rng) -> bytes:
-    begin, end = _span(data, rng)
-    return data[:begin] + data[end:]
-
-
-def _repeat(data: bytes, rng: Rng) -> bytes:
-    begin, end = _span(data, rng)
-    return data[:end] + data[begin:end] * int(rng.integers(1, 5)) + data[end:]
-
-
-def _blank(data: bytes, rng: Rng) -> bytes:
-    begin, end = _span(data, rng)
-    return data[:begin] + bytes([int(rng.choice([0, 255, 32, 10]))]) * (end - begin) + data[end:]
-
-
-def _cut(data: bytes, rng: Rng) -> bytes:
-    return data[: int(rng.integers(0, len(data) + 1))]
-
-
-def _noise(data: bytes, rng: Rng) -> bytes:
-    begin, end = _span(data, rng)
-    return data[:begin] + rng.bytes(end - begin) + data[end:]
+    end = min(end, begin + int(2 ** rng.uniform(0.0, 12.0)))
+    repeated = data[begin:end] * int(rng.integers(2, 6))
+    blank = bytes([int(rng.choice([0, 255, 32, 10]))]) * (end - begin)
+    middle = (b"", repeated, blank, rng.bytes(end - begin))[rng.integers(4)]
+    return data[:begin] if rng.random() < 0.2 else data[:begin] + middle + data[end:]
 
 
 def _number(data: bytes, rng: Rng) -> bytes:
@@ -87,4 +68,4 @@ def _line(data: bytes, rng: Rng) -> bytes:
     return b"\n".join(lines)
 
 
-DAMAGES = (_flip, _flip, _remove, _repeat, _blank, _cut, _noise, _number, _number, _number, _word, _line)
+DAMAGES = (_flip, _flip, *(_stretch,) * 5, _number, _number, _number, _word, _line)

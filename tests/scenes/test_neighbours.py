@@ -1,10 +1,12 @@
-"""Plants that share a canister: distances, zones and common hulls of shapes that are worked out by hand."""
+"""Plants that share a canister: where they hang, and distances, zones and common hulls that are worked out by hand."""
 
 import numpy as np
 import pytest
 
 from rhizotwin.scenes.neighbours import HEAD, find_neighbours, rows
+from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, SphereSpecimen
 
 
 def rod(plant: str, start: tuple[float, float, float], end: tuple[float, float, float], *, diameter_mm: float = 1.0) -> Root:
@@ -68,3 +70,11 @@ def test_rows_have_the_whole_and_each_depth() -> None:
         ("B", "A", "0"),
     ]
     assert float(table[1][9]) == pytest.approx(1.0)
+
+
+def test_specimens_stand_where_their_plants_hang() -> None:
+    assert Plant(plant="A", at_mm=(5.0, -3.0), specimen=GrownSpecimen()).placed() == GrownSpecimen(origin_mm=(5.0, -3.0, -10.5))
+    assert Plant(plant="A", at_mm=(5.0, -3.0), specimen=SphereSpecimen()).placed() == SphereSpecimen(centre_mm=(5.0, -3.0, -55.0))
+    moved = Plant(plant="A", at_mm=(5.0, 0.0), specimen=MeshSpecimen(file="a.stl", shift_mm=(1.0, 0.0, -9.0))).placed()
+    assert moved == MeshSpecimen(file="a.stl", shift_mm=(6.0, 0.0, -9.0))
+    assert Plant(plant="A").placed() is None
