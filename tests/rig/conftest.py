@@ -1,15 +1,21 @@
 """A Marlin board of a few lines for the tests of its drivers, with faults on the wire; written from the protocol, not from the drivers."""
 
+import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
+from operator import xor
 
+import numpy as np
 import pytest
 
+from rhizotwin.recon.calibration.markers import Markers, detect_markers
+from rhizotwin.rig.scanning import markers
 from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.scenes.model import MarkerStrip
 from tests.rig.fake_time import Time
-from tests.rig.table.marlin_script import GREETING, Script, Talk
+from tests.rig.table.marlin_script import GREETING, LatePort, Script, Talk
 
 Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
@@ -19,7 +25,7 @@ COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 106, 107, 110,
 
 
 @dataclass
-class _Board:
+class _Board(LatePort):
     """A board behind a port: the methods of `rig.serial_line.port.Port`, answers after Marlin 2.1."""
 
     greets: bool = False
@@ -35,8 +41,6 @@ class _Board:
     """At which request (from 0) the board starts anew first, and what it prints then."""
     x_deg: float = 0.0
     clock: Time = field(default_factory=Time)
-    url: str = "fake"
-    device: str = "turntable"
 
     def __post_init__(self) -> None:
         self.last = 0
@@ -66,19 +70,8 @@ class _Board:
             for text in whole:
                 self.take(text.decode("latin-1").strip())
 
-    def read(self, timeout_s: float) -> bytes:
-        self.waiting.sort(key=lambda piece: piece[0])
-        until_s = self.clock.at_s + timeout_s
-        if not self.waiting or self.waiting[0][0] > until_s:
-            self.clock.at_s = until_s
-            return b""
-        due_s, data = self.waiting.pop(0)
-        self.clock.at_s = max(self.clock.at_s, due_s)
-        return data
-
     def discard_input(self) -> None:
-        while self.read(0.0):
-            pass
+        list(iter(lambda: self.read(0.0), b""))
 
     def close(self) -> None:
         self.closed += 1
@@ -111,7 +104,7 @@ class _Board:
                 return self.refuse("Line Number is not Last Line Number+1")
             if not star:
                 return self.refuse("No Checksum with line number")
-            if str(reduce(lambda total, byte: total ^ byte, body.encode("latin-1"))) != checksum:
+            if str(reduce(xor, body.encode("latin-1"))) != checksum:
                 return self.refuse("checksum mismatch")
             self.last = number
             text = body.partition(" ")[2]
@@ -160,6 +153,22 @@ class _Board:
     @property
     def at_rest(self) -> bool:
         return self.clock.at_s >= self.done_s
+
+
+@pytest.fixture(scope="session", autouse=True)
+def markers_found_once() -> Iterator[None]:
+    """Look for markers once in equal pictures: that is most of the time of a scan on fakes, whose pictures recur."""
+    found = dict[tuple[object, ...], Markers]()
+
+    def detect(image: np.ndarray, strip: MarkerStrip, *, measure: bool = True) -> Markers:
+        key = (hashlib.sha256(image.tobytes()).digest(), image.dtype, image.shape, strip, measure)
+        if key not in found:
+            found[key] = detect_markers(image, strip, measure=measure)
+        return found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(markers, "detect_markers", detect)
+        yield
 
 
 @pytest.fixture

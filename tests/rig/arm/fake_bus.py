@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any
 
 import pytest
 
@@ -142,7 +142,6 @@ class ScriptedLine:
     def __init__(self, *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> None:
         self.script = [(bytes.fromhex(sent), bytes.fromhex(answer)) for sent, answer in script]
         self.clock = Time()
-        self.closed = False
         self._echo = echo
         self._piece = piece
         self._input = b""
@@ -164,16 +163,9 @@ class ScriptedLine:
         """Drop what is there."""
         self._input = b""
 
-    def close(self) -> None:
-        """Note it."""
-        self.closed = True
-
-
-Bus = TypeVar("Bus")
-
 
 @contextmanager
-def scripted(bus: Callable[[ScriptedLine], Bus], *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> Iterator[Bus]:
+def scripted(bus: Callable[[ScriptedLine], Any], *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> Iterator[Any]:
     """Give a bus on a scripted line, all of which must be used."""
     line = ScriptedLine(*script, echo=echo, piece=piece)
     yield bus(line)

@@ -47,25 +47,12 @@ def distance_of(rig: RigFile, piece: str, other: str, joints_deg: Joints) -> flo
     return float(found.distance_mm[0, found.names.index((piece, other))])
 
 
-# Shapes.
-
-
-SPOTS = [
-    (0, (100.0, 0.0, -50.0), 23.8),
-    (0, (0.0, 0.0, 12.0), 12.0),
-    (0, (0.0, 79.2, 4.0), 5.0),
-    (0, (70.2, 0.0, -50.0), -6.0),
-    (0, (0.0, 0.0, -150.4), -2.0),
-    (1, (43.0, 64.0, 15.0), 5.0),
-    (1, (0.0, 0.0, 8.0), -3.0),
-    (2, (5.0, 5.0, -180.0), 15.0),
-]
-"""Which solid, a point, and how far it is from there, by hand."""
-
-
-def test_distance_of_a_point() -> None:
-    for solid, at, distance_mm in SPOTS:
-        assert float(SOLIDS[solid].distance_mm(np.array(at))) == pytest.approx(distance_mm)
+def test_distances_of_points_by_hand() -> None:
+    cylinder, box, floor = SOLIDS
+    spots = np.array([(100.0, 0.0, -50.0), (0.0, 0.0, 12.0), (0.0, 79.2, 4.0), (70.2, 0.0, -50.0), (0.0, 0.0, -150.4)])
+    assert cylinder.distance_mm(spots) == pytest.approx([23.8, 12.0, 5.0, -6.0, -2.0])
+    assert box.distance_mm(np.array([(43.0, 64.0, 15.0), (0.0, 0.0, 8.0)])) == pytest.approx([5.0, -3.0])
+    assert floor.distance_mm(np.array([5.0, 5.0, -180.0])) == pytest.approx(15.0)
 
 
 @given(at=point, begin=point, end=point)
@@ -94,27 +81,19 @@ def test_distances_of_a_pose_by_hand() -> None:
     assert distance_of(RIG, "camera", "the arm's own upper arm", folded) < 0.0
 
 
-# Paths.
-
-
 def test_default_arm_is_clear_at_rest_and_to_the_rings() -> None:
     arm = ArmPart()
     rig = RigFile(arm=arm)
     at_rest = pairs(rig, SCENE, np.array([arm.park_deg]))
     assert (at_rest.distance_mm > at_rest.margin_mm + 20.0).all()
     at: Joints = arm.park_deg
-    for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), shoot_ring_of_the_page(), Ring(height_mm=-65.0)):
+    page = (Path(__file__).parents[3] / "docs" / "scanning.md").read_text(encoding="utf-8")
+    shoots = tomllib.loads(page[page.index("[[plan.rings]]") :].partition("```")[0])["plan"]["rings"][1]  # of the thesis's 80 pictures
+    for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), Ring(**shoots), Ring(height_mm=-65.0)):
         goal = compute_joints(rig, planned_camera_pose(ring))
         assert plan_path(rig, SCENE, at, goal) == [goal]
         at = goal
     assert plan_path(rig, SCENE, at, arm.park_deg) == [arm.park_deg]
-
-
-def shoot_ring_of_the_page() -> Ring:
-    """Return the second ring of the thesis's 80 pictures as docs/scanning.md writes it."""
-    page = (Path(__file__).parents[3] / "docs" / "scanning.md").read_text(encoding="utf-8")
-    plan = tomllib.loads(page[page.index("[[plan.rings]]") :].partition("```")[0])
-    return Ring(**plan["plan"]["rings"][1])
 
 
 def test_base_near_floor_or_in_table_and_a_margin_that_is_named() -> None:
@@ -155,23 +134,22 @@ def test_crash_is_refused_with_what_where_and_how_near(rig: RigFile, path: tuple
         check_path(rig, SCENE, path)
 
 
-def test_thin_bar_between_samples_is_not_missed() -> None:
-    """A thin arm swings half round and would brush a needle in one narrow piece of the way."""
-    thin = Clearance(margin_mm=0.0, arm_radius_mm=1.0, camera_radius_mm=1.0)
+def past_cube(part: float, low_mm: float) -> None:
+    """Check half a turn of a thin arm past a cube of 1 mm, whose lower side is at a height above a place of the camera."""
     begin, end = (-90.0, 90.0, 0.0, 0.0, 0.0), (90.0, 90.0, 0.0, 0.0, 0.0)
+    at = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
+    cube = Bar(low_mm=tuple(np.add(at, (-0.5, -0.5, low_mm))), high_mm=tuple(np.add(at, (0.5, 0.5, low_mm + 1.0))))
+    thin = Clearance(margin_mm=0.0, arm_radius_mm=1.0, camera_radius_mm=1.0, bars=(cube,))
+    check_path(replace(RIG, clearance=thin), SCENE, [begin, end])
 
-    def check(at: Array, low_mm: float) -> None:
-        """Check the way past a cube of 1 mm whose lower side is at a height above a place of the camera."""
-        cube = Bar(low_mm=tuple(np.add(at, (-0.5, -0.5, low_mm))), high_mm=tuple(np.add(at, (0.5, 0.5, low_mm + 1.0))))
-        check_path(replace(RIG, clearance=replace(thin, bars=(cube,))), SCENE, [begin, end])
 
-    for part in np.linspace(0.03, 0.97, 7):
-        at = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
-        with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the path"):
-            check(at, -0.5)
-        with pytest.raises(UnsafeError, match="the bar 1"):
-            check(at, 0.8)
-        check(at, 1.6)
+@pytest.mark.parametrize("part", np.linspace(0.03, 0.97, 7))
+def test_thin_bar_between_samples_is_not_missed(part: float) -> None:
+    with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the path"):
+        past_cube(part, -0.5)
+    with pytest.raises(UnsafeError, match="the bar 1"):
+        past_cube(part, 0.8)
+    past_cube(part, 1.6)
 
 
 def test_verdicts_agree_with_dense_samples() -> None:
@@ -207,9 +185,6 @@ def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> No
     assert (np.abs(np.diff(both.distance_mm, axis=0)[0]) <= bound + 1e-6).all()
 
 
-# Leaving a place that is too near.
-
-
 def test_arm_within_a_margin_may_move_away_but_not_nearer() -> None:
     sagged = (0.0, 84.0, 30.0, 0.0, 0.0)
     floor = distance_of(RIG, "camera", "the floor", sagged)
@@ -221,9 +196,6 @@ def test_arm_within_a_margin_may_move_away_but_not_nearer() -> None:
     lying = (0.0, 90.0, 62.0, -25.0, 0.0)
     assert -32.0 < distance_of(RIG, "camera", "the floor", lying) < 0.0
     check_path(RIG, SCENE, [lying, ARM.park_deg])
-
-
-# Ways round.
 
 
 def test_way_round_goes_through_a_drawn_in_arm() -> None:
@@ -258,7 +230,6 @@ def test_a_tank_is_kept_clear_of_however_it_is_turned() -> None:
     turn = np.deg2rad(5.0)
     flat = np.array([[x, y] for x in (-100.0, 100.0) for y in (-130.0, 130.0)])
     turned = flat @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    corners = np.insert(turned, 2, -50.0, axis=1)
-    assert np.all(box.distance_mm(corners) <= 1e-9)
+    assert np.all(box.distance_mm(np.insert(turned, 2, -50.0, axis=1)) <= 1e-9)
     assert box.distance_mm(np.array([0.0, 0.0, 10.0])) == pytest.approx(18.0)
     assert not [solid for solid in solids(RIG, Scene()) if solid.name == "tank"]

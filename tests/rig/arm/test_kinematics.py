@@ -1,28 +1,35 @@
-"""The arm's chain against elementary matrices, poses found by hand, and finite differences."""
+"""The arm's chain against elementary matrices, poses found by hand and finite differences; its inverse; the correction by markers."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
-from rhizotwin.rig.arm.kinematics import arm_from_cam, body_jacobian, forward, log_se3, places
+from rhizotwin.rig.arm.inverse import MOST_STEPS, inverse, newton, three_link
+from rhizotwin.rig.arm.kinematics import arm_from_cam, body_jacobian, cam_from_rig, forward, log_se3, places, rig_from_arm
+from rhizotwin.rig.arm.tangency import azimuth_rad, correct, rotate_to_azimuth, tangent_pose
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 PART = ArmPart()
-L0, L1, L2, L3 = PART.links_mm
-joint_angles = st.lists(st.floats(-3.0, 3.0), min_size=5, max_size=5).map(np.array)
+L0, L1, L2, L3 = LINKS = PART.links_mm
 
 
-def turn(axis: int, angle_rad: float) -> Array:
-    """Return the 4x4 rotation about a coordinate axis, written out."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+def vectors(size: int, most: float) -> st.SearchStrategy[Array]:
+    return st.lists(st.floats(-most, most), min_size=size, max_size=size).map(np.array)
+
+
+joint_angles = vectors(5, 3.0)
+
+
+def turn(axis: str, angle_rad: float) -> Array:
     matrix = np.eye(4)
-    i, j = [(1, 2), (2, 0), (0, 1)][axis]
-    matrix[i, i] = matrix[j, j] = c
-    matrix[j, i], matrix[i, j] = s, -s
+    matrix[:3, :3] = Rotation.from_euler(axis, angle_rad).as_matrix()
     return matrix
 
 
@@ -32,18 +39,14 @@ def hat(twist: Array) -> Array:
     return np.array([[0, -z, y, vx], [z, 0, -x, vy], [-y, x, 0, vz], [0, 0, 0, 0]])
 
 
-def vee(matrix: Array) -> Array:
-    return np.array([*matrix[:3, 3], matrix[2, 1], matrix[0, 2], matrix[1, 0]])
-
-
 @given(q=joint_angles)
 def test_chain_is_product_of_its_joints(q: Array) -> None:
-    up = [frames.translation(0.0, 0.0, length) for length in PART.links_mm]
+    up = [frames.translation(0.0, 0.0, length) for length in LINKS]
     mount = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    chain = turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2] @ turn(1, q[3]) @ up[3] @ turn(2, q[4]) @ mount
-    np.testing.assert_allclose(forward(PART.links_mm, q), chain, atol=1e-10)
-    wrist = turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2]
-    np.testing.assert_allclose(places(PART.links_mm, q)[3], wrist[:3, 3], atol=1e-10)
+    chain = turn("z", q[0]) @ up[0] @ turn("y", q[1]) @ up[1] @ turn("y", q[2]) @ up[2] @ turn("y", q[3]) @ up[3] @ turn("z", q[4]) @ mount
+    np.testing.assert_allclose(forward(LINKS, q), chain, atol=1e-10)
+    wrist = turn("z", q[0]) @ up[0] @ turn("y", q[1]) @ up[1] @ turn("y", q[2]) @ up[2]
+    np.testing.assert_allclose(places(LINKS, q)[3], wrist[:3, 3], atol=1e-10)
 
 
 REACH = L1 + L2 + L3
@@ -68,16 +71,15 @@ def test_poses_by_hand(joints_deg: tuple[float, ...], centre_mm: tuple[float, ..
 def test_body_jacobian_is_that_of_finite_differences(q: Array) -> None:
     step = 1e-5
     for j, column in enumerate(body_jacobian(PART, q).T):
-        ahead, behind = (forward(PART.links_mm, q + sign * step * np.eye(5)[j]) for sign in (1.0, -1.0))
-        # V_b^ = g^-1 g_dot
-        v_b = vee(np.linalg.inv(forward(PART.links_mm, q)) @ (ahead - behind) / (2.0 * step))
-        np.testing.assert_allclose(column, v_b, atol=1e-5)
+        ahead, behind = (forward(LINKS, q + sign * step * np.eye(5)[j]) for sign in (1.0, -1.0))
+        v_b = np.linalg.inv(forward(LINKS, q)) @ (ahead - behind) / (2.0 * step)  # V_b^ = g^-1 g_dot
+        np.testing.assert_allclose(hat(column), v_b, atol=1e-5)
 
 
 @given(
-    direction=st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1),
+    direction=vectors(3, 1.0).filter(lambda v: np.linalg.norm(v) > 0.1),
     angle=st.one_of(st.floats(0.0, 1e-8), st.floats(1e-5, 1e-2), st.floats(0.0, np.pi - 1e-3)),
-    v=st.lists(st.floats(-300, 300), min_size=3, max_size=3).map(np.array),
+    v=vectors(3, 300.0),
 )
 @settings(max_examples=50)
 def test_logarithm_undoes_the_exponential(direction: Array, angle: float, v: Array) -> None:
@@ -85,7 +87,163 @@ def test_logarithm_undoes_the_exponential(direction: Array, angle: float, v: Arr
     np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, atol=1e-7)
 
 
-def test_logarithm_of_small_turns_keeps_its_second_order() -> None:
-    for angle_rad in (1e-6, 9.9e-4, 1.01e-3):
-        twist = np.array([300.0, -200.0, 400.0, angle_rad, 0.0, 0.0])
-        np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, rtol=0.0, atol=1e-8)
+@pytest.mark.parametrize("angle_rad", [1e-6, 9.9e-4, 1.01e-3])
+def test_logarithm_of_small_turns_keeps_its_second_order(angle_rad: float) -> None:
+    twist = np.array([300.0, -200.0, 400.0, angle_rad, 0.0, 0.0])
+    np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, rtol=0.0, atol=1e-8)
+
+
+START = np.deg2rad([0.0, 30.0, 30.0, 30.0, 0.0])
+"""One start for every target, whatever it is: leaning forward, bent a little."""
+TARGETS = 10_000
+
+
+def within_limits(count: int, seed: int) -> Array:
+    low, high = (np.deg2rad([getattr(joint, name) for joint in PART.joints]) for name in ("min_deg", "max_deg"))
+    return np.random.default_rng(seed).uniform(low, high, (count, 5))
+
+
+def test_closed_form_is_exact_on_random_reachable_targets() -> None:
+    joints = within_limits(TARGETS, 0)
+    targets = forward(LINKS, joints)
+    found = inverse(PART, targets)
+    assert np.abs(log_se3(np.linalg.inv(targets)[:, None] @ forward(LINKS, found.joints_rad))).max() < 1e-9
+    assert found.left_over_rad.max() < 1e-9
+    # One of the four branches is the one that the target came from.
+    off = np.abs((found.joints_rad - joints[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
+    assert off.max(axis=-1).min(axis=-1).max() < 1e-9
+
+
+SINGULAR = ((20, 0, 0, 0, 30), (20, 0, 0, 180, 30), (10, 50, 0, 70, -20), (10, 50, 180, 70, -20), (10, 40, 60, -100, 15))
+"""Joints in degrees: straight up, then looking down, stretched, folded, looking along the base's axis."""
+
+
+def test_closed_form_at_singular_poses() -> None:
+    """On the base's axis the camera's place does not determine in which direction the base stands; its optical axis does."""
+    targets = [forward(LINKS, np.deg2rad(joints_deg)) for joints_deg in SINGULAR]
+    off_mm = (0.0, 1e-13, 1e-6, 1.0)
+    targets += [forward(LINKS, np.array([0.7, *three_link(LINKS[1:], 120.0, -off, -0.9), 0.3])) for off in off_mm]
+    assert [np.hypot(*target[:2, 3]) for target in targets[-4:]] == pytest.approx(off_mm, abs=1e-12)
+    found = forward(LINKS, inverse(PART, np.array(targets)).joints_rad)  # by every branch
+    np.testing.assert_allclose(found, np.repeat(np.array(targets)[:, None], 4, axis=1), rtol=0.0, atol=1e-9)
+
+
+@given(rotvec=vectors(3, 1.7), seed=st.integers(0, 1000))
+def test_the_nearest_orientation_and_what_is_left(rotvec: Array, seed: int) -> None:
+    target = forward(LINKS, within_limits(1, seed)[0])
+    target[:3, :3] = target[:3, :3] @ Rotation.from_rotvec(rotvec).as_matrix()
+    found = inverse(PART, target)
+    assume(not np.isnan(found.joints_rad).any())
+    got = forward(LINKS, found.joints_rad)
+    np.testing.assert_allclose(got[:, :3, 3], np.broadcast_to(target[:3, 3], (4, 3)), atol=1e-9)
+    left = np.linalg.norm(log_se3(np.linalg.inv(target) @ got)[:, 3:], axis=1)
+    np.testing.assert_allclose(left, found.left_over_rad, atol=1e-7)
+    # No orientation with its optical axis in the plane is nearer.
+    azimuth, rolls = np.arctan2(target[1, 3], target[0, 3]), np.random.default_rng(seed).uniform(-np.pi, np.pi, (500, 2))
+    others = Rotation.from_euler("ZYZ", np.column_stack([np.full(500, azimuth), rolls])).as_matrix()
+    assert Rotation.from_matrix(target[:3, :3].T @ others).magnitude().min() > found.left_over_rad - 1e-9
+
+
+def test_out_of_reach_is_nan_but_finite_by_newton() -> None:
+    target = frames.from_rotvec(np.array([0.0, np.pi / 2, 0.0]), np.array([900.0, 0.0, 61.0]))
+    found = inverse(PART, target)
+    assert np.isnan(found.joints_rad).all()
+    assert found.wrist_mm == pytest.approx(900.0 - 95.0)
+    near = newton(PART, target, START)
+    assert np.isfinite(near.joints_rad).all()
+    assert np.linalg.norm(near.left_over[:3]) > 500.0
+
+
+def test_newton_converges_from_one_start() -> None:
+    targets = forward(LINKS, within_limits(TARGETS, 0))
+    found = newton(PART, targets, START)
+    error = log_se3(np.linalg.inv(targets) @ forward(LINKS, found.joints_rad))
+    there = (np.linalg.norm(error[:, :3], axis=1) < 1e-6) & (np.linalg.norm(error[:, 3:], axis=1) < 1e-8)
+    assert found.steps.max() <= MOST_STEPS == 20
+    assert np.mean(found.converged & there) >= 0.999
+    assert not (found.converged & ~there).any()
+    assert np.median(found.steps) <= 8
+
+
+def test_newton_with_a_free_axis_meets_what_five_joints_cannot() -> None:
+    part = ArmPart(position_mm=(650.0, 30.0, -100.0))
+    arm_from_axis = frames.invert(frames.from_rotvec(np.deg2rad([0.0, 0.0, 180.0]), np.array(part.position_mm)))
+    target = arm_from_axis @ frames.invert(frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=5.0))
+    held = newton(part, target, START)
+    free = newton(part, target, START, arm_from_axis=arm_from_axis)
+    assert np.linalg.norm(held.left_over[3:]) > 0.01
+    assert free.converged
+    assert np.linalg.norm(free.left_over) < 1e-6
+    turned = arm_from_axis @ frames.rotation_z(float(free.turned_rad)) @ frames.invert(arm_from_axis) @ target
+    np.testing.assert_allclose(forward(LINKS, free.joints_rad), turned, atol=1e-6)
+    assert np.rad2deg(free.turned_rad) == pytest.approx(np.rad2deg(np.arctan2(30.0, 650.0)), abs=1e-6)
+
+
+RING = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)
+cameras = st.tuples(
+    vectors(3, 1.0),
+    st.floats(100.0, 600.0),
+    st.floats(-np.pi, np.pi),
+    st.floats(-200.0, 200.0),
+).map(lambda c: frames.invert(frames.from_rotvec(c[0], np.array([c[1] * np.cos(c[2]), c[1] * np.sin(c[2]), c[3]]))))
+
+
+def printed_desired(camera: Array) -> Array:
+    """Return g_d, the camera in the canister's frame, by the product of appendix C.2."""
+    x, y, z = frames.invert(camera)[:3, 3]
+    face = np.array([[0.0, 0, -1, 0], [1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    return frames.rotation_z(np.arctan2(y, x)) @ frames.translation(np.hypot(x, y), 0.0, z) @ face
+
+
+def seen_off_mm(measured: Array) -> float:
+    """Return by how much the camera misses the ring, at whatever azimuth: its shift, and the picture's at the axis by its rotation."""
+    off_mm, off_deg = frames.pose_error(measured, rotate_to_azimuth(RING, measured))
+    return off_mm + 400.0 * np.deg2rad(off_deg)
+
+
+@given(camera=cameras)
+def test_tangent_pose_is_that_of_appendix_c2(camera: Array) -> None:
+    np.testing.assert_allclose(frames.invert(tangent_pose(camera)), printed_desired(camera), atol=1e-9)
+
+
+def test_tangent_pose_in_front_is_the_plans_level_camera() -> None:
+    tilted = frames.from_rotvec(np.array([0.1, -0.2, 0.3]), np.zeros(3)) @ RING
+    np.testing.assert_allclose(tangent_pose(tilted), RING, atol=1e-9)
+    behind = frames.invert(frames.from_rotvec(np.zeros(3), np.array([-300.0, 200.0, 0.0])))
+    assert azimuth_rad(behind) == pytest.approx(np.pi - np.arctan(200.0 / 300.0))
+
+
+@given(camera=cameras, like=cameras)
+def test_turning_round_the_axis_changes_the_azimuth_only(camera: Array, like: Array) -> None:
+    turned = rotate_to_azimuth(camera, like)
+    assert np.cos(azimuth_rad(turned) - azimuth_rad(like)) == pytest.approx(1.0)
+    np.testing.assert_allclose(tangent_pose(turned) @ frames.invert(turned), tangent_pose(camera) @ frames.invert(camera), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_correction_brings_a_badly_known_arm_to_its_place(seed: int) -> None:
+    """Zero errors of 2 degrees, scales of 1 %, links, mount and azimuth of the table that nobody knows: two corrections suffice."""
+    rng = np.random.default_rng(seed)
+    tilted = frames.from_rotvec(np.deg2rad(rng.normal(0.0, 1.0, 3)), np.zeros(3)) @ rig_from_arm(PART)
+    real = replace(
+        PART,
+        position_mm=tuple(np.array(PART.position_mm) + rng.normal(0.0, 4.0, 3)),
+        rotation_deg=tuple(np.rad2deg(frames.to_rotvec(tilted))),
+        links_mm=tuple(np.array(PART.links_mm) + rng.normal(0.0, 2.0, 4)),
+    )
+    zero, scale, table = np.deg2rad(rng.uniform(-2, 2, 5)), 1.0 + rng.uniform(-0.01, 0.01, 5), frames.rotation_z(rng.uniform(-3.0, 3.0))
+
+    def measure(joints: Array) -> Array:
+        return cam_from_rig(real, np.rad2deg(joints * scale + zero)) @ table
+
+    joints = inverse(PART, frames.invert(rig_from_arm(PART)) @ frames.invert(RING)).joints_rad[0]
+    off = [seen_off_mm(measure(joints))]
+    for _ in range(2):
+        found = correct(PART, joints, measure(joints), RING)
+        assert found.converged
+        assert found.steps <= 4  # however far the table is turned
+        joints = found.joints_rad
+        off.append(seen_off_mm(measure(joints)))
+    assert off[0] > 5.0
+    assert off[1] < 0.1 * off[0]
+    assert off[2] < 0.2

@@ -1,13 +1,13 @@
 """A Marlin board that demands lines in their order and answers each, for the tests of the link to it."""
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import xor
 from typing import Any
 
 from rhizotwin.rig.table.marlin import MarlinLink
 
 POSITION_LINE = "X:0.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0"
-
-
 GREETING: tuple[tuple[str, tuple[Any, ...]], ...] = (
     ("N0 M110 N0", ("ok",)),
     ("N1 M115", ("FIRMWARE_NAME:Marlin 2.1.3 (Oct 23 2023 10:00:00) SOURCE_CODE_URL:x", "Cap:EMERGENCY_PARSER:1", "ok")),
@@ -21,11 +21,27 @@ GREETING: tuple[tuple[str, tuple[Any, ...]], ...] = (
 """The lines without their checksums, which the script adds by itself."""
 
 
-class Script:
-    """A port that demands lines in their order and answers each; an answer with a number is that many seconds late."""
+class LatePort:
+    """A port with input under way: what arrives, by its time."""
 
     url = "fake"
     device = "turntable"
+    clock: Any
+    waiting: list[tuple[float, bytes]]
+
+    def read(self, timeout_s: float) -> bytes:
+        """Hand out what arrives next within the time-out."""
+        self.waiting.sort(key=lambda piece: piece[0])
+        if not self.waiting or self.waiting[0][0] > self.clock.now_s() + timeout_s:
+            self.clock.sleep(timeout_s)
+            return b""
+        due_s, data = self.waiting.pop(0)
+        self.clock.sleep(due_s - self.clock.now_s())
+        return data
+
+
+class Script(LatePort):
+    """A port that demands lines in their order and answers each; an answer with a number is that many seconds late."""
 
     def __init__(self, clock: Any, *steps: tuple[str, tuple[Any, ...]]) -> None:
         self.clock = clock
@@ -48,24 +64,15 @@ class Script:
         assert self.steps, f"nothing more was to be sent, but {data!r} was"
         self.sent_s.append(self.clock.now_s())
         wanted, answers = self.steps.pop(0)
-        checksum = 0
-        for byte in wanted.encode():
-            checksum ^= byte
-        assert data == f"{wanted}*{checksum}\n".encode()
+        assert data == f"{wanted}*{reduce(xor, wanted.encode())}\n".encode()
         self.answer(*answers)
 
     def read(self, timeout_s: float) -> bytes:
-        """Hand out the next answer that is due within the time-out."""
+        """Hand out the next answer, or press Ctrl-C once."""
         if self.interrupt and timeout_s > 0.0:
             self.interrupt = False
             raise KeyboardInterrupt
-        until_s = self.clock.now_s() + timeout_s
-        if not self.waiting or self.waiting[0][0] > until_s:
-            self.clock.sleep(timeout_s)
-            return b""
-        due_s, data = self.waiting.pop(0)
-        self.clock.sleep(due_s - self.clock.now_s())
-        return data
+        return super().read(timeout_s)
 
     def discard_input(self) -> None:
         """Refuse: what is dropped must have been read."""

@@ -1,16 +1,17 @@
-"""The turntable's driver: how it approaches, what it believes, and what it refuses."""
+"""The drivers of turntable and lamps: how the table approaches, what they believe and refuse, and random pairs of faults on the wire."""
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhizotwin.rig.errors import LostError, NoAnswerError, UnsafeError
-from rhizotwin.rig.rig_file import TurntablePart
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rhizotwin.rig.rig_file import BandPart, LightsPart, TurntablePart
+from rhizotwin.rig.table.lights import MarlinLights
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.turntable import MarlinTurntable
 
@@ -123,18 +124,16 @@ def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
         table.position_deg()
 
 
-def test_a_move_not_made_is_noticed_beyond_the_tolerance(make_board: Any) -> None:
+@pytest.mark.parametrize(("tolerance_deg", "goes"), [(PART.tolerance_deg, "X400"), (0.5, "X449.75")])
+def test_a_move_not_made_is_noticed_beyond_the_tolerance(tolerance_deg: float, goes: str, board: Any) -> None:
     """As a firmware whose software endstops stay on would do."""
-    for tolerance_deg, goes in ((PART.tolerance_deg, "X400"), (0.5, "X449.75")):
-        board = make_board()
-        table = on(board, replace(PART, tolerance_deg=tolerance_deg), at_deg=0.0)
-        carry_out = board.carry_out
-        board.carry_out = lambda text, ok, *, do=carry_out, goes=goes: do(text.replace("X450", goes), ok)
-        if goes == "X400":
-            with pytest.raises(LostError, match=r"reports 40.00 deg after a move to 90.00 deg"):
-                table.move_to(90.0)
-        else:
-            assert table.move_to(90.0) == 89.75
+    table, carry_out = on(board, replace(PART, tolerance_deg=tolerance_deg), at_deg=0.0), board.carry_out
+    board.carry_out = lambda text, ok: carry_out(text.replace("X450", goes), ok)
+    if goes == "X400":
+        with pytest.raises(LostError, match=r"reports 40.00 deg after a move to 90.00 deg"):
+            table.move_to(90.0)
+    else:
+        assert table.move_to(90.0) == 89.75
 
 
 @pytest.mark.parametrize("banner", ["", "start\n Watchdog Reset\nMarlin 2.1.2.5\necho: Free Memory: 1\n"], ids=["silent", "with banner"])
@@ -190,3 +189,178 @@ def test_a_move_without_answer_ends_and_the_next_is_as_the_first(board: Any) -> 
     assert table.move_to(18.0) == 18.0
     assert board.moves[-2:] == pytest.approx([374.4, 378.0])
     assert board.at_rest
+
+
+LAMPS = LightsPart(panel_strip=1, front_strip=0, panel_rgb=(255, 250, 240), front_rgb=(10, 20, 30), settle_s=0.5)
+OFF = {"R": 0, "U": 0, "B": 0, "P": 0}
+
+
+@pytest.fixture
+def lights(board: Any) -> MarlinLights:
+    """Return lamps whose link was started."""
+    link = MarlinLink(board)
+    link.start()
+    return MarlinLights(link, LAMPS, board.clock)
+
+
+def test_the_bytes_of_both_lamps(board: Any, lights: MarlinLights) -> None:
+    """Green is U; M400 comes before, so that no step is disturbed; a level scales the brightness, not the colour."""
+    before, begin_s = len(board.sent), board.clock.now_s()
+    lights.set(panel=1.0, front=0.5)
+    assert [data.split(b" ", 1)[1].split(b"*")[0] for data in board.sent[before:]] == [
+        b"M400",
+        b"M150 S1 R255 U250 B240 P255",
+        b"M150 S0 R10 U20 B30 P128",
+        b"M114",
+    ]
+    assert board.clock.now_s() - begin_s >= LAMPS.settle_s
+    lights.set(panel=0.2, front=0.0)
+    assert board.strips == {1: {"R": 255, "U": 250, "B": 240, "P": 51}, 0: OFF}
+    board.strips[1] = {}
+    lights.set(panel=0.2, front=0.0)  # they cannot be read back: whoever saw them fail sets them once more
+    assert board.strips[1]["P"] == 51
+    lights.off()
+    assert board.strips == {0: OFF, 1: OFF}
+
+
+@pytest.mark.parametrize(("panel", "front"), [(-0.1, 0.0), (0.0, 1.1), (float("nan"), 0.0)])
+def test_levels_beyond_the_limits_are_refused(panel: float, front: float, lights: MarlinLights) -> None:
+    with pytest.raises(ValueError, match="must be from 0 to 1"):
+        lights.set(panel=panel, front=front)
+
+
+def test_the_link_is_started_when_it_was_not(board: Any, make_board: Any) -> None:
+    MarlinLights(MarlinLink(board), LAMPS, board.clock).set(panel=1.0, front=0.0)
+    assert board.strips[1]["P"] == 255
+    other = make_board()
+    MarlinLights(MarlinLink(other), LAMPS, other.clock).off()
+    assert other.strips == {0: OFF, 1: OFF}
+
+
+@pytest.mark.parametrize("at", range(4))
+def test_off_survives_a_reset(at: int, board: Any, lights: MarlinLights) -> None:
+    lights.set(panel=1.0, front=1.0)
+    board.resets = {len(board.sent) + at: "start\n Brown out Reset\nMarlin 2.1.2.5\n"}
+    lights.off()
+    assert board.strips == {0: OFF, 1: OFF}
+    assert board.done.count("M110 N0") == 2
+
+
+def test_off_reaches_a_board_that_is_not_heard(board: Any, lights: MarlinLights) -> None:
+    lights.set(panel=1.0, front=1.0)
+
+    def deaf(timeout_s: float) -> bytes:
+        board.clock.sleep(timeout_s)
+        return b""
+
+    board.read = deaf
+    with pytest.raises(NoAnswerError):
+        lights.off()
+    assert board.strips == {0: OFF, 1: OFF}
+
+
+def test_set_hides_neither_a_reset_nor_a_firmware_without_lamps(board: Any, lights: MarlinLights) -> None:
+    board.unknown = ("M150",)
+    with pytest.raises(RigError, match='does not support "M150 S1 R255 U250 B240 P255"; build Marlin'):
+        lights.set(panel=1.0, front=1.0)
+    board.resets = {len(board.sent): ""}
+    with pytest.raises(LostError, match="was reset"):
+        lights.set(panel=1.0, front=1.0)
+
+
+def test_lamps_are_only_taken_for_set_when_they_are(board: Any, lights: MarlinLights) -> None:
+    """A doubled ``ok`` passes for that of M150, whose own line was damaged on its way."""
+    board.reply_faults = {board.printed: lambda data: [(0.0, data), (0.0005, data)]}
+    board.request_faults = {len(board.sent) + 1: lambda data: [(0.0, data.replace(b"R255", b"R254"))]}
+    lights.set(panel=1.0, front=0.0)
+    assert board.strips[1] == {"R": 255, "U": 250, "B": 240, "P": 255}
+    lights.close()
+    assert board.closed == 1
+
+
+def test_a_band_has_its_colours_and_alone_its_output(board: Any) -> None:
+    red, nir = BandPart(name="red", front_rgb=(255, 0, 0)), BandPart(name="nir", output=1)
+    lights = MarlinLights(MarlinLink(board), LAMPS, board.clock, bands=(red, nir, BandPart(name="uv", output=3)))
+    lights.set(panel=0.0, front=1.0, band=red)
+    assert board.strips == {1: OFF, 0: {"R": 255, "U": 0, "B": 0, "P": 255}}
+    assert board.outputs == {1: 0, 3: 0}
+    lights.set(panel=0.0, front=0.0, band=nir)
+    assert board.outputs == {1: 255, 3: 0}
+    lights.set(panel=1.0, front=1.0)
+    assert board.outputs == {1: 0, 3: 0}
+    lights.set(panel=0.0, front=0.0, band=nir)
+    lights.off()
+    assert board.outputs == {1: 0, 3: 0}
+
+
+@dataclass(frozen=True)
+class Hit:
+    """A fault of one line on the wire."""
+
+    kind: str
+    at: int
+    part: float
+    late_s: float
+
+    def __call__(self, data: bytes) -> list[tuple[float, bytes]]:
+        """Return what becomes of bytes."""
+        where = min(int(self.part * len(data)), len(data) - 1)
+        changed = data[:where] + bytes((data[where] ^ (1 << (self.at % 8)),)) + data[where + 1 :]
+        return {
+            "lost": [(0.0, b"")],
+            "damaged": [(0.0, changed)],
+            "doubled": [(0.0, data), (self.late_s / 100.0, data)],
+            "late": [(self.late_s, data)],
+            "cut": [(0.0, data[:where])],
+            "glued": [(0.0, b"T:20.0 " + data)],
+            "split": [(0.0, data[:where]), (0.2, data[where:])],
+        }[self.kind]
+
+
+KINDS = ["lost", "damaged", "doubled", "late", "cut", "glued", "split"]
+hits = st.builds(
+    Hit, st.sampled_from(KINDS), st.integers(0, 70), st.floats(0.0, 1.0), st.sampled_from((0.004, 0.05, 0.3, 0.7, 2.0, 9.0, 11.0, 30.0))
+)
+
+
+requests = st.builds(Hit, st.sampled_from(["lost", "damaged", "cut"]), st.integers(0, 40), st.floats(0.0, 1.0), st.just(0.0))
+resets = st.dictionaries(st.integers(0, 40), st.sampled_from(("", "start\n Watchdog Reset\nMarlin 2.1.2.5\n")), max_size=1)
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    replies=st.lists(hits, max_size=3),
+    asked=st.lists(requests, max_size=2),
+    resets=resets,
+    speaks=st.sampled_from(({}, {"ok_after_resend": False}, {"advanced_ok": True}, {"keeps_alive": False}, {"greets": True})),
+    angles=st.lists(st.sampled_from((0.0, 9.0, 18.0, 90.0, 351.0)), min_size=1, max_size=3),
+)
+def test_no_wrong_angle_is_ever_believed_and_nothing_hangs(
+    make_board: Callable[..., Any],
+    replies: list[Hit],
+    asked: list[Hit],
+    resets: dict[int, str],
+    speaks: dict[str, bool],
+    angles: list[float],
+) -> None:
+    board = make_board(
+        reply_faults={hit.at: hit for hit in replies}, request_faults={hit.at: hit for hit in asked}, resets=resets, **speaks
+    )
+    table = MarlinTurntable(MarlinLink(board), replace(TurntablePart(), speed_deg_per_s=30.0), board.clock)
+    try:
+        table.prepare()
+        assert not table.knows_zero()
+        table.declare(4.5)
+        assert board.x_deg == 364.5
+        for angle in angles:
+            begin_s = board.clock.now_s()
+            assert table.move_to(angle) == angle == board.x_deg - 360.0
+            assert board.at_rest
+            assert board.clock.now_s() - begin_s < 200.0
+        assert table.position_deg() == angles[-1]
+        table.release()
+        assert not board.energised
+        assert not table.knows_zero()
+    except RigError:
+        pass
+    assert board.clock.now_s() < 700.0

@@ -1,13 +1,21 @@
-"""Recordings: what is on the disk at every moment, and replays that notice every difference."""
+"""Ports on a pseudo-terminal, on a socket and on nothing; recordings, and replays that notice every difference."""
 
+import errno
 import json
+import os
+import socket
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import serial
 
-from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.rig_file import LightsPart, TurntablePart
 from rhizotwin.rig.serial_line.port import Port
 from rhizotwin.rig.serial_line.recording import Recorder, ReplayError, ReplayPort, replay_port
@@ -18,6 +26,159 @@ from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
+
+
+@dataclass
+class _Terminal:
+    """The device's side of a pseudo-terminal, and the host's."""
+
+    master: int
+    port: Port
+
+
+def opened(url: str, recorder: Recorder | None = None) -> Port:
+    return Port(url, baud=115200, clock=SystemClock(), device="turntable", recorder=recorder)
+
+
+@pytest.fixture
+def terminal() -> Iterator[_Terminal]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    there = _Terminal(master, opened(os.ttyname(slave)))
+    os.close(slave)
+    yield there
+    there.port.close()
+    if there.master >= 0:
+        os.close(there.master)
+
+
+def test_all_bytes_pass_and_a_read_does_not_wait_for_more(terminal: _Terminal) -> None:
+    every = bytes(range(256))
+    terminal.port.write(every)
+    heard = b""
+    while len(heard) < len(every):
+        heard += os.read(terminal.master, 1000)
+    assert heard == every
+    os.write(terminal.master, every)
+    heard = b""
+    while len(heard) < len(every):
+        heard += terminal.port.read(60.0)
+    assert heard == every
+    assert terminal.port.read(0.0) == terminal.port.read(0.003) == b""
+
+
+ACTIONS = {"read": lambda port: port.read(1.0), "look": lambda port: port.read(0.0), "write": lambda port: port.write(b"x")}
+
+
+@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
+def test_unplugged(action: Callable[[Port], object], terminal: _Terminal) -> None:
+    os.close(terminal.master)
+    terminal.master = -1
+    with pytest.raises(LostError, match=r"turntable on /dev/pts/\d+: the device was unplugged"):
+        action(terminal.port)
+
+
+def test_a_port_in_use_is_refused_and_a_closed_one_lost(terminal: _Terminal) -> None:
+    with pytest.raises(RigError, match="used by another program"):
+        opened(terminal.port.url)
+    terminal.port.close()
+    terminal.port.close()
+    with pytest.raises(LostError):
+        terminal.port.read(0.0)
+
+
+def test_an_absent_port_is_refused_with_those_that_are_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    there = [SimpleNamespace(device="/dev/ttyUSB7"), SimpleNamespace(device="/dev/ttyACM0")]
+    monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", lambda: there)
+    with pytest.raises(RigError, match=r"does not exist \(existing serial ports: /dev/ttyACM0, /dev/ttyUSB7\)"):
+        opened(str(tmp_path / "ttyUSB0"))
+
+
+REFUSALS = {
+    "forbidden": (serial.SerialException(errno.EACCES, "could not open port"), "dialout"),
+    "baud": (ValueError("Invalid baud rate: 5"), "Invalid baud rate: 5"),
+    "other": (serial.SerialException("Could not configure port: (25, 'Inappropriate')"), "cannot be opened as a serial port"),
+}
+
+
+@pytest.mark.parametrize(("error", "says"), REFUSALS.values(), ids=REFUSALS)
+def test_a_port_that_cannot_be_opened(error: Exception, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_args: object, **_settings: object) -> None:
+        raise error
+
+    monkeypatch.setattr("serial.serial_for_url", refuse)
+    with pytest.raises(RigError, match=f"turntable.*/dev/ttyUSB0.*{says}"):
+        opened("/dev/ttyUSB0")
+
+
+class _Slow:
+    """A serial port on which nothing comes and which takes nothing."""
+
+    in_waiting = 0
+    timeout = 0.0
+
+    def __init__(self) -> None:
+        self.waited: list[float] = []
+
+    def read(self, _size: int) -> bytes:
+        self.waited.append(self.timeout)
+        return b""
+
+    def write(self, _data: bytes) -> int:
+        raise serial.SerialTimeoutException("Write timeout")
+
+
+def test_time_outs_last_as_long_as_they_should(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = _Slow()
+    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: slow)
+    port = opened("fake")
+    for timeout_s in (0.001, 1.0, 9.97):
+        slow.waited.clear()
+        assert port.read(timeout_s) == b""
+        assert timeout_s - 1e-9 <= sum(slow.waited) <= timeout_s + 2.0**-10
+    with pytest.raises(NoAnswerError, match="accepted no bytes"):
+        port.write(b"x")
+    pieces = iter([b"old", b"older", b""])
+    port.read = lambda _: next(pieces)
+    port.discard_input()
+    assert not list(pieces)
+
+
+def test_every_byte_is_recorded(terminal: _Terminal, tmp_path: Path) -> None:
+    recorder, url = Recorder(tmp_path / "wire.jsonl"), terminal.port.url
+    terminal.port.close()
+    port = opened(url, recorder)
+    port.write(b"ask")
+    os.write(terminal.master, b"\xff")
+    port.read(1.0)
+    port.read(0.0)
+    port.close()
+    recorder.close()
+    _, *entries = [json.loads(line) for line in (tmp_path / "wire.jsonl").read_text().splitlines()]
+    assert [entry.pop("t_s") >= 0.0 for entry in entries] == [True] * 3
+    said = [{"open": {"url": url, "baud": 115200}}, {"dir": ">", "hex": b"ask".hex()}, {"dir": "<", "hex": "ff"}]
+    assert entries == [{"device": "turntable"} | one for one in said]
+
+
+def test_a_socket_is_a_port_that_one_program_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("serial.urlhandler.protocol_socket.time.sleep", lambda _seconds: None)  # pyserial rests after closing a socket
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
+        first = opened(url)
+        with pytest.raises(RigError, match=rf"turntable: {url}: process \d+ on .* is using it"):
+            opened(url)
+        first.close()
+        device, _ = listening.accept()
+        with device:
+            assert device.recv(1) == b"", "the first was closed"
+        port = opened(url)
+        device, _ = listening.accept()
+        with device:
+            device.sendall(b"start\n")
+            assert port.read(5.0) == b"start\n"
+        with pytest.raises(LostError):
+            port.read(5.0)
+        port.close()
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -73,6 +234,13 @@ def test_a_disk_that_gets_full_is_reported_once(tmp_path: Path, monkeypatch: pyt
             Recorder(place)
 
 
+def exchange(replay: ReplayPort, *sent: bytes) -> None:
+    """Send, and drop what is answered."""
+    for data in sent:
+        replay.write(data)
+        replay.discard_input()
+
+
 @pytest.fixture
 def replay(tmp_path: Path) -> ReplayPort:
     return replay_port(small(tmp_path / "wire.jsonl"), "turntable")
@@ -95,20 +263,12 @@ def test_a_replay_answers_as_it_was(replay: ReplayPort) -> None:
 
 def test_the_first_difference_is_named_and_stays(replay: ReplayPort) -> None:
     exchange(replay, b"M114\n")
-    with pytest.raises(
-        ReplayError, match=r"turntable, replay of .*wire.jsonl: b'M17\\n' was sent in line 7, .* from byte 2 onwards: b'8\\n'"
-    ):
+    says = r"turntable, replay of .*wire.jsonl: b'M17\\n' was sent in line 7, .* from byte 2 onwards: b'8\\n'"
+    with pytest.raises(ReplayError, match=says):
         replay.write(b"M18\n")
     for action in (lambda: replay.read(0.0), lambda: replay.write(b"M17\n"), replay.finish):
         with pytest.raises(ReplayError, match="line 7"):
             action()
-
-
-def exchange(replay: ReplayPort, *sent: bytes) -> None:
-    """Send, and drop what is answered."""
-    for data in sent:
-        replay.write(data)
-        replay.discard_input()
 
 
 def test_every_other_order_is_a_difference(replay: ReplayPort, tmp_path: Path) -> None:
