@@ -34,7 +34,7 @@ def test_it_is_closed_stands_on_the_pot_and_has_its_seeds_leaves() -> None:
     assert solid.height_mm == pytest.approx(solid.vertices[:, 2].max() - Scene().net_pot.top_mm)
 
 
-def test_a_flat_blade_has_the_area_of_its_outline_and_that_times_its_thickness() -> None:
+def test_a_flat_blade_has_its_outline_s_area_times_its_thickness() -> None:
     flat = {"leaves": 1, "size_sd": 0.0, "elevation_sd_deg": 0.0, "droop_deg": 0.0, "fold_deg": 0.0}
     thin, thick = build(**flat, thickness_mm=0.2), build(**flat, thickness_mm=0.4)
     along = (np.arange(100_000) + 0.5) / 100_000

@@ -27,7 +27,7 @@ def mesh_of(roots: list[Root]) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("diameter_mm", [0.4, 12.0])
-def test_a_straight_tube_has_the_cylinder_s_volume_between_its_caps(diameter_mm: float) -> None:
+def test_a_tube_has_the_cylinder_s_volume_between_its_caps(diameter_mm: float) -> None:
     """Two lengths: the difference is a cylinder without caps, exact because the polygon's area is the circle's."""
     short = solids.unite_roots([straight((1, 2, -20), (4, 6, -20), diameter_mm)]).volume()
     long = solids.unite_roots([straight((1, 2, -20), (7, 10, -20), diameter_mm)]).volume()
@@ -76,7 +76,7 @@ def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
     assert np.mean(distance < 0.5) * 24.0 * 28.0 * 1.2 == pytest.approx(whole.volume(), rel=0.06)
 
 
-def test_a_root_that_tapers_to_nothing_or_repeats_points_is_still_closed() -> None:
+def test_a_root_that_tapers_to_nothing_or_repeats_is_closed() -> None:
     line = np.array([[0, 0, -20], [0, 0, -20], [0, 0, -30], [0, 0, -40]], float)
     mesh = mesh_of([tube(line, np.array([2.0, 2.0, 1.0, 0.0]))])
     assert mesh.is_watertight
