@@ -1,8 +1,10 @@
 """A console of a small emulated rig, served on this computer."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +14,14 @@ from rhizotwin import rigs
 from rhizotwin.console import client
 from rhizotwin.console.access import Access
 from rhizotwin.console.console import Console
-from rhizotwin.console.serve import Served, serve
+from rhizotwin.console.serve import serve
 from rhizotwin.scenes.files import save_scene
-from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from rhizotwin.timelapse.experiment import Experiment
+from tests.rhizotwin.timelapse.conftest import small_scene
 
+ROOT = Path(__file__).resolve().parents[3]
 VIEWS = 4
 TWIN = rigs.TwinPictures(fidelity="sketch", profile="clean", seed=2)
-PORT = 8760
 LONG_S = 600.0
 """Limit of each wait, s. Waits end with their condition; the limit only ends a test that hangs, even on a busy computer."""
 
@@ -33,28 +36,37 @@ def until(found: Callable[[], Any]) -> Any:
     raise AssertionError(f"waited {LONG_S:g} s in vain")
 
 
-class Lab:
-    """Served consoles in a folder; `stop` ends the latest one."""
+@contextmanager
+def console_process(*words: object, port: int) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    """Run `rhizotwin console` in a process of its own, killed at the end; return it and the lines it printed, the last its address."""
+    command = [sys.executable, "-m", "rhizotwin", "console", *map(str, words), "--no-browser", "--port", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT) as process:
+        try:
+            assert process.stdout is not None
+            printed = [""]
+            while not printed[-1].startswith("http"):
+                printed.append(next(process.stdout).strip())
+            yield process, printed
+        finally:
+            process.kill()
 
-    def __init__(self, folder: Path, scene: Path, password: str) -> None:
-        self.folder, self._scene, self._password = folder, scene, password
+
+class Lab:
+    """Served consoles in a folder; `stop` ends the latest one, and `start` starts another."""
+
+    def __init__(self, folder: Path, scene: Path, *, password: str = "", experiment: Experiment | None = None) -> None:
+        self.folder, self._scene, self._password, self._experiment = folder, scene, password, experiment
         self._stack = ExitStack()
-        self.console: Console
-        self.served: Served
+        self.stop = self._stack.close
         self.start()
 
     def start(self) -> None:
         """Start a console in the folder."""
-        bench = rigs.open_bench(rigs.TWIN, str(self._scene), errors=TWIN)
-        self.bench = bench
-        self.console = Console(bench, self.folder, twin=TWIN)
+        self.bench = rigs.open_bench(rigs.TWIN, str(self._scene), errors=TWIN)
+        self.console = Console(self.bench, self.folder, twin=TWIN, experiment=self._experiment)
         self._stack.callback(self.console.close)
-        self.served = serve(self.console, Access(password=self._password), host="127.0.0.1", port=PORT)
+        self.served = serve(self.console, Access(password=self._password), host="127.0.0.1", port=8760)
         self._stack.callback(self.served.stop)
-
-    def stop(self) -> None:
-        """End the console."""
-        self._stack.close()
 
     def client(self, name: str = "") -> client.Console:
         """Return a client, in control if it has a name."""
@@ -66,21 +78,17 @@ class Lab:
 
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
-    small = Scene(
-        camera=Camera().resized((400, 300)),
-        strip=MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0),
-        plan=CapturePlan(rings=(Ring(views=VIEWS, height_mm=-20.0),)),
-    )
-    save_scene(small, tmp_path / "scene.toml")
+    save_scene(small_scene(VIEWS), tmp_path / "scene.toml")
     return tmp_path / "scene.toml"
 
 
 @pytest.fixture
 def make_lab(tmp_path: Path, scene_file: Path) -> Iterator[Callable[..., Lab]]:
+    """Return a maker of served consoles; its keywords are those of `Lab`."""
     with ExitStack() as stack:
 
-        def make(password: str = "") -> Lab:
-            lab = Lab(tmp_path / "lab", scene_file, password)
+        def make(folder: Path = tmp_path / "lab", **options: Any) -> Lab:
+            lab = Lab(folder, scene_file, **options)
             stack.callback(lab.stop)
             return lab
 

@@ -1,23 +1,21 @@
 """The schedule of an experiment in the console: canisters asked for, wrong ones refused, interruptions continued."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import replace
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 
-from rhizotwin import rigs
+from rhizotwin.catalogue import verify
 from rhizotwin.catalogue.store import Catalogue
-from rhizotwin.console import client
-from rhizotwin.console.access import Access
-from rhizotwin.console.console import Console
-from rhizotwin.console.serve import serve
+from rhizotwin.console.client import Console
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.timelapse.experiment import Experiment, load_experiment
-from tests.rhizotwin.console.conftest import LONG_S, PORT, TWIN, VIEWS, until
+from tests.rhizotwin.console.conftest import LONG_S, VIEWS, Lab, console_process, until
 
 EXPERIMENT = """
 name = "two plants"
@@ -40,113 +38,146 @@ treatment = "low N"
 """
 
 
-class ScheduleLab:
-    """A console of an experiment; `restart` ends it and starts another."""
-
-    def __init__(self, experiment: Experiment, stack: ExitStack) -> None:
-        self.experiment, self._stack = experiment, stack
-        self.start()
-
-    def start(self) -> None:
-        """Start a console."""
-        bench = rigs.twin_bench(self.experiment.base_scene(), TWIN)
-        console = Console(bench, self.experiment.folder, twin=TWIN, experiment=self.experiment)
-        self._stack.callback(console.close)
-        served = serve(console, Access(), host="127.0.0.1", port=PORT + 40)
-        self._stack.callback(served.stop)
-        self.client = client.Console(served.address)
-        self.client.take_control("Anna")
-
-    def restart(self) -> None:
-        """End the console, and start another."""
-        self._stack.close()
-        self.start()
-
-    def question(self, plant: str) -> str:
-        """Return the question for a plant's canister."""
-        found: Any = until(lambda: (text := self.client.state()["question"]) and f"(plant {plant})" in text and text)
-        return str(found)
-
-    def answer(self, text: str) -> None:
-        """Answer the pending question."""
-        self.client.answer(text, question=self.client.state()["question_number"])
+@pytest.fixture
+def experiment(scene_file: Path) -> Experiment:
+    path = scene_file.with_name("my.toml")
+    path.write_text(EXPERIMENT)
+    return load_experiment(path)
 
 
 @pytest.fixture
-def lab(tmp_path: Path, scene_file: Path) -> Iterator[ScheduleLab]:
-    assert scene_file == tmp_path / "scene.toml"
-    (tmp_path / "my.toml").write_text(EXPERIMENT)
-    with ExitStack() as stack:
-        yield ScheduleLab(load_experiment(tmp_path / "my.toml"), stack)
+def scheduled(make_lab: Callable[..., Lab], experiment: Experiment) -> Lab:
+    """Return the console of the experiment."""
+    return make_lab(experiment.folder, experiment=experiment)
 
 
-def test_the_schedule_asks_checks_and_continues(lab: ScheduleLab) -> None:
-    state = lab.client.state()
+def question(client: Console, plant: str) -> str:
+    """Return the question for a plant's canister."""
+    return str(until(lambda: (text := client.state()["question"]) and f"(plant {plant})" in text and text))
+
+
+def answer(client: Console, text: str) -> None:
+    client.answer(text, question=client.state()["question_number"])
+
+
+def test_the_schedule_asks_checks_and_continues(scheduled: Lab, experiment: Experiment) -> None:
+    client = scheduled.client("Anna")
+    state = client.state()
     assert [plant["name"] for plant in state["plants"]] == ["P1", "P2"]
     assert state["schedule"]["planned"] == 4
     assert [visit["plant"] for visit in state["schedule"]["next"]] == ["P1", "P2", "P1", "P2"]
-    lab.client.start_schedule()
-    lab.question("P1")
+    client.start_schedule()
+    question(client, "P1")
     with pytest.raises(UserError, match=r"the rig is busy \(schedule of two plants\); wait until this action has ended"):
-        lab.client.command("pose")
-    lab.answer("2")
-    assert lab.question("P1").startswith("The plant on the turntable is P2 instead of P1; put P1 on the turntable.")
-    assert not list(lab.experiment.scans_folder.rglob("*.png"))
-    lab.answer("")
-    lab.question("P2")
-    lab.restart()
+        client.command("pose")
+    answer(client, "2")
+    assert question(client, "P1").startswith("The plant on the turntable is P2 instead of P1; put P1 on the turntable.")
+    answer(client, "7")
+    until(lambda: "matches no plant in the catalogue" in question(client, "P1"))
+    assert not list(experiment.scans_folder.rglob("*.png"))
+    answer(client, "")
+    question(client, "P2")
+    scheduled.stop()
 
-    state = lab.client.state()
+    scheduled.start()
+    client = scheduled.client("Anna")
+    state = client.state()
     assert (state["schedule"]["scanned"], state["schedule"]["state"]) == (1, "stopped")
-    lab.client.start_schedule()
-    lab.question("P2")
-    lab.client.stop_schedule()  # withdraws the question
-    until(lambda: lab.client.state()["activity"] == "")
-    lab.client.start_schedule()
+    client.start_schedule()
+    question(client, "P2")
+    client.stop_schedule()  # withdraws the question
+    until(lambda: client.state()["activity"] == "")
+    client.start_schedule()
     for plant in ("P2", "P1", "P2"):
-        lab.question(plant)
-        lab.answer("")
-        until(lambda: not lab.client.state()["question"])
-    until(lambda: lab.client.state()["activity"] == "")
-    state = lab.client.state()
+        question(client, plant)
+        answer(client, "")
+        until(lambda: not client.state()["question"])
+    until(lambda: client.state()["activity"] == "")
+    state = client.state()
     assert (state["schedule"]["scanned"], state["schedule"]["missed_count"]) == (4, 0)
     assert [plant["scans"] for plant in state["plants"]] == [2, 2]
-    for scan in state["scans"]:
-        dataset = load_dataset(lab.experiment.scans_folder / scan["name"])
-        assert dataset.origin["complete"]
-        assert len(dataset.frames) == VIEWS
-        assert dataset.scene.subject.plant == scan["name"].partition("_")[0]
+    datasets = [load_dataset(experiment.scans_folder / scan["name"]) for scan in state["scans"]]
+    assert [(one.origin["complete"], len(one.frames)) for one in datasets] == [(True, VIEWS)] * 4
+    assert [one.scene.subject.plant for one in datasets] == [scan["name"].partition("_")[0] for scan in state["scans"]]
 
 
-def test_nothing_is_written_under_a_wrong_name(lab: ScheduleLab) -> None:
+def test_nothing_is_written_under_a_wrong_name(scheduled: Lab, experiment: Experiment) -> None:
     """The emulated table has canister 1, that of P1."""
+    client = scheduled.client("Anna")
     for plant in ("P2", "a new plant", ""):
-        lab.client.start_scan(plant=plant, reconstruct=False)
+        client.start_scan(plant=plant, reconstruct=False)
         with pytest.raises(UserError, match=f"is P1 instead of {plant or 'a plant without a name'}"):
-            lab.client.wait_for_scan(timeout_s=LONG_S)
-        assert not list(lab.experiment.scans_folder.rglob("*.png"))
+            client.wait_for_scan(timeout_s=LONG_S)
+    assert not list(experiment.scans_folder.rglob("*.png"))
     with pytest.raises(UserError, match="the treatment of plant P1 is 'control' in the catalogue, not 'low N'"):
-        lab.client.start_scan(plant="P1", treatment="low N")
-    name = lab.client.start_scan(plant="P1", reconstruct=False)
-    lab.client.wait_for_scan(timeout_s=LONG_S)
-    assert load_dataset(lab.experiment.scans_folder / name).scene.subject.treatment == "control"
-    with Catalogue.open(lab.experiment.catalogue_path, read_only=True) as catalogue:
+        client.start_scan(plant="P1", treatment="low N")
+    name = client.start_scan(plant="P1", reconstruct=False)
+    client.wait_for_scan(timeout_s=LONG_S)
+    assert load_dataset(experiment.scans_folder / name).scene.subject.treatment == "control"
+    with Catalogue.open(experiment.catalogue_path, read_only=True) as catalogue:
         assert [scan.plants for scan in catalogue.scans()] == [("P1",)]
 
 
-def test_a_canister_without_a_strip_is_not_scanned(lab: ScheduleLab) -> None:
-    lab.client.start_schedule()
-    lab.question("P1")
-    lab.answer("7")
-    assert "matches no plant in the catalogue" in lab.question("P1")
-    lab.client.stop_schedule()
+KILLS_S = np.linspace(0.0, 1.0, 5)
+"""Times between the first picture of each console and its end."""
+SCANS = 8
 
 
-def test_no_schedule_without_an_experiment(lab: ScheduleLab, tmp_path: Path) -> None:
-    console = Console(rigs.twin_bench(lab.experiment.base_scene(), replace(TWIN)), tmp_path / "other", twin=TWIN)
-    try:
-        assert console.state("")["schedule"] is None
-        with pytest.raises(UserError, match="start it with --experiment"):
-            console.start_schedule()
-    finally:
-        console.close()
+def confirm_all(console: Console, ended: threading.Event) -> bool:
+    """Run the schedule and confirm every canister; return whether it came to its end."""
+    with suppress(UserError):  # killed meanwhile
+        console.take_control("robot")
+        console.start_schedule()
+        while not ended.is_set():
+            state = console.state()
+            if state["activity"] == "":
+                return True
+            if state["question"]:
+                with suppress(UserError):
+                    console.answer("", question=state["question_number"])
+            time.sleep(0.05)
+    return False
+
+
+def pictures_of(experiment: Experiment) -> set[Path]:
+    return set(experiment.scans_folder.glob("*/images/*.png"))
+
+
+def stamps(pictures: Iterable[Path]) -> dict[Path, tuple[int, int]]:
+    return {picture: (picture.stat().st_mtime_ns, picture.stat().st_size) for picture in pictures}
+
+
+@pytest.mark.slow
+def test_kills(scene_file: Path) -> None:
+    """Nothing is lost and nothing is scanned twice if the console is killed at several moments."""
+    path = scene_file.with_name("my.toml")
+    path.write_text(EXPERIMENT.replace("rounds = 2", f"rounds = {SCANS // 2}"))
+    experiment = load_experiment(path)
+    written: dict[Path, tuple[int, int]] = {}
+    for kill_s in KILLS_S:
+        with console_process("--experiment", path, port=8797) as (process, printed):
+            ended = threading.Event()
+            robot = threading.Thread(target=confirm_all, args=(Console(printed[-1]), ended))
+            before = pictures_of(experiment)
+            robot.start()
+            while robot.is_alive() and pictures_of(experiment) == before:
+                time.sleep(0.02)
+            time.sleep(kill_s)
+            process.kill()
+        ended.set()
+        robot.join(LONG_S)
+        assert stamps(written) == written  # a picture that was kept is never taken again
+        datasets = [load_dataset(found.parent) for found in experiment.scans_folder.glob("*/dataset.json")]
+        pictures = [dataset.folder / frame.file for dataset in datasets for frame in dataset.frames[:-1]]
+        written = stamps(picture for picture in pictures if picture.is_file()) | written
+    assert written
+    with console_process("--experiment", path, port=8797) as (_, printed):
+        console = Console(printed[-1])
+        assert confirm_all(console, threading.Event())
+        state = console.state()
+    assert (state["schedule"]["planned"], state["schedule"]["scanned"]) == (SCANS, SCANS)
+    datasets = [load_dataset(experiment.scans_folder / scan["name"]) for scan in state["scans"]]
+    assert [(dataset.origin["complete"], len(dataset.frames)) for dataset in datasets] == [(True, VIEWS)] * SCANS
+    with Catalogue.open(experiment.catalogue_path, read_only=True) as catalogue:
+        assert verify.check(catalogue) == []
+        assert len(catalogue.scans()) == SCANS
