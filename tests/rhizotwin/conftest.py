@@ -26,29 +26,13 @@ def ball_result(tmp_path: Path) -> Callable[..., Path]:
 
     def make(name: str, **changes: object) -> Path:
         ball = trimesh.creation.icosphere(subdivisions=3, radius=6.0)
-        summary = {
-            "schema_version": 1,
-            "scene": "ball",
-            "dataset_sha256": "",
-            "voxel_mm": 0.25,
-            "volume_mm3": 905.0,
-            "volume_interval_mm3": [850.0, 950.0],
-            "extents_min_mm": [-6.0, -6.0, -6.0],
-            "extents_max_mm": [6.0, 6.0, 6.0],
-            "volume_bounds_mm3": [800.0, 1000.0],
-            "volume_trusted": True,
-            "volume_verdict": "",
-            "volume_budget": [],
-            "hull_mm3": 950.0,
-            "untrimmed_mm3": 0.0,
-            "blind_mm3": 0.0,
-            "views": [],
-            "warnings": [],
-            "timings_s": {},
-            "settings": {},
-        }
+        names = {"schema_version": 1, "scene": "ball", "dataset_sha256": "", "timings_s": {}, "settings": {}}
+        extents = {"extents_min_mm": [-6.0, -6.0, -6.0], "extents_max_mm": [6.0, 6.0, 6.0], "voxel_mm": 0.25}
+        volume = {"volume_mm3": 905.0, "volume_interval_mm3": [850.0, 950.0], "volume_bounds_mm3": [800.0, 1000.0], "hull_mm3": 950.0}
+        trust = {"volume_trusted": True, "volume_verdict": "", "untrimmed_mm3": 0.0, "blind_mm3": 0.0}
+        lists = dict.fromkeys(("volume_budget", "views", "warnings"), ())
         atomic.write_bytes(tmp_path / name / "shape.ply", bytes(ball.export(file_type="ply")))
-        atomic.write_json(tmp_path / name / "result.json", summary | changes)
+        atomic.write_json(tmp_path / name / "result.json", names | extents | volume | trust | lists | changes)
         return tmp_path / name
 
     return make

@@ -71,8 +71,8 @@ def painted(found: tuple[Root, ...]) -> Leaves:
     filled = filling.fill(Tubes(np.concatenate([root.points_mm for root in found]), radius, branches), 0.05)
     origin = np.array([-80.0, -80.0, -160.0])
     cells = np.floor((filled.point_mm - origin) / VOXEL_MM).astype(np.int32)
-    at, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    volume_mm3 = np.bincount(number.ravel(), weights=filled.volume_mm3)
+    _, first, number = np.unique(np.ravel_multi_index(cells.T, (1024,) * 3), return_index=True, return_inverse=True)
+    at, volume_mm3 = cells[first], np.bincount(number, weights=filled.volume_mm3)
     share = filling.limit_occupancy(volume_mm3 / VOXEL_MM**3, filled.branch[first])
     return Leaves(low=at, size=np.ones(len(at), np.int32), occupancy=share.astype(np.float32), origin_mm=origin, voxel_mm=VOXEL_MM)
 
@@ -92,53 +92,30 @@ def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:
         file = f"images/view_{k:03d}.png"
         atomic.write_image(dataset / file, np.round(230.0 * (1.0 - coverage)).astype(np.uint8))
         pose = tuple(tuple(float(x) for x in row) for row in view.cam_from_canister)
-        listed.append(
-            Frame(file=file, sha256=file_sha256(dataset / file), kind="root", ring=0, table_deg=planned.table_deg, cam_from_canister=pose)
-        )
-        views.append(FoundCamera(file=file, ring=0, used=True, cam_from_canister=view.cam_from_canister, table_deg=planned.table_deg))
+        same = {"file": file, "ring": 0, "table_deg": planned.table_deg}
+        listed.append(Frame(sha256=file_sha256(dataset / file), kind="root", cam_from_canister=pose, **same))
+        views.append(FoundCamera(used=True, cam_from_canister=view.cam_from_canister, **same))
         silhouettes[file] = Silhouette(coverage.astype(np.float32), np.ones(coverage.shape, bool))
     save_dataset(Dataset(folder=dataset, scene=scene, frames=tuple(listed)))
-    leaves = painted(found)
-    mesh = meshed(found, colour="order")
-    volume = float(leaves.occupancy.sum(dtype=np.float64)) * VOXEL_MM**3
-    solid = Solid(
-        voxels=leaves,
-        hull=leaves,
-        finest_mm=VOXEL_MM / 2.0,
-        mesh=trimesh.Trimesh(mesh.vertices, mesh.faces, process=False),
-        volume=Volume(
-            mm3=volume,
-            interval_mm3=(0.95 * volume, 1.06 * volume),
-            bounds_mm3=(0.8 * volume, 1.5 * volume),
-            trusted=True,
-            verdict="the true volume is near",
-            terms=(Term(name="radii", less_mm3=0.05 * volume, more_mm3=0.06 * volume, why="the views disagree about <radii>"),),
-        ),
-        hull_mm3=2.0 * volume,
-        untrimmed_mm3=0.0,
-        blind_mm3=0.0,
-        extents_min_mm=tuple(mesh.bounds[0]),
-        extents_max_mm=tuple(mesh.bounds[1]),
-        roots=found,
-    )
-    result = Result(
-        dataset=str(dataset),
-        dataset_sha256=file_sha256(dataset / "dataset.json"),
-        scene=name,
-        solid=solid,
-        cameras=tuple(views),
-        fill={},
-        rig={},
-        warnings=(),
-        timings_s={"carve": 1.0},
-        peak_memory_mib=1.0,
-        settings={"voxel_mm": VOXEL_MM, "finest_mm": VOXEL_MM / 2.0},
-        versions={"rhizotwin": "0"},
-        silhouettes=silhouettes,
-    )
+    sources = {"dataset": str(dataset), "dataset_sha256": file_sha256(dataset / "dataset.json"), "scene": name, "fill": {}, "rig": {}}
+    settings = {"voxel_mm": VOXEL_MM, "finest_mm": VOXEL_MM / 2.0}
+    run = {"timings_s": {"carve": 1.0}, "peak_memory_mib": 1.0, "settings": settings, "versions": {"rhizotwin": "0"}}
+    result = Result(solid=solid_of(found), cameras=tuple(views), silhouettes=silhouettes, warnings=(), **sources, **run)
     (folder / "result").mkdir()
     result.save(folder / "result")
     return Plant(dataset, folder / "result", found)
+
+
+def solid_of(found: tuple[Root, ...]) -> Solid:
+    """Return the roots' voxels, mesh and volume."""
+    leaves, mesh = painted(found), meshed(found, colour="order")
+    volume = float(leaves.occupancy.sum(dtype=np.float64)) * VOXEL_MM**3
+    term = Term(name="radii", less_mm3=0.05 * volume, more_mm3=0.06 * volume, why="the views disagree about <radii>")
+    limits = {"interval_mm3": (0.95 * volume, 1.06 * volume), "bounds_mm3": (0.8 * volume, 1.5 * volume)}
+    judged = Volume(mm3=volume, trusted=True, verdict="the true volume is near", terms=(term,), **limits)
+    shape = {"voxels": leaves, "hull": leaves, "mesh": trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), "roots": found}
+    extents = {"extents_min_mm": tuple(mesh.bounds[0]), "extents_max_mm": tuple(mesh.bounds[1]), "finest_mm": VOXEL_MM / 2.0}
+    return Solid(volume=judged, hull_mm3=2.0 * volume, untrimmed_mm3=0.0, blind_mm3=0.0, **shape, **extents)
 
 
 def drawn(view: View, optics: Optics, found: tuple[Root, ...]) -> np.ndarray:

@@ -13,7 +13,6 @@ from rhizotwin.building.drawings import part_page
 from rhizotwin.building.line_drawing import CORNER, FRONT, TOP, draw
 from rhizotwin.building.measures import Measures, load_measures
 from rhizotwin.building.mounts import board_stand
-from rhizotwin.building.part import Part
 from rhizotwin.building.pot import canister_ring
 from rhizotwin.building.rig_parts import thesis_rig
 from rhizotwin.building.write import stl_bytes, write_parts
@@ -30,20 +29,12 @@ def length_mm(strokes: list[np.ndarray]) -> float:
     return float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in strokes))
 
 
-def test_a_box_from_a_corner_shows_nine_of_its_twelve_edges() -> None:
-    axes = CORNER.axes[:2]
-    edges = [np.linalg.norm(axes @ vector) for vector in np.diag([30.0, 20.0, 10.0])]
-    assert length_mm(draw(CUBE, CORNER).strokes_mm) == pytest.approx(3.0 * sum(edges), rel=0.02)
-
-
-def test_a_box_from_the_front_is_a_rectangle() -> None:
-    drawn = draw(CUBE, FRONT)
-    np.testing.assert_allclose(drawn.size_mm, [30.0, 10.0])
-    inside = [line for line in drawn.strokes_mm if (np.abs(line - [15.0, 5.0]) < [14.0, 4.0]).all(axis=1).any()]
-    assert inside == []
-
-
-def test_what_is_behind_is_left_out() -> None:
+def test_a_box_shows_its_visible_edges_and_hides_what_is_behind() -> None:
+    edges = [np.linalg.norm(CORNER.axes[:2] @ vector) for vector in np.diag([30.0, 20.0, 10.0])]
+    assert length_mm(draw(CUBE, CORNER).strokes_mm) == pytest.approx(3.0 * sum(edges), rel=0.02)  # nine of twelve
+    front = draw(CUBE, FRONT)
+    np.testing.assert_allclose(front.size_mm, [30.0, 10.0])
+    assert [line for line in front.strokes_mm if (np.abs(line - [15.0, 5.0]) < [14.0, 4.0]).all(axis=1).any()] == []
     behind = Manifold.compose([CUBE, Manifold.cube((4.0, 4.0, 4.0)).translate((10.0, 8.0, -8.0))])
     assert length_mm(draw(behind, TOP).strokes_mm) == pytest.approx(length_mm(draw(CUBE, TOP).strokes_mm), rel=0.01)
 
@@ -52,9 +43,8 @@ def test_a_part_says_its_dimensions_and_numbers() -> None:
     part = board_stand(Scene(), CharucoBoard(), Measures(), -195.0)
     texts = [ink.text for ink in part_page(part, title="a scene").parts if isinstance(ink, Text)]
     assert any(text.startswith("board_stand    x2") for text in texts)
-    for dimension in part.dimensions:
-        length = np.linalg.norm(np.subtract(dimension.to_mm, dimension.from_mm))
-        assert f"{dimension.name} {length:.2f}" in texts
+    lengths = [np.linalg.norm(np.subtract(dimension.to_mm, dimension.from_mm)) for dimension in part.dimensions]
+    assert {f"{dimension.name} {length:.2f}" for dimension, length in zip(part.dimensions, lengths, strict=True)} <= set(texts)
 
 
 def test_a_file_holds_the_closed_solid() -> None:
@@ -80,9 +70,8 @@ def test_every_box_is_wired_and_every_pin_drawn(diagram: wiring.Diagram) -> None
     boxes = {end[0] for wire in diagram.wires for end in (wire.start, wire.end) if end[0]}
     assert boxes == {*diagram.left, *diagram.right}
     assert {wire.start[1] for wire in diagram.wires if not wire.start[0]} <= {"+5 V LED", "GND", "+12 V", "+3.3 V", "+7.5 V arm"}
-    texts = [ink.text for ink in wiring.page_of(diagram).parts if isinstance(ink, Text)]
-    for wire in diagram.wires:
-        assert wire.end[1] in texts
+    texts = {ink.text for ink in wiring.page_of(diagram).parts if isinstance(ink, Text)}
+    assert {wire.end[1] for wire in diagram.wires} <= texts
 
 
 def test_measures_of_ones_own(tmp_path) -> None:
@@ -95,17 +84,13 @@ def test_measures_of_ones_own(tmp_path) -> None:
 
 
 def test_one_part_alone_is_the_one_of_the_whole(tmp_path) -> None:
-    def write(*names: str) -> list[Part]:
-        folder = tmp_path / "_".join(names)
-        return write_parts(
-            Scene(), folder, rig=thesis_rig(), measures=Measures(), board=CharucoBoard(), bed_mm=(220.0, 220.0, 250.0), names=names
-        )
-
-    (ring,) = write("canister_ring")
+    known = {"rig": thesis_rig(), "measures": Measures(), "board": CharucoBoard(), "bed_mm": (220.0, 220.0, 250.0)}
+    (ring,) = write_parts(Scene(), tmp_path / "ring", names=("canister_ring",), **known)
     assert ring.name == "canister_ring"
-    written = tmp_path / "canister_ring"
-    assert {path.name for path in written.rglob("*.*")} == {"canister_ring.stl", "canister_ring.svg", "parameters.csv", "parameters.json"}
-    assert (written / "canister_ring.stl").read_bytes() == stl_bytes(canister_ring(Scene(), Measures()).printed)
+    names = {"canister_ring.stl", "canister_ring.svg", "parameters.csv", "parameters.json"}
+    assert {path.name for path in (tmp_path / "ring").rglob("*.*")} == names
+    (stored,) = (tmp_path / "ring").rglob("*.stl")
+    assert stored.read_bytes() == stl_bytes(canister_ring(Scene(), Measures()).printed)
     with pytest.raises(UserError, match="the part 'nose' is unknown; choose from net_pot, "):
-        write("nose")
+        write_parts(Scene(), tmp_path / "nose", names=("nose",), **known)
     assert not (tmp_path / "nose").exists()
