@@ -1,42 +1,38 @@
-"""Which LLVM is taken: new enough, never one of those that abort the process, and a clear word when there is none."""
+"""Which LLVM is taken: new enough, never one that aborts the process, a clear word when there is none; and the stand-in for libatomic."""
 
+import ctypes
 import os
+import platform
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from rhizotwin import engine
+from rhizotwin import engine, native
 from rhizotwin.scenes.errors import UserError
 
-
-@pytest.mark.parametrize(
-    ("file", "version"),
-    [
-        ("libLLVM.so.19.1", 19),
-        ("libLLVM-17.so.1", 17),
-        ("libLLVM-14.0.6.so.1", 14),
-        ("libLLVM-14.so", 14),
-        ("libLLVM.so", None),
-        ("libLLVM.dylib", None),
-        ("libLLVMSomething.so.19", None),
-        ("libclang-cpp.so.19", None),
-        ("llvm-19/lib/libLLVM.so", 19),
-        ("Cellar/llvm/19.1.7/lib/libLLVM.so", 19),
-        ("Cellar/llvm@19/19.1.7_1/lib/libLLVM.so", 19),
-    ],
-)
-def test_version_is_read_from_the_names_of_file_and_folder(tmp_path: Path, file: str, version: int | None) -> None:
-    library = tmp_path / file
-    library.parent.mkdir(parents=True, exist_ok=True)
-    library.touch()
-    assert engine.llvm_version(library) == version
+VERSIONS = {
+    "libLLVM.so.19.1": 19,
+    "libLLVM-17.so.1": 17,
+    "libLLVM-14.0.6.so.1": 14,
+    "libLLVM-14.so": 14,
+    "libLLVM.so": None,
+    "libLLVM.dylib": None,
+    "libLLVMSomething.so.19": None,
+    "libclang-cpp.so.19": None,
+    "llvm-19/lib/libLLVM.so": 19,
+    "Cellar/llvm/19.1.7/lib/libLLVM.so": 19,
+    "Cellar/llvm@19/19.1.7_1/lib/libLLVM.so": 19,
+}
 
 
-def test_version_is_read_through_links(tmp_path: Path) -> None:
-    (tmp_path / "libLLVM.so.20.1").touch()
-    link = tmp_path / "libLLVM.so"
-    link.symlink_to("libLLVM.so.20.1")
-    assert engine.llvm_version(link) == 20
+def test_version_is_read_from_file_folder_and_link(tmp_path: Path) -> None:
+    for file in VERSIONS:
+        make_libraries((tmp_path / file).parent, Path(file).name)
+    (tmp_path / "link").mkdir()
+    (tmp_path / "link" / "libLLVM.so").symlink_to("../libLLVM.so.19.1")
+    assert {file: engine.llvm_version(tmp_path / file) for file in (*VERSIONS, "link/libLLVM.so")} == VERSIONS | {"link/libLLVM.so": 19}
 
 
 def make_libraries(folder: Path, *names: str) -> Path:
@@ -46,7 +42,7 @@ def make_libraries(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_newest_library_of_all_folders_is_taken_and_never_an_old_one(tmp_path: Path) -> None:
+def test_the_newest_library_is_taken_and_never_an_old_one(tmp_path: Path) -> None:
     a = make_libraries(tmp_path / "a", "libLLVM-14.so.1", "libLLVM-17.so.1", "libLLVM.so.9.0")
     b = make_libraries(tmp_path / "b", "libLLVM.so.18.1", "libLLVM-15.so")
     assert engine.find_llvm([a, b, tmp_path / "missing"]) == (b / "libLLVM.so.18.1", 18)
@@ -67,12 +63,6 @@ def test_given_library_is_respected_or_refused(tmp_path: Path) -> None:
         engine.choose_llvm(str(tmp_path / "libLLVM.so.20.1"), [])
 
 
-def test_hint_names_packages_of_a_usable_version() -> None:
-    packages = engine.apt_packages()
-    assert "libatomic1" in packages
-    assert int(packages[0].removeprefix("libllvm").removesuffix("t64")) >= engine.MIN_LLVM
-
-
 @pytest.mark.parametrize(
     ("system", "machine", "hint"),
     [
@@ -82,9 +72,7 @@ def test_hint_names_packages_of_a_usable_version() -> None:
         ("Windows", "AMD64", "winget install LLVM.LLVM"),
     ],
 )
-def test_each_platform_has_a_command_that_brings_llvm(
-    system: str, machine: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_platform_has_a_command_that_brings_llvm(system: str, machine: str, hint: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(engine.platform, "system", lambda: system)
     monkeypatch.setattr(engine.platform, "machine", lambda: machine)
     monkeypatch.setattr(engine.shutil, "which", lambda name: f"/usr/bin/{name}" if name == "apt-get" else None)
@@ -94,9 +82,11 @@ def test_each_platform_has_a_command_that_brings_llvm(
     assert "\n" not in str(caught.value)
 
 
-def test_the_wheel_is_the_one_that_is_a_dependency() -> None:
-    pyproject = (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8")
-    assert f'"{engine.LLVM_WHEEL}; ' in pyproject
+def test_hints_name_the_dependency_and_usable_packages() -> None:
+    assert f'"{engine.LLVM_WHEEL}; ' in (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    packages = engine.apt_packages()
+    assert "libatomic1" in packages
+    assert int(packages[0].removeprefix("libllvm").removesuffix("t64")) >= engine.MIN_LLVM
 
 
 def test_windows_library_is_asked_for_its_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,17 +97,14 @@ def test_windows_library_is_asked_for_its_version(tmp_path: Path, monkeypatch: p
     assert engine.find_llvm([folder]) is None
 
 
-def test_unknown_device_is_refused() -> None:
-    with pytest.raises(UserError, match="--device gpu is unknown"):
-        engine.start("gpu")
-
-
 def test_start_says_what_it_chose() -> None:
     import mitsuba as mi
 
     assert engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu")).startswith("computing on ")
     assert mi.variant() in ("llvm_ad_mono", "cuda_ad_mono")
     assert float((mi.Float(2.0) * 3.0)[0]) == 6.0
+    with pytest.raises(UserError, match="--device gpu is unknown"):
+        engine.start("gpu")
 
 
 def test_an_old_llvm_that_was_loaded_before_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,3 +113,51 @@ def test_an_old_llvm_that_was_loaded_before_is_refused(monkeypatch: pytest.Monke
     monkeypatch.setattr(drjit.detail, "llvm_version", lambda: (15, 0, 6))
     with pytest.raises(UserError, match=r"Dr.Jit was imported before .* loaded version 15, .* set DRJIT_LIBLLVM_PATH="):
         engine.start("cpu")
+
+
+ELSEWHERE = sys.platform != "linux" or platform.machine() != "x86_64"
+stand_in = pytest.mark.skipif(ELSEWHERE, reason="the stand-in is for Linux on x86-64; elsewhere nothing is loaded")
+
+WITHOUT_LIBATOMIC = """
+import ctypes, sys
+load = ctypes.CDLL
+def without(name, *args, **kwargs):
+    if name == "libatomic.so.1":
+        raise OSError(name)
+    return load(name, *args, **kwargs)
+ctypes.CDLL = without
+from rhizotwin.native import ensure_libatomic
+assert ensure_libatomic()
+import drjit
+libraries = {line.split()[-1] for line in open("/proc/self/maps") if "atomic" in line}
+print(*libraries)
+"""
+
+
+def exchange(held: bytes, expected: bytes, desired: bytes) -> tuple[bool, bytes, bytes]:
+    """Return whether the words were exchanged, and what is held and expected afterwards."""
+    function = getattr(ctypes.CDLL(str(native.ATOMIC)), "__atomic_compare_exchange_16")
+    function.restype = ctypes.c_bool
+    room = ctypes.create_string_buffer(48)  # cmpxchg16b wants multiples of 16
+    at = -ctypes.addressof(room) % 16
+    room[at : at + 16] = held
+    other = ctypes.create_string_buffer(expected, 16)
+    low, high = (ctypes.c_uint64(int.from_bytes(desired[k : k + 8], "little")) for k in (0, 8))
+    done = function(ctypes.c_void_p(ctypes.addressof(room) + at), other, low, high, 5, 5)
+    return bool(done), room[at : at + 16], other.raw
+
+
+@stand_in
+def test_the_stand_in_for_libatomic_compares_and_exchanges() -> None:
+    a, b, c = bytes(range(16)), bytes(range(16, 32)), bytes(range(32, 48))
+    assert exchange(a, a, b) == (True, b, a)
+    assert exchange(a, c, b) == (False, a, a)
+    nearly = a[:15] + b"\xff"  # both halves count
+    assert exchange(a, nearly, b) == (False, a, a)
+
+
+@stand_in
+def test_drjit_takes_the_stand_in_for_libatomic() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT_LIBATOMIC], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(native.ATOMIC)]
