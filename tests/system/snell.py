@@ -102,13 +102,13 @@ def to_cylinder(origin: Array, direction: Array, radius_mm: float, *, far: bool 
     return (-b + (root if far else -root)) / a
 
 
-def into_water(origin: Array, direction: Array) -> tuple[Array, Array, Array, Array]:
+def into_water(origin: Array, direction: Array, *, n_water: float = N_WATER) -> tuple[Array, Array, Array, Array]:
     """Follow rays (N, 3) from the air into the water; where they begin there, whither, how far, and at what height they hit."""
     entry = origin + to_cylinder(origin, direction, OUTER_MM)[:, None] * direction
     level = np.array([1.0, 1.0, 0.0])
     inside = refracted(direction, entry * level / OUTER_MM, 1.0 / N_WALL)
     wet = entry + to_cylinder(entry, inside, INNER_MM)[:, None] * inside
-    final = refracted(inside, wet * level / INNER_MM, N_WALL / N_WATER)
+    final = refracted(inside, wet * level / INNER_MM, N_WALL / n_water)
     return wet, final, to_cylinder(wet, final, INNER_MM, far=True), entry[:, 2]
 
 
