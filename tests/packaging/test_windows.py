@@ -11,17 +11,16 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "tests" / "packaging" / "as_windows.py"
 
 
-def run(folder: Path, *commands: str) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        [sys.executable, SCRIPT, *commands], cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=300
-    )
+    return subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.mark.slow
 def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
     done = run(
         tmp_path,
+        SCRIPT,
         "scenes",
         "simulate sphere_20mm -o dataset --views 8 --image-wh 160x120 --device cpu",
         "reconstruct dataset -o result --device cpu",
@@ -30,18 +29,15 @@ def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "press Ctrl-C to stop" in done.stdout
     assert (tmp_path / "result" / "report.html").is_file()
-    left = list(tmp_path.rglob(".*"))  # locks and temporary files: Windows removes none that is open
-    assert left == []
-    head = (tmp_path / "dataset" / "images" / "view_000.png").read_bytes()[:8]
-    assert head == b"\x89PNG\r\n\x1a\n"
+    assert list(tmp_path.rglob(".*")) == []  # locks and temporary files: Windows removes none that is open
+    assert (tmp_path / "dataset" / "images" / "view_000.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 def test_twin_says_what_to_use_instead(tmp_path: Path) -> None:
-    done = run(tmp_path, "twin")
+    done = run(tmp_path, SCRIPT, "twin")
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith(
-        "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which are not available on Windows; use 'rhizotwin scan --rig twin'"
-    )
+    said = "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which are not available on Windows; use 'rhizotwin scan --rig twin'"
+    assert done.stderr.splitlines()[-1].startswith(said)
 
 
 def test_a_second_run_finds_the_lock_and_a_later_one_does_not(tmp_path: Path) -> None:
@@ -69,9 +65,6 @@ write_text("a.txt", "one\\n")
 write_text("a.txt", "two\\n")
 print(Path("a.txt").read_bytes(), sorted(path.name for path in Path().iterdir()))
 """
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-c", code, SCRIPT.parent], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = run(tmp_path, "-c", code, SCRIPT.parent)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["refused", "left True", "removed True", r"b'two\n' ['a.txt']"]
