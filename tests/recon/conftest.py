@@ -72,20 +72,19 @@ def scan(tmp_path: Path) -> Callable[..., Scan]:
         save_dataset(Dataset(folder=dataset, scene=scene, frames=listed, seed=0))
         true = ball(RADIUS_MM, CENTRE_MM)
         atomic.write_bytes(dataset / "truth" / "specimen.ply", bytes(true.export(file_type="ply")))
-        low, high = rows(true.bounds)
-        extents = {"extents_min_mm": low, "extents_max_mm": high}
+        extents = dict(zip(("extents_min_mm", "extents_max_mm"), rows(true.bounds), strict=True))
         seen_from = [TrueView(file=files[k], cam_from_canister=rows(pose), table_deg=60.0 * k) for k, pose in enumerate(poses)]
         still = {"n_water": 1.333, "canister_from_strip": rows(np.eye(4))}
         save_truth(dataset, Truth(volume_mm3=float(true.volume), **extents, **still, views=tuple(seen_from)))
-        _write_result(
-            result, dataset, files, poses, radius_mm, CENTRE_MM + shift_mm, voxel_mm, found_from_true, disk(camera.image_wh, disk_px), lost
-        )
+        poses = poses if found_from_true is None else [pose @ frames.invert(found_from_true) for pose in poses]
+        cover = disk(camera.image_wh, disk_px)
+        _write_result(result, dataset, dict(zip(files, poses, strict=True)), radius_mm, CENTRE_MM + shift_mm, voxel_mm, cover, lost)
         return Scan(dataset, result)
 
     return make
 
 
-def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm, found_from_true, cover, lost) -> None:
+def _write_result(result, dataset, poses, radius_mm, centre_mm, voxel_mm, cover, lost) -> None:
     origin = np.array([-80.0, -80.0, -150.0])
     low = np.floor((centre_mm - radius_mm - origin) / voxel_mm).astype(int) - 1
     high = np.ceil((centre_mm + radius_mm - origin) / voxel_mm).astype(int) + 1
@@ -102,9 +101,8 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
     seen = np.zeros(cover.shape, np.uint8)
     seen[20:-20, 20:-20] = 255
     views = []
-    for k, (file, pose) in enumerate(zip(files, poses, strict=True)):
-        found = rows(pose if found_from_true is None else pose @ frames.invert(found_from_true))
-        used = {"used": True, "reason": None, "cam_from_canister": found, "reprojection_px": 0.08, "markers": 20, "fill": 0.02}
+    for k, (file, pose) in enumerate(poses.items()):
+        used = {"used": True, "reason": None, "cam_from_canister": rows(pose), "reprojection_px": 0.08, "markers": 20, "fill": 0.02}
         unused = dict.fromkeys(used) | {"used": False, "reason": "2 markers found, 4 are needed", "markers": 2}
         views.append({"file": file, "ring": 0, "table_deg": 60.0 * k} | (unused if k in lost else used))
         if k not in lost:
@@ -112,12 +110,8 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
             atomic.write_image(result / "seen" / Path(file).name, seen)
     volume = float(mesh.volume)
     about = {"schema_version": 1, "dataset": "scan", "dataset_sha256": file_sha256(dataset / "dataset.json"), "scene": "ball"}
-    run = {
-        "timings_s": {"poses": 1.5, "carve": 2.25},
-        "peak_memory_mib": 512.0,
-        "settings": {"method": "coverage"},
-        "versions": {"numpy": "2"},
-    }
+    run = {"timings_s": {"poses": 1.5, "carve": 2.25}, "peak_memory_mib": 512.0}
+    run |= {"settings": {"method": "coverage"}, "versions": {"numpy": "2"}}
     found = {"views": views, "warnings": ["view 3 is <dark>"] if lost else [], "voxel_mm": voxel_mm, "volume_mm3": volume}
     interval = {"volume_interval_mm3": [0.95 * volume, 1.05 * volume], "volume_bounds_mm3": [0.9 * volume, 1.2 * volume]}
     verdict = {"volume_trusted": True, "volume_verdict": "the true volume lies near with 90 % confidence"}

@@ -60,7 +60,7 @@ def test_leaving_out_is_what_it_says() -> None:
     np.testing.assert_allclose(stated, off.T @ off * (CLUSTERS - 1) / CLUSTERS, rtol=1e-9)
 
 
-def test_chance_makes_no_variance_smaller_and_unknowns_of_very_different_units_are_inverted() -> None:
+def test_variances_have_a_floor_and_any_units_are_inverted() -> None:
     normal, least = np.diag([4.0, 9.0]), np.diag([0.25, 1.0 / 9.0])
     np.testing.assert_allclose(sandwich(normal, np.diag([1.0, 90.0]), least), np.diag([0.25, 90.0 / 81.0]))
     units = np.array([[1e16, 1e7], [1e7, 2e-1]])

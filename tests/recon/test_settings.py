@@ -15,7 +15,7 @@ RECON = Path(__file__).resolve().parents[2] / "recon"
 PAGE = RECON.parent / "docs" / "settings.md"
 
 
-def test_what_a_file_leaves_out_has_its_default_and_a_result_records_the_same(tmp_path: Path) -> None:
+def test_files_have_defaults_and_results_record_the_same(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_text("voxel_mm = 0.2\n[hull]\nfinest_mm = 0.1\n", encoding="utf-8")
     found = load_settings(path)

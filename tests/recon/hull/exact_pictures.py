@@ -9,12 +9,16 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.scenes import atomic, plan
 from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 Segment = tuple[tuple[float, float, float], tuple[float, float, float], float]
 """Ends and radius of a tube, mm."""
 _PIXEL_MM = 1.0
 """More than a pixel's diagonal in the water, at 240 columns and more."""
+
+
+def ring_of(views: int, image_wh: tuple[int, int] = (400, 300), **ring: float) -> Scene:
+    return Scene(camera=Camera().resized(image_wh), plan=CapturePlan(rings=(Ring(views=views, **ring),)))
 
 
 def views_of(scene: Scene) -> list[cameras.View]:

@@ -1,0 +1,19 @@
+"""Shapes of nodes of the finest size."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rhizotwin.recon.hull.leaves import Grid, Leaves
+
+
+def block(grid: Grid, index: np.ndarray, occupancy: np.ndarray | float = 1.0) -> Leaves:
+    """Return the nodes (N, 3) of a grid, equally full or each with its own occupancy (N,)."""
+    count = len(index)
+    return Leaves(grid, index.astype(np.int32), np.ones(count, np.int32), np.full(count, occupancy, np.float32))
+
+
+def everything(grid: Grid, size: int = 1) -> Leaves:
+    """Return all of a grid, in leaves of a size in finest nodes."""
+    index = size * np.argwhere(np.ones(np.array(grid.coarse_shape) * 2**grid.levels // size, bool))
+    return replace(block(grid, index), size=np.full(len(index), size, np.int32))
