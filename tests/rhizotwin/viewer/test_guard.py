@@ -1,12 +1,14 @@
 """Connections of browsers, without a browser."""
 
-import socket
+import http.client
 
 import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from rhizotwin.viewer import guard
+
+SOCKET = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
 
 
 @pytest.mark.parametrize("twice", ["Host: a", "Origin: http://a", "Cookie: a=b", "Upgrade: x"])
@@ -17,20 +19,31 @@ def test_a_header_that_is_there_twice_is_no_error(twice: str):
     assert twice[0] == "U" or (refused is not None and refused.status_code == 403)
 
 
-def test_pages_wait_for_what_is_shown():
+def test_the_token_is_asked_for_and_pages_wait_for_what_is_shown():
     served = guard.serve(port=8390)
+
+    def asked(path: str, timeout_s: float = 20.0, **headers: str) -> int:
+        line = http.client.HTTPConnection(served.host, served.port, timeout=timeout_s)
+        try:
+            line.request("GET", path, headers=headers)
+            answer = line.getresponse()
+            assert "HttpOnly" in (answer.getheader("Set-Cookie") or "") or answer.status != 200 or "Cookie" in headers
+            return answer.status
+        finally:
+            line.close()
+
+    own = {"Origin": f"http://{served.host}:{served.port}"}
+    cookie = {"Cookie": f"rhizotwin_{served.port}={served.token}"}
     try:
-        with socket.create_connection((served.host, served.port), timeout=20.0) as line:
-            line.sendall(
-                f"GET / HTTP/1.1\r\nHost: {served.host}:{served.port}\r\nOrigin: http://{served.host}:{served.port}\r\n"
-                f"Cookie: rhizotwin_{served.port}={served.token}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
-                "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
-            )
-            line.settimeout(0.3)
-            with pytest.raises(TimeoutError):
-                line.recv(100)
-            served.open.set()
-            line.settimeout(20.0)
-            assert line.recv(100).startswith(b"HTTP/1.1 101")
+        with pytest.raises(TimeoutError):
+            asked("/", 0.3, **SOCKET, **cookie, **own)
+        served.open.set()
+        assert asked(f"/?token={served.token}") == 200
+        assert asked("/", **cookie) == 200
+        wrong = [asked("/"), asked("/?token=wrong"), asked("/", Cookie=f"rhizotwin_{served.port}=wrong"), asked("/", **SOCKET, **own)]
+        no_page, other_page = asked("/", **SOCKET, **cookie), asked("/", **SOCKET, **cookie, Origin="http://127.0.0.1:1")
+        assert [*wrong, no_page, other_page] == [403] * 6
+        assert [asked(path, **cookie) for path in ("/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd")] == [404, 404]
+        assert asked("/", **SOCKET, **cookie, **own) == 101
     finally:
         served.stop()

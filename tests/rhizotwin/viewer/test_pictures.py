@@ -14,21 +14,19 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.stored.result_files import read_summary
 from rhizotwin.through_water import Pictures
-from rhizotwin.viewer.app import Viewer
+from rhizotwin.viewer.shown import Shown
 from tests.rhizotwin import plant as plants
 
 
 def test_pixels_are_those_of_the_reference(plant: plants.Plant):
     found = Pictures.of(load_dataset(plant.dataset), {"views": [], "rig": {}} | read_summary(plant.result))
     points = np.concatenate([root.points_mm for root in plant.roots])[::7]
-    for place in (0, 3):
-        px = found.pixels(place, points)
-        reference, count = cameras.project(found.views[place], found.optics, points)
-        assert (count == 1).all()
-        assert px == pytest.approx(reference[:, 0], abs=1e-6)
+    reference, count = zip(*(cameras.project(found.views[place], found.optics, points) for place in (0, 3)), strict=True)
+    assert (np.array(count) == 1).all()
+    assert np.array([found.pixels(place, points) for place in (0, 3)]) == pytest.approx(np.array(reference)[:, :, 0], abs=1e-6)
 
 
-def test_stored_cameras_project_points_like_the_calibrated_cameras(plant: plants.Plant):
+def test_stored_cameras_project_like_the_calibrated_cameras(plant: plants.Plant):
     """The scale of the scene is 0.22 mm per pixel, that of the pictures 0.11; the roots sway by 0.3 mm at their tips."""
     dataset = load_dataset(plant.dataset)
     given = replace(dataset.scene.camera, kind="telecentric", mm_per_px=0.22)
@@ -47,31 +45,18 @@ def test_stored_cameras_project_points_like_the_calibrated_cameras(plant: plants
     assert Pictures.of(replace(dataset, scene=scene), {"views": [stored], "rig": rig}).views[0].camera == given.as_pinhole()
 
 
-def test_roots_drawn_over_pictures_lie_on_the_roots(viewer: Viewer):
-    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
-    assert pictures is not None
-    drawn = pictures.draw_outline(0, viewer.shown.surface(), lines).astype(int)
+def test_outlines_lie_on_the_roots_and_are_those_of_the_union(shown: Shown):
+    pictures, lines = shown.pictures, shown.session.state.lines
     plain = pictures.draw_outline(0, None, {}).astype(int)  # eight times as large as the picture
-    marked = (drawn != plain).any(axis=2)
+    marked = (pictures.draw_outline(0, shown.surface(), lines) != plain).any(axis=2)
     assert 50 < marked.sum() < 0.02 * marked.size
     roots = cv2.dilate((plain[..., 0] < 250).astype(np.uint8), np.ones((17, 17), np.uint8)) > 0  # within a pixel of the picture
     assert roots[marked].mean() > 0.98
-
-
-def test_the_outline_is_that_of_the_union(viewer: Viewer):
-    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
-    assert pictures is not None
-    plain = pictures.draw_outline(0, None, {})
     outline = (pictures.draw_outline(0, None, lines) != plain).any(axis=2)
     mask = np.zeros(plain.shape[:2], np.uint8)
     pictures._fill_tubes(mask, 0, lines, plain.shape[1] // 200, thickest_mm=np.inf)
     inside = cv2.erode(mask, np.ones((7, 7), np.uint8)) > 0
     assert inside.sum() > 1000
     assert not outline[inside].any()  # no edge of one tube inside another
-
-
-def test_selected_roots_have_an_outline_of_their_own(viewer: Viewer):
-    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
-    assert pictures is not None
-    drawn = pictures.draw_outline(0, viewer.shown.surface(), lines, selected=[1]).astype(int)
-    assert ((drawn[..., 2] - drawn[..., 0]) > 100).sum() > 50  # blue
+    selected = pictures.draw_outline(0, shown.surface(), lines, selected=[1]).astype(int)
+    assert ((selected[..., 2] - selected[..., 0]) > 100).sum() > 50  # blue

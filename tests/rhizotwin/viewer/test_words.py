@@ -10,19 +10,20 @@ from rhizotwin.corrections import log, session
 from rhizotwin.scenes import formatting
 from rhizotwin.viewer import words
 from rhizotwin.viewer.app import Viewer
+from rhizotwin.viewer.shown import Shown
 
 
-def test_names_are_escaped_and_numbers_have_the_digits_they_deserve(viewer: Viewer):
-    assert "&lt;b&gt;" in words.note(viewer.shown.session.summary["scene"])
+def test_names_are_escaped_and_numbers_have_their_digits(shown: Shown):
+    assert "&lt;b&gt;" in words.note(shown.session.summary["scene"])
     assert formatting.ml(137070.4, half_mm3=9000.0) == "137.1"
     assert formatting.ml(58.2967, half_mm3=11.7) == "0.058"
     assert "<script>" not in words.history([replace(log.edit("cut"), who="<script>")])
     told = {"name": "tips", "value": 3.0, "interval": [2.0, 4.0], "trusted": False, "verdict": "<script>"}
-    assert "<script>" not in words.traits(viewer.shown.traits(), edited=False, summary=viewer.shown.session.summary | {"estimates": [told]})
+    assert "<script>" not in words.traits(shown.traits(), edited=False, summary=shown.session.summary | {"estimates": [told]})
 
 
-def test_colours_tell_uncertainty(viewer: Viewer):
-    lines = dict(viewer.shown.session.state.lines)
+def test_colours_tell_uncertainty(shown: Shown):
+    lines = dict(shown.session.state.lines)
     shade, legend = root_colours.colour_roots("uncertainty", lines)
     certain = replace(lines[1], sigma_mm=np.zeros(len(lines[1].points_mm)))
     assert (shade(1, certain) == [68, 1, 84]).all()  # viridis begins so
@@ -35,28 +36,11 @@ def test_colours_tell_uncertainty(viewer: Viewer):
     assert "±" not in words.root(1, unknown, 1)
 
 
-def test_traits_follow_corrections(viewer: Viewer):
-    assert viewer.shown.traits().roots == 4
-    assert viewer.shown.traits().total_length_mm == pytest.approx(viewer.shown.session.measure().length_mm)
-    told: list[str] = []
-    viewer.on_measured.append(lambda: told.append(words.traits(viewer.shown.traits(), edited=True, summary=viewer.shown.session.summary)))
-    viewer.correct("delete roots", roots=[3])
-    viewer.wait()
-    assert viewer.shown.traits().roots == 3
-    assert "<td>3<br>" in told[-1]
-    viewer.undo()
-
-
-def test_traits_that_were_not_reliable_are_not_called_unassessed_after_corrections(viewer: Viewer):
-    found, summary = viewer.shown.traits(), viewer.shown.session.summary
+def test_unreliable_traits_are_not_called_unassessed(shown: Shown):
+    found, summary = shown.traits(), shown.session.summary
     length = found.total_length_mm
-    estimate = {
-        "name": "total_length_mm",
-        "value": length,
-        "interval": [0.9 * length, 2.0 * length],
-        "trusted": False,
-        "verdict": "too thin",
-    }
+    interval = [0.9 * length, 2.0 * length]
+    estimate = {"name": "total_length_mm", "value": length, "interval": interval, "trusted": False, "verdict": "too thin"}
     table = words.traits(found, edited=True, summary=summary | {"estimates": [estimate]})
     assert table.count("<small>not reliable</small>") == 1
     assert table.count("not assessed after corrections") > 5
@@ -67,15 +51,23 @@ def test_traits_that_were_not_reliable_are_not_called_unassessed_after_correctio
 @pytest.mark.parametrize(
     ("trusted", "shown"), [(True, "<b>0.95 ml</b> (-5.00 %), 12 mm"), (False, "0.95 ml (-5.00 %), which is not reliable")]
 )
-def test_a_corrected_volume_is_not_more_reliable_than_that_of_the_result(trusted: bool, shown: str):
+def test_a_corrected_volume_is_as_reliable_as_that_of_the_result(trusted: bool, shown: str):
     summary = {"volume_mm3": 1000.0, "volume_interval_mm3": [900.0, 1100.0], "volume_trusted": trusted, "volume_verdict": "blurred"}
     measured = session.Measured(volume_mm3=950.0, length_mm=12.0, roots=2, volumes_mm3=np.zeros(0), solid=None)
     assert f"after corrections: {shown}" in words.volume(summary, measured, edits=1)
 
 
-def test_corrections_are_listed_and_undone_back_to_any_of_them(viewer: Viewer):
-    for number in (1, 2, 3):
-        viewer.correct("delete roots", roots=[number])
+def test_traits_and_the_list_follow_corrections(viewer: Viewer):
+    assert viewer.shown.traits().roots == 4
+    assert viewer.shown.traits().total_length_mm == pytest.approx(viewer.shown.session.measure().length_mm)
+    told: list[str] = []
+    viewer.on_measured.append(lambda: told.append(words.traits(viewer.shown.traits(), edited=True, summary=viewer.shown.session.summary)))
+    viewer.correct("delete roots", roots=[1])
+    viewer.wait()
+    assert viewer.shown.traits().roots == 3
+    assert "<td>3<br>" in told[-1]
+    viewer.correct("delete roots", roots=[2])
+    viewer.correct("delete roots", roots=[3])
     text = words.history(viewer.shown.session.log.edits)
     assert "<b>3 corrections</b>" in text
     assert text.index("delete roots (3)") < text.index("delete roots (1)")
@@ -83,4 +75,3 @@ def test_corrections_are_listed_and_undone_back_to_any_of_them(viewer: Viewer):
     assert sorted(viewer.shown.session.state.lines) == [0, 2, 3]
     viewer.redo()
     assert sorted(viewer.shown.session.state.lines) == [0, 3]
-    viewer.undo_to(0)
