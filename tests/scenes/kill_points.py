@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,8 @@ from rhizotwin.scenes.errors import UserError
 OPERATIONS = ("open", "rename", "replace", "link", "fsync", "unlink", "rmdir", "mkdir", "ftruncate")
 """What changes the disk, or makes a change last. A kill before one is a kill after the one before it."""
 KILLED = 137
+os.fsync = lambda _: None
+"""It is counted, and flushes nothing: what was written survives the end of a process, and only a power cut would need it."""
 
 
 def killed_at(point: int, action: Callable[[], object]) -> bool:
@@ -61,26 +64,6 @@ def make(goal: Path, text: str) -> None:
             atomic.write_text(building / name, text)
 
 
-def write(work: Path) -> int:
-    """Replace a file: it is the old or the new, and the next write clears what is left."""
-    return every(
-        lambda: atomic.write_text(work / "a.txt", "old"),
-        lambda: atomic.write_text(work / "a.txt", "new"),
-        work,
-        reader=lambda: None,
-    )
-
-
-def new(work: Path) -> int:
-    """Make a folder: there is nothing or all of it."""
-    return every(lambda: None, lambda: make(work / "goal", "new"), work, reader=lambda: look(work / "goal"))
-
-
-def replace(work: Path) -> int:
-    """Make a folder anew: there is the old or the new."""
-    return every(lambda: make(work / "goal", "old"), lambda: make(work / "goal", "new"), work, reader=lambda: look(work / "goal"))
-
-
 def look(goal: Path) -> None:
     """Read the folder as commands do: nothing is changed, what has its head is whole, and what has none is said to be unfinished."""
     if not goal.exists():
@@ -96,20 +79,13 @@ def look(goal: Path) -> None:
     assert texts(goal) == before
 
 
-def import_(work: Path) -> int:
-    """Import pictures: there is nothing or all of them."""
-    import numpy as np
-
-    from rhizotwin.importer.picture_import import import_pictures
-    from rhizotwin.scenes.files import load_scene
-    from rhizotwin.scenes.model import Scene
-
-    pictures = work.parent / "pictures"
-    scene: Scene = load_scene("sphere_20mm")
-    width, height = scene.camera.image_wh
-    for k in range(3):
-        atomic.write_image(pictures / f"view_{k}.png", np.full((height, width), 100 + k, np.uint8))
-    return every(lambda: None, lambda: import_pictures(pictures, scene, work / "goal"), work, reader=lambda: look(work / "goal"))
+FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
+    # a file is the old or the new, and the next write clears what is left
+    "write": (lambda work: atomic.write_text(work / "a.txt", "old"), lambda work: atomic.write_text(work / "a.txt", "new")),
+    "new": (lambda _: None, lambda work: make(work / "goal", "new")),
+    "replace": (lambda work: make(work / "goal", "old"), lambda work: make(work / "goal", "new")),
+}
+"""What is there before, and what is killed: afterwards there is the old or the new."""
 
 
 def scan(work: Path) -> int:
@@ -178,6 +154,7 @@ COMMANDS = {
     "reconstruct over a result": ("reconstruct {d} -o {f}", "result", False),
     "report": ("report {f}", "result", False),
     "export": ("export {r} --dataset {d} -o {f}", "", False),
+    "import": ("import {d}/images --scene {scene} -o {f}", "", False),
     "growth": ("growth {growth} -o {f}", "", False),
     "batch": ("batch {d} -o {f}", "", True),
     "simulate": ("simulate {scene} --views 2 --image-wh 32x24 -o {f}", "", True),
@@ -246,7 +223,12 @@ if __name__ == "__main__":
     if sys.argv[1] == "race":
         race(work / "race", sys.argv[3])
     else:
-        functions = {"write": write, "new": new, "replace": replace, "import": import_, "scan": scan}
-        function = functions.get(sys.argv[1], lambda folder: command(sys.argv[1], folder, int(sys.argv[3])))
-        points = function(work / "work")
+        name, folder = sys.argv[1], work / "work"
+        if name == "scan":
+            points = scan(folder)
+        elif name in FILES:
+            before, action = (partial(function, folder) for function in FILES[name])
+            points = every(before, action, folder, reader=lambda: look(folder / "goal"))
+        else:
+            points = command(name, folder, int(sys.argv[3]))
         sys.stdout.write(f"{points} points\n")
