@@ -16,14 +16,14 @@ from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 
-WH = (96, 64)
+WH, HALF = (96, 64), (48, 32)
 BLACK, WHITE = 256, 4095
 GAINS = 2.0, 1.5
 
 
 def light() -> np.ndarray:
     """Return a ramp with a dark bar, as blocks of 2x2 raw pixels see it."""
-    ramp = np.tile(np.linspace(0.1, 0.45, WH[0] // 2), (WH[1] // 2, 1))
+    ramp = np.tile(np.linspace(0.1, 0.45, HALF[0]), (HALF[1], 1))
     ramp[:, 20:24] = 0.02
     return ramp
 
@@ -52,7 +52,7 @@ def write_dng(path: Path, *, pattern: bytes = bytes([2, 1, 1, 0]), wh: tuple[int
 
 def test_a_raw_picture_is_the_light_that_made_it(tmp_path: Path) -> None:
     write_dng(tmp_path / "a.dng")
-    found, gains = read_raw(tmp_path / "a.dng", image_wh=(WH[0] // 2, WH[1] // 2))
+    found, gains = read_raw(tmp_path / "a.dng", image_wh=HALF)
     assert gains == pytest.approx(GAINS, rel=1e-3)
     assert found / 65535.0 == pytest.approx(light(), abs=4e-4)
 
@@ -61,7 +61,7 @@ def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> Non
     (tmp_path / "in").mkdir()
     for name in ("a.dng", "b.dng"):
         write_dng(tmp_path / "in" / name)
-    scene = Scene(camera=replace(Camera().resized((WH[0] // 2, WH[1] // 2)), transfer="srgb"))
+    scene = Scene(camera=replace(Camera().resized(HALF), transfer="srgb"))
     made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
     dataset = load_dataset(made.dataset.folder)
     stored = (dataset.folder / dataset.frames[0].file).read_bytes()
@@ -70,7 +70,7 @@ def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> Non
     assert any("linear" in note for note in made.notes)
 
 
-def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_raw_pictures_are_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_dng(tmp_path / "a.dng")
     with pytest.raises(UserError, match="is not an even multiple"):
         read_raw(tmp_path / "a.dng", image_wh=WH)
@@ -79,14 +79,10 @@ def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path:
         read_raw(tmp_path / "c.dng", image_wh=WH)
     (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:400])
     with pytest.raises(UserError, match="the raw picture could not be read"):
-        read_raw(tmp_path / "b.dng", image_wh=(WH[0] // 2, WH[1] // 2))
+        read_raw(tmp_path / "b.dng", image_wh=HALF)
+    cv2.imwrite(str(tmp_path / "d.png"), np.zeros(HALF[::-1], np.uint8))
+    with pytest.raises(UserError, match="a separate folder"):
+        import_pictures(tmp_path, Scene(camera=Camera().resized(HALF)), tmp_path / "out")
     monkeypatch.setattr(raw_pictures, "find_spec", lambda _: None)
     with pytest.raises(UserError, match="pip install"):
-        read_raw(tmp_path / "a.dng", image_wh=(WH[0] // 2, WH[1] // 2))
-
-
-def test_raw_and_other_pictures_are_not_mixed(tmp_path: Path) -> None:
-    write_dng(tmp_path / "a.dng")
-    cv2.imwrite(str(tmp_path / "b.png"), np.zeros((WH[1] // 2, WH[0] // 2), np.uint8))
-    with pytest.raises(UserError, match="a separate folder"):
-        import_pictures(tmp_path, Scene(camera=Camera().resized((WH[0] // 2, WH[1] // 2))), tmp_path / "out")
+        read_raw(tmp_path / "a.dng", image_wh=HALF)

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STUB = """#!/usr/bin/env bash
 [ "$1" = -c ] || [ "$1" = -P ] && exit 0
 echo "called $(basename "$0") $*"
-case "$*" in *"${FAIL:-nothing fails}"*) exit 3 ;; esac
+case "$*" in *"${FAIL:-nothing fails}"*) exit 3 ;; *"--fault"*) exit 1 ;; esac
 """
 
 
@@ -51,33 +51,36 @@ def test_short_checks(checkout: Path) -> None:
     timed = [line.split(":")[1].strip() for line in said if line.endswith(" s")]
     assert timed[:-1] == ["lint", "format", "types", "layers", "tests", "accuracy"]
     assert any(line.endswith("-m not slow") for line in called)
-    assert gates(called) == ["--scenes printed_8ml --profiles clean --methods coverage"]
+    assert gates(called) == ["--scenes radish_day05a --methods coverage"]
 
 
-def test_every_check(checkout: Path) -> None:
+def test_every_check_paths_and_unknown_options(checkout: Path) -> None:
     code, called, _ = run(checkout, "test", "--all")
     assert code == 0
     assert not any("not slow" in line for line in called)
-    assert [("rounded" in one) for one in gates(called)] == [False, True]
-
-
-def test_paths(checkout: Path) -> None:
-    code, called, _ = run(checkout, "test", "tests/a", "tests/b.py")
+    faults = [f"--fault {fault}" for fault in ("ghost", "swap", "tips", "length")]
+    assert gates(called) == ["", *(f"--scenes radish_day05a --methods coverage {one}" for one in ("--change rounded:1001", *faults))]
+    code, called, _ = run(checkout, "test", "--all", fail="--fault swap")
+    assert (code, len(gates(called))) == (1, 4)
+    assert called[-1] == "the gate does not notice the deliberate fault 'swap': exit code 3 instead of 1"
+    code, (tests,), _ = run(checkout, "test", "tests/a", "tests/b.py")
     assert code == 0
-    assert len(called) == 1
-    assert called[0].endswith("tests/a tests/b.py")
+    assert tests.endswith("tests/a tests/b.py")
+    code, called, said = run(checkout, "test", "--some")
+    assert (code, called) == (1, [])
+    assert "--all" in said[-1]
 
 
-@pytest.mark.parametrize(
-    ("failing", "cure"),
-    [
-        ("ruff check", "--fix"),
-        ("ruff format", "ruff format"),
-        ("mypy", "mypy names"),
-        ("pytest", "--last-failed"),
-        ("accuracy", "./run bench scatter --quick"),
-    ],
-)
+CURES = {
+    "ruff check": "--fix",
+    "ruff format": "ruff format",
+    "mypy": "mypy names",
+    "pytest": "--last-failed",
+    "accuracy": "./run bench scatter --quick",
+}
+
+
+@pytest.mark.parametrize(("failing", "cure"), CURES.items(), ids=CURES.keys())
 def test_failed_check_names_the_cure(checkout: Path, failing: str, cure: str) -> None:
     code, called, said = run(checkout, "test", fail=failing)
     assert code == 1
@@ -85,10 +88,3 @@ def test_failed_check_names_the_cure(checkout: Path, failing: str, cure: str) ->
     assert "failed after" in said[-1]
     assert cure in said[-1]
     assert not (checkout / ".gate.log").exists()
-
-
-def test_unknown_option(checkout: Path) -> None:
-    code, called, said = run(checkout, "test", "--some")
-    assert code == 1
-    assert not called
-    assert "--all" in said[-1]
