@@ -17,8 +17,8 @@ def brute_force(points, mesh):
 
 
 def test_one_triangle_by_hand():
-    a, b, c = np.array([[0.0, 0.0, 0.0]]), np.array([[4.0, 0.0, 0.0]]), np.array([[0.0, 3.0, 0.0]])
-    for point, corners, expected in (
+    a, b, c = (0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0)
+    cases = [
         ((1.0, 1.0, 2.0), (a, b, c), 2.0),  # above the face
         ((-3.0, -4.0, 0.0), (a, b, c), 5.0),  # nearest a
         ((2.0, -1.0, 0.0), (a, b, c), 1.0),  # nearest edge ab
@@ -26,8 +26,9 @@ def test_one_triangle_by_hand():
         ((7.0, 0.0, 4.0), (a, b, c), 5.0),  # nearest b
         ((1.0, 2.0, 0.0), (a, b, b), 2.0),  # a segment
         ((1.0, 2.0, 0.0), (a, a, a), np.sqrt(5.0)),  # a point
-    ):
-        assert surface_distance.point_triangle_distance(np.array([point]), *corners)[0] == pytest.approx(expected, abs=1e-12)
+    ]
+    points, corners, expected = (np.array(column) for column in zip(*cases, strict=True))
+    assert surface_distance.point_triangle_distance(points, *corners.transpose(1, 0, 2)) == pytest.approx(expected, abs=1e-12)
 
 
 def test_equals_brute_force_on_triangles_of_very_different_size():
