@@ -14,14 +14,13 @@ from typing import Any
 import pytest
 
 import rhizotwin.scenes.atomic
-import rhizotwin.scenes.dataset
 import rhizotwin.scenes.folders
 import rhizotwin.sim.simulate
 from rhizotwin import cli
 from rhizotwin.importer import picture_copy, picture_import
 from rhizotwin.recon import carved_hull, read_pictures, reconstruct, shaping
-from rhizotwin.recon.calibration import markers, poses
-from rhizotwin.recon.coverage import background, silhouettes
+from rhizotwin.recon.calibration import markers
+from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.results import result
 from rhizotwin.report import result_pictures as report
 
@@ -43,20 +42,34 @@ def no_temporary(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Moment:
-    """A call of a function, at which something happens."""
+    """A call of a function, at which Ctrl-C is pressed, or from which on the disk is full."""
 
     owner: Any
     name: str
     at: int = 1
+    full: bool = False
 
     def __str__(self) -> str:
         """Return what the test is called."""
-        return f"{self.name}-{self.at}"
+        return f"{'full' if self.full else 'stop'}-{self.name}-{self.at}"
 
 
-def writes(*numbers: int) -> list[Moment]:
+def writes(*numbers: int, full: bool = False) -> list[Moment]:
     """Return moments of writing: the flush of a file or folder before or after it is renamed."""
-    return [Moment(rhizotwin.scenes.atomic.os, "fsync", number) for number in numbers]
+    return [Moment(rhizotwin.scenes.atomic.os, "fsync", number, full) for number in numbers]
+
+
+def stopped(moment: Moment, command: Any, fault: Any, *words: Any, says: str = "interrupted") -> None:
+    """Run a command, whose last word is its folder, that the moment stops; mend the fault."""
+    inject = fault.full_disk if moment.full else fault.stop
+    injected = inject(moment.owner, moment.name, at=moment.at)
+    if moment.full:
+        done = command.fails(*words, named=[words[-1], "the disk is full", "free some space"])
+    else:
+        done = command.fails(*words, named=["interrupted", says], code=130)
+    assert ".tmp" not in done.sentence
+    assert injected.calls >= moment.at
+    fault.mend()
 
 
 @pytest.fixture(scope="module")
@@ -73,33 +86,11 @@ def quick_shape(found: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reconstruct, "reconstruct", lambda _, **__: found.result)
 
 
-# Each file is flushed and then its folder: 2 calls a file; the progress file is the first, then specimen, then picture, mask, progress.
-SIMULATE_WRITES = writes(1, 2, 5, 7, 14, 23, 25)
-
-
-def check_unfinished_set(out: Path) -> None:
-    """Check that what is left of a set is whole: it can be taken up, and does not pass for a dataset."""
-    no_temporary(out.parent)
-    assert not (out / "dataset.json").exists()
-    assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in out.rglob("*.png"))
-
-
-@pytest.mark.parametrize("moment", SIMULATE_WRITES, ids=str)
-def test_full_disk_in_simulate(moment: Moment, small: Path, tmp_path: Path, command: Any, fault: Any) -> None:
-    out = tmp_path / "out"
-    assert fault.full_disk(moment.owner, moment.name, at=moment.at)
-    command.fails(*SIMULATE, "-o", out, named=[out, "the disk is full", "free some space"])
-    check_unfinished_set(out)
-    fault.mend()
-    command.works(*SIMULATE, "-o", out)
-    assert bytes_of(out) == bytes_of(small)
-
-
 SIMULATE_MOMENTS = [
-    *SIMULATE_WRITES,
+    # each file is flushed and then its folder: 2 calls a file; the progress file is the first, then specimen, then picture, mask, progress
+    *writes(1, 7, 23, full=True),
+    *writes(2, 5, 14, 25),
     Moment(rhizotwin.sim.simulate, "build_specimen"),
-    Moment(rhizotwin.sim.simulate, "draw_world"),
-    Moment(rhizotwin.sim.simulate.Renderer, "__init__"),
     Moment(rhizotwin.sim.simulate.Renderer, "view", 2),
     Moment(rhizotwin.sim.simulate, "expose", 3),
     Moment(Path, "replace", 1),
@@ -110,29 +101,19 @@ SIMULATE_MOMENTS = [
 
 
 @pytest.mark.parametrize("moment", SIMULATE_MOMENTS, ids=str)
-def test_ctrl_c_in_simulate(moment: Moment, small: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+def test_stopped_simulate_goes_on(moment: Moment, small: Path, tmp_path: Path, command: Any, fault: Any) -> None:
     out = tmp_path / "out"
-    stop = fault.stop(moment.owner, moment.name, at=moment.at)
-    command.fails(*SIMULATE, "-o", out, named=["interrupted", "the same command"], code=130)
-    assert stop.calls >= moment.at
-    check_unfinished_set(out)
-    fault.mend()
+    stopped(moment, command, fault, *SIMULATE, "-o", out, says="the same command")
+    no_temporary(tmp_path)
+    assert not (out / "dataset.json").exists()
+    assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in out.rglob("*.png"))
     command.works(*SIMULATE, "-o", out)
     assert bytes_of(out) == bytes_of(small)
 
 
-@pytest.mark.parametrize("moment", writes(1, 2, 9, 21, 23), ids=str)
-def test_full_disk_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
-    out = tmp_path / "out"
-    fault.full_disk(moment.owner, moment.name, at=moment.at)
-    command.fails("import", made / "images", "--scene", rig, "-o", out, named=[f"{out}", "the disk is full", "free some space"])
-    assert list(tmp_path.iterdir()) == []
-    fault.mend()
-    command.works("import", made / "images", "--scene", rig, "-o", out)
-
-
 IMPORT_MOMENTS = [
-    *writes(1, 2, 8, 21, 22),
+    *writes(1, 9, 23, full=True),
+    *writes(2, 8, 22),
     Moment(picture_import, "list_pictures"),
     Moment(picture_copy, "read_picture", 2),
     Moment(picture_copy, "write_bytes", 5),
@@ -143,55 +124,36 @@ IMPORT_MOMENTS = [
 
 
 @pytest.mark.parametrize("moment", IMPORT_MOMENTS, ids=str)
-def test_ctrl_c_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
-    out = tmp_path / "out"
-    stop = fault.stop(moment.owner, moment.name, at=moment.at)
-    command.fails("import", made / "images", "--scene", rig, "-o", out, named=["interrupted"], code=130)
-    assert stop.calls >= moment.at
+def test_stopped_import_starts_again(moment: Moment, made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+    words = ("import", made / "images", "--scene", rig, "-o", tmp_path / "out")
+    stopped(moment, command, fault, *words)
     assert list(tmp_path.iterdir()) == []
-    fault.mend()
-    command.works("import", made / "images", "--scene", rig, "-o", out)
-
-
-@pytest.mark.usefixtures("quick_shape")
-@pytest.mark.parametrize("earlier", [False, True], ids=["new", "over an earlier result"])
-@pytest.mark.parametrize("moment", writes(1, 4, 20, 46, 50), ids=str)
-def test_full_disk_in_reconstruct(moment: Moment, earlier: bool, scan: Path, command: Any, fault: Any) -> None:
-    out = scan / ("result" if earlier else "new")
-    before = bytes_of(scan)
-    fault.full_disk(moment.owner, moment.name, at=moment.at)
-    said = command.fails("reconstruct", scan / "dataset", "-o", out, *FAST, named=[out, "the disk is full", "free some space"])
-    assert ".tmp" not in said.sentence
-    assert bytes_of(scan) == before
+    command.works(*words)
 
 
 EARLY = [
-    Moment(rhizotwin.scenes.dataset, "load_dataset"),
     Moment(read_pictures, "read_image", 3),
     Moment(markers, "detect_markers", 2),
-    Moment(poses, "find_poses"),
-    Moment(background, "estimate"),
     Moment(silhouettes.Silhouette, "cut", 4),
     Moment(carved_hull.carve, "carve"),
     Moment(shaping.surface, "surface"),
 ]
 LATE = [
-    *writes(1, 2, 20, 45, 50),
+    *writes(1, 20, 46, 50, full=True),
+    *writes(2, 45),
     Moment(result.atomic, "write_image", 5),
     Moment(result.atomic, "write_json"),
     Moment(report, "write_pictures"),
     Moment(report, "_save", 2),
-    Moment(Path, "mkdir"),
     Moment(Path, "rename", 1),
+    Moment(Path, "mkdir"),
 ]
+"""By turns over an earlier result and into a new folder."""
 
 
 def stop_reconstruct(moment: Moment, scan: Path, command: Any, fault: Any, out: Path) -> None:
     before = bytes_of(scan)
-    stop = fault.stop(moment.owner, moment.name, at=moment.at)
-    command.fails("reconstruct", scan / "dataset", "-o", out, *FAST, named=["interrupted", "nothing was written"], code=130)
-    assert stop.calls >= moment.at
-    fault.mend()
+    stopped(moment, command, fault, "reconstruct", scan / "dataset", *FAST, "-o", out, says="nothing was written")
     assert bytes_of(scan) == before
     no_temporary(scan)
 
@@ -203,12 +165,12 @@ def test_ctrl_c_while_reconstruct_computes(moment: Moment, scan: Path, command: 
 
 
 @pytest.mark.usefixtures("quick_shape")
-@pytest.mark.parametrize("moment", LATE, ids=str)
-def test_ctrl_c_while_reconstruct_writes(moment: Moment, scan: Path, command: Any, fault: Any) -> None:
+@pytest.mark.parametrize(("moment", "name"), [(moment, ("result", "new")[k % 2]) for k, moment in enumerate(LATE)], ids=str)
+def test_stops_while_reconstruct_writes(moment: Moment, name: str, scan: Path, command: Any, fault: Any) -> None:
     """The earlier result stays whole until the new one is."""
     if moment.name == "rename":
         fault.patch.setattr(report, "write_pictures", lambda *_, **__: [])
-    stop_reconstruct(moment, scan, command, fault, scan / "result")
+    stop_reconstruct(moment, scan, command, fault, scan / name)
 
 
 @pytest.mark.usefixtures("quick_shape")
@@ -230,7 +192,7 @@ def test_ctrl_c_while_files_are_moved(late: bool, scan: Path, command: Any, faul
 
 @pytest.mark.usefixtures("quick_shape")
 def test_second_run_replaces_a_result_whole(scan: Path, command: Any, fault: Any) -> None:
-    stop_reconstruct(LATE[0], scan, command, fault, scan / "result")
+    stop_reconstruct(writes(1)[0], scan, command, fault, scan / "result")
     (scan / "result" / "silhouettes" / "view_777.png").touch()
     shutil.rmtree(scan / "dataset" / "truth")  # whose picture takes time
     command.works("reconstruct", scan / "dataset", "-o", scan / "result", *FAST)
@@ -239,7 +201,7 @@ def test_second_run_replaces_a_result_whole(scan: Path, command: Any, fault: Any
     no_temporary(scan)
 
 
-def test_result_json_is_written_last_and_an_old_one_removed_first(found: Any, scan: Path, fault: Any) -> None:
+def test_result_json_is_written_last_and_removed_first(found: Any, scan: Path, fault: Any) -> None:
     """For whoever calls the library: a folder with a result.json is whole."""
     fault.stop(result.atomic, "write_bytes", at=1)
     with pytest.raises(KeyboardInterrupt):
