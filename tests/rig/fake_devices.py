@@ -1,30 +1,36 @@
 """Devices of a few lines each for the tests of the scan, and the world that they share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rhizotwin.rig.arm import kinematics
 from rhizotwin.rig.devices import LEAST_DEG, Shot
 from rhizotwin.rig.errors import LostError
-from rhizotwin.rig.open import Devices
+from rhizotwin.rig.open import Devices, open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, RigFile
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.sketch import Sketch
+from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 
 LENS = Camera(image_wh=(400, 300), focal_px=(650.0, 650.0), principal_px=(199.5, 149.5))
 STRIP = MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0)
 """Fewer markers, which are read sooner."""
+CLEAN = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))
+"""For the emulated rig."""
 SCENE = Scene(camera=LENS, strip=STRIP, plan=CapturePlan(rings=(Ring(views=4),)))
 BLIND = replace(SCENE, strip=replace(SCENE.strip, bottom_mm=400.0))
 """Its strip is out of the picture."""
@@ -249,9 +255,28 @@ def devices(world: World) -> Devices:
     )
 
 
-def run(world: World, folder: Path, *, said: list[str] | None = None, ask: Ask | None = None, observer=None, **options) -> Dataset:
+def run(
+    world: World, folder: Path, *, said: list[str] | None = None, ask: Ask | None = None, observer: Any = None, **options: Any
+) -> Dataset:
     observers = Observers(say=(said if said is not None else []).append, ask=ask, observer=observer or Observer())
     return scan(devices(world), world.scene, folder, observers=observers, **options)
+
+
+@contextmanager
+def opened(twin: Twin, *, scene: Scene | None = None, camera: Any = None) -> Iterator[Devices]:
+    """Open the devices of an emulated rig, which is left until its lamps have faded."""
+    found = open_devices(twin.rig, scene or twin.calibrated_scene(), clock=twin.clock, camera=camera or twin.open_camera())
+    try:
+        yield found
+    finally:
+        found.close()
+        twin.clock.sleep(1.0)
+
+
+def scan_twin(twin: Twin, folder: Path, *, said: list[str] | None = None, **options: Any) -> Dataset:
+    with opened(twin) as found:
+        observers = Observers(say=(said if said is not None else []).append)
+        return scan(found, twin.calibrated_scene(), folder, observers=observers, **options)
 
 
 def angles(dataset: Dataset) -> list[float]:

@@ -1,5 +1,6 @@
 """Bands on the emulated rig: lamps, outputs and filter of each, a scan in all of them, and what is taken again."""
 
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +10,6 @@ import pytest
 
 from rhizotwin.rig import bands
 from rhizotwin.rig.devices import Shot
-from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
 from rhizotwin.rig.scanning.first_look import take_first_look
 from rhizotwin.rig.scanning.observers import Observers
@@ -21,7 +21,7 @@ from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.schema import Place
-from tests.rig.fake_devices import LENS, STRIP, World, devices, run
+from tests.rig.fake_devices import LENS, STRIP, World, devices, opened, run, scan_twin
 
 BANDS = (Band(name="red", wavelength_nm=670.0, panel_level=0.0), Band(name="white"), Band(name="nir", wavelength_nm=850.0))
 SCENE = Scene(
@@ -43,55 +43,56 @@ RIG = RigFile(
 )
 
 
-def scanned(twin: Twin, folder: Path, **options) -> Dataset:
-    devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
-    try:
-        return scan(devices, twin.calibrated_scene(), folder, observers=Observers(say=lambda _: None), **options)
-    finally:
-        devices.close()
-
-
 def bands_shown(twin: Twin, dataset: Dataset) -> list[tuple[str, str]]:
     """Return the band of each frame and the one that lamps and filter were set for when its picture was taken."""
     return [(frame.band, twin.record.shot_of(read_image(dataset, frame)).sight.band) for frame in dataset.frames]
 
 
+def twin_of(*faults: Fault, profile: str = "bench") -> Twin:
+    return Twin(SCENE, seed=1, profile_name=profile, pictures="sketch", rig=RIG, faults=faults)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Twin, Dataset]:
+    twin = twin_of()
+    return twin, scan_twin(twin, tmp_path_factory.mktemp("whole") / "d")
+
+
 @pytest.mark.slow
-def test_every_view_in_its_bands_and_missing_ones_again(tmp_path: Path) -> None:
-    twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG)
-    made = scanned(twin, tmp_path / "d")
+def test_every_view_in_its_bands_and_missing_ones_again(whole: tuple[Twin, Dataset], tmp_path: Path) -> None:
+    twin, made = whole
     assert [(frame.view, frame.band) for frame in made.frames] == [
         *((view, band) for view in (0, 1) for band in ("red", "white", "nir")),
         (2, "white"),
         (3, "white"),
     ]
-    assert load_dataset(tmp_path / "d") == made
+    assert load_dataset(made.folder) == made
     views = {frame.view: frame.table_read_deg for frame in made.frames}
     assert all(frame.table_read_deg == views[frame.view] for frame in made.frames), "the table stands still for all bands of a view"
     assert not twin.world.outputs_on
     assert all(set_for == band for band, set_for in bands_shown(twin, made))
-    (tmp_path / "d" / "images" / "view_001_nir.png").unlink()
-    again = scanned(twin, tmp_path / "d", resume=True)
+    folder = Path(shutil.copytree(made.folder, tmp_path / "d"))
+    (folder / "images" / "view_001_nir.png").unlink()
+    again = scan_twin(twin, folder, resume=True)
     assert [frame.file for frame in again.frames] == [frame.file for frame in made.frames]
     assert again.frames[0].sha256 == made.frames[0].sha256
 
 
 @pytest.mark.slow
 def test_a_twin_without_noise_is_scanned_in_all_bands(tmp_path: Path) -> None:
-    made = scanned(Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG), tmp_path / "d")
+    made = scan_twin(twin_of(profile="clean"), tmp_path / "d")
     assert made.origin["complete"]
     assert not any(event["event"] == "camera" for event in made.origin["log"])
 
 
 @pytest.mark.slow
-def test_a_reset_in_red_is_recovered_in_the_band_of_the_markers(tmp_path: Path) -> None:
-    whole = scanned(Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG), tmp_path / "whole")
-    times = {frame.file: frame.time_s for frame in whole.frames}
+def test_a_reset_in_red_is_recovered_in_the_band_of_the_markers(whole: tuple[Twin, Dataset], tmp_path: Path) -> None:
+    times = {frame.file: frame.time_s for frame in whole[1].frames}
     in_red = 0.5 * (times["images/view_001_white.png"] + times["images/view_001_red.png"])
-    twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG, faults=[Fault(kind="reset", device="table", at_s=in_red)])
-    made = scanned(twin, tmp_path / "d")
+    twin = twin_of(Fault(kind="reset", device="table", at_s=in_red))
+    made = scan_twin(twin, tmp_path / "d")
     assert twin.pending.happened
-    assert [frame.file for frame in made.frames] == [frame.file for frame in whole.frames]
+    assert [frame.file for frame in made.frames] == list(times)
     assert made.frames[4].placement == 1, "the angle was found anew before the view was taken again"
     assert set(bands_shown(twin, made)) == {(name, name) for name in ("red", "white", "nir")}
 
@@ -102,8 +103,8 @@ def test_an_old_picture_is_not_stored_as_that_of_another_band(change: int, tmp_p
     names = ("white", "red", "nir")
     scene = replace(SCENE, camera=replace(LENS, bands=tuple(Band(name=name) for name in names)), plan=CapturePlan(rings=(Ring(views=2),)))
     world, rng, taken = World(scene=scene), np.random.default_rng(5), list[tuple[str, np.ndarray]]()
-    opened = replace(devices(world), rig=RigFile(arm=None, camera=replace(RIG.camera, bands=tuple(BandPart(name=name) for name in names))))
-    capture = opened.camera.capture
+    late = replace(devices(world), rig=RigFile(arm=None, camera=replace(RIG.camera, bands=tuple(BandPart(name=name) for name in names))))
+    capture = late.camera.capture
 
     def capture_late() -> Shot:
         shot = capture()
@@ -111,8 +112,8 @@ def test_an_old_picture_is_not_stored_as_that_of_another_band(change: int, tmp_p
         changed = [before != after for (before, _), (after, _) in pairwise(taken)]
         return replace(shot, image=taken[-2 if changed[-1:] == [True] and sum(changed) == change else -1][1])
 
-    opened.camera.capture = capture_late
-    made = scan(opened, scene, tmp_path / "d", observers=Observers(say=lambda _: None))
+    late.camera.capture = capture_late
+    made = scan(late, scene, tmp_path / "d", observers=Observers(say=lambda _: None))
     assert made.origin["complete"]
     for frame in made.frames:
         assert any(band == frame.band and np.array_equal(image, read_image(made, frame)) for band, image in taken), frame.file
@@ -120,28 +121,25 @@ def test_an_old_picture_is_not_stored_as_that_of_another_band(change: int, tmp_p
 
 
 def test_lamps_outputs_and_filter_decide_the_band() -> None:
-    twin = Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG)
-    devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
-    devices.arm.prepare()
-    shown = {}
-    for part in RIG.camera.bands:
-        bands.light(devices.lights, twin.rig, part.name)
-        devices.arm.turn_filter(part.filter_deg)
-        sight = twin.world.sight()
-        shown[part.name] = (sight.band, round(sight.panel, 3), round(sight.front, 3))
-    assert shown == {"red": ("red", 0.0, 1.0), "white": ("white", 1.0, 1.0), "nir": ("nir", 1.0, 1.0)}
-    bands.light(devices.lights, twin.rig, "red")
-    assert twin.world.sight().band == "", "the filter is that of another band"
-    devices.lights.off()
-    assert not twin.world.outputs_on
-    devices.close()
+    twin, shown = twin_of(profile="clean"), {}
+    with opened(twin) as devices:
+        devices.arm.prepare()
+        for part in RIG.camera.bands:
+            bands.light(devices.lights, twin.rig, part.name)
+            devices.arm.turn_filter(part.filter_deg)
+            sight = twin.world.sight()
+            shown[part.name] = (sight.band, round(sight.panel, 3), round(sight.front, 3))
+        assert shown == {"red": ("red", 0.0, 1.0), "white": ("white", 1.0, 1.0), "nir": ("nir", 1.0, 1.0)}
+        bands.light(devices.lights, twin.rig, "red")
+        assert twin.world.sight().band == "", "the filter is that of another band"
+        devices.lights.off()
+        assert not twin.world.outputs_on
 
 
 def test_first_look_is_in_the_band_of_the_markers() -> None:
-    twin = Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG)
-    devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
-    image = take_first_look(devices, twin.calibrated_scene(), Observers(say=lambda _: None))
-    devices.close()
+    twin = twin_of(profile="clean")
+    with opened(twin) as devices:
+        image = take_first_look(devices, twin.calibrated_scene(), Observers(say=lambda _: None))
     assert twin.record.shot_of(image).sight.band == "white"
 
 

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,16 +15,14 @@ from rhizotwin import rigs
 from rhizotwin.commands import rig as rig_commands
 from rhizotwin.rig.first_day import Finding, FirstDay, edge_width_px, panel_evenness
 from rhizotwin.rig.jog import Jog
-from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Camera, Scene, Turntable
-from tests.rig.fake_devices import STRIP
+from rhizotwin.scenes.model import Scene, Turntable
+from tests.rig.fake_devices import CLEAN as SCENE
+from tests.rig.fake_devices import opened
 
-SCENE = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))
 ACROSS = {"over the strip's paper": "159.1", "across the canister": "152.5", "ten markers": ""}
 
 
@@ -43,21 +42,17 @@ def answers(no: str = "") -> Answers:
     return answer
 
 
-def walked(
-    folder: Path, *, scene: Scene | None = None, mirrored: bool = False, ask: Answers | None = None, rig: RigFile | None = None
-) -> list[Finding]:
+def walked(folder: Path, *, scene: Scene | None = None, mirrored: bool = False, ask: Answers | None = None, **rig: Any) -> list[Finding]:
     """Walk through a twin, which must be left with its lamps off."""
-    twin = Twin(SCENE, seed=2, profile_name="clean", pictures="sketch", rig=rig)
+    twin = Twin(SCENE, seed=2, profile_name="clean", pictures="sketch", **rig)
     known, camera = scene or twin.calibrated_scene(), twin.open_camera()
     if mirrored:
         capture = camera.capture
         camera.capture = lambda: replace(shot := capture(), image=np.ascontiguousarray(shot.image[:, ::-1]))
-    devices = open_devices(twin.rig, known, clock=twin.clock, camera=camera)
     try:
-        return FirstDay(devices, known, ask=ask or answers(), say=lambda _: None, folder=folder).walk(wrong_devices=0)
+        with opened(twin, scene=known, camera=camera) as devices:
+            return FirstDay(devices, known, ask=ask or answers(), say=lambda _: None, folder=folder).walk(wrong_devices=0)
     finally:
-        devices.close()
-        twin.clock.sleep(1.0)
         assert twin.world.panel.level == twin.world.front.level == 0.0
 
 
@@ -77,12 +72,15 @@ def test_a_sound_rig_on_a_tripod(tmp_path: Path) -> None:
     assert (tmp_path / "focus.png").stat().st_size > 0
 
 
-def test_a_wrong_direction_and_a_mirrored_picture_are_found(tmp_path: Path) -> None:
-    other_way = replace(SCENE, turntable=Turntable(direction=-1), disturbances=Disturbances())
-    for step, named, options in (("table", "The direction is wrong", {"scene": other_way}), ("strip", "mirrored", {"mirrored": True})):
-        found = of(walked(tmp_path, rig=TRIPOD, **options), step)
-        assert found.verdict == "wrong"
-        assert named in found.text
+OTHER_WAY = replace(SCENE, turntable=Turntable(direction=-1), disturbances=Disturbances())
+WRONG = [("table", "The direction is wrong", {"scene": OTHER_WAY}), ("strip", "mirrored", {"mirrored": True})]
+
+
+@pytest.mark.parametrize(("step", "named", "options"), WRONG, ids=["direction", "mirrored"])
+def test_a_wrong_direction_and_a_mirrored_picture_are_found(step: str, named: str, options: dict[str, Any], tmp_path: Path) -> None:
+    found = of(walked(tmp_path, rig=TRIPOD, **options), step)
+    assert found.verdict == "wrong"
+    assert named in found.text
 
 
 def test_joints_move_and_come_back(tmp_path: Path) -> None:
@@ -133,12 +131,15 @@ def test_the_end_of_the_input_ends_before_anything_turns(tmp_path: Path, monkeyp
     assert (tmp_path / "first_day.md").exists()
 
 
-def test_width_of_an_edge_and_evenness_of_a_slope() -> None:
-    for blur_px in (1.0, 2.0, 4.0):
-        edge = np.clip((np.arange(200.0) - 100.0) / blur_px + 0.5, 0.0, 1.0)
-        image = np.rint(1000.0 + 50000.0 * np.tile(edge, (100, 1))).astype(np.uint16)
-        # central differences see nothing narrower than two pixels
-        assert edge_width_px(image) == pytest.approx(max(blur_px, 2.0), rel=0.05)
+@pytest.mark.parametrize("blur_px", [1.0, 2.0, 4.0])
+def test_width_of_an_edge(blur_px: float) -> None:
+    edge = np.clip((np.arange(200.0) - 100.0) / blur_px + 0.5, 0.0, 1.0)
+    image = np.rint(1000.0 + 50000.0 * np.tile(edge, (100, 1))).astype(np.uint16)
+    # central differences see nothing narrower than two pixels
+    assert edge_width_px(image) == pytest.approx(max(blur_px, 2.0), rel=0.05)
+
+
+def test_evenness_of_a_slope() -> None:
     slope = np.tile(np.linspace(0.5, 1.0, 320), (240, 1))
     slope[:60] = 0.05  # not the panel
     assert panel_evenness(np.rint(60000.0 * slope).astype(np.uint16)) == pytest.approx(0.53, abs=0.04)

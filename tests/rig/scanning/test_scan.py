@@ -1,5 +1,6 @@
 """The scan's own logic on devices that are a few lines each: its order, what it refuses, where the angles come from, the arm."""
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.scenes import frames, plan
@@ -92,21 +94,23 @@ def test_refused_before_anything_moves(scene: Scene, joints_deg: tuple[float, ..
     assert not (tmp_path / "d").exists()
 
 
-def test_dark_saturated_and_other_sizes_are_refused(tmp_path: Path) -> None:
-    quiet, full = Observers(say=lambda _: None), np.full((300, 400), 65520, np.uint16)
-    for level, image, scene, named in (
-        (0.1, None, SCENE, "too dark"),
-        (1.0, full, SCENE, "at full scale"),
-        (1.0, None, replace(SCENE, camera=SCENE.camera.resized((800, 600))), "400x300 pixels, but the scene's camera has image_wh 800x600"),
-    ):
-        world = World()
-        opened = devices(world)
-        opened.rig = replace(opened.rig, lights=replace(opened.rig.lights, panel_level=level))
-        if image is not None:
-            opened.camera.capture = lambda: Shot(image=full, exposure_s=1.0, gain=1.0)
-        with pytest.raises(RigError, match=named):
-            scan(opened, scene, tmp_path / named[:8], observers=quiet)
-        assert (world.panel, world.front) == (0.0, 0.0)
+BAD_PICTURES = {
+    "too dark": (0.1, False, SCENE),
+    "at full scale": (1.0, True, SCENE),
+    "400x300 pixels, but the scene's camera has image_wh 800x600": (1.0, False, replace(SCENE, camera=SCENE.camera.resized((800, 600)))),
+}
+
+
+@pytest.mark.parametrize(("says", "case"), BAD_PICTURES.items())
+def test_dark_saturated_and_other_sizes_are_refused(says: str, case: tuple[float, bool, Scene], tmp_path: Path) -> None:
+    (level, saturated, scene), world = case, World()
+    opened = devices(world)
+    opened.rig = replace(opened.rig, lights=replace(opened.rig.lights, panel_level=level))
+    if saturated:
+        opened.camera.capture = lambda: Shot(image=np.full((300, 400), 65520, np.uint16), exposure_s=1.0, gain=1.0)
+    with pytest.raises(RigError, match=says):
+        scan(opened, scene, tmp_path / "d", observers=Observers(say=lambda _: None))
+    assert (world.panel, world.front) == (0.0, 0.0)
 
 
 def test_tripod_is_moved_by_a_person_for_further_rings(tmp_path: Path) -> None:
@@ -155,3 +159,41 @@ def test_ctrl_c_with_an_arm(number: int, tmp_path: Path) -> None:
     run(world, tmp_path / "d", resume=True)
     assert angles(load_dataset(tmp_path / "d")) == [view.table_deg for view in plan.views(RINGS)]
     assert (world.panel, world.front, world.torque, world.motor) == (0.0, 0.0, False, False)
+
+
+class _Heard(Observer):
+    """Keeps what it hears, and holds the scan twice."""
+
+    watches_motion = True
+
+    def __init__(self) -> None:
+        self.looks: list[Look] = []
+        self.lines: list[str] = []
+        self.asked = 0
+
+    def on_plan(self, total: int, done: int) -> None:
+        self.plan = (total, done)
+
+    def on_look(self, look: Look) -> None:
+        assert threading.current_thread() is not threading.main_thread()
+        self.looks.append(look)
+
+    def on_line(self, text: str) -> None:
+        self.lines.append(text)
+
+    def holds(self) -> bool:
+        self.asked += 1
+        return self.asked <= 2
+
+
+def test_every_picture_is_heard_of_once_with_what_it_shows(tmp_path: Path):
+    heard = _Heard()
+    made = run(World(), tmp_path / "d", observer=heard)
+    assert heard.plan == (len(made.frames), 0)
+    assert [look.frame.file for look in heard.looks] == [frame.file for frame in made.frames]
+    assert heard.asked == len(made.frames) + 2
+    for look in heard.looks:
+        assert len(look.sighting.corners_px) == look.sighting.markers
+        assert look.sighting.blur_px is not None
+        assert look.motion < 0.05
+    assert any(line.startswith("camera") for line in heard.lines)

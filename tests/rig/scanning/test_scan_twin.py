@@ -3,10 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.rig.errors import RigError
-from rhizotwin.rig.open import Devices, open_devices
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.faults import FOR_GOOD, MENU, Fault, FaultKind
@@ -16,7 +16,7 @@ from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
-from tests.rig.fake_devices import STRIP
+from tests.rig.fake_devices import STRIP, opened, scan_twin
 
 pytestmark = pytest.mark.slow
 
@@ -32,27 +32,10 @@ def twin_of(*faults: Fault, scene: Scene = SCENE, seed: int = 1, **options) -> T
     return Twin(scene, seed=seed, profile_name="bench", pictures="sketch", faults=faults, **options)
 
 
-def opened(twin: Twin) -> Devices:
-    return open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
-
-
-def run(twin: Twin, folder: Path, **options) -> Dataset:
-    devices = opened(twin)
-    try:
-        return scan(devices, twin.calibrated_scene(), folder, observers=Observers(say=lambda _: None), **options)
-    finally:
-        devices.close()
-        twin.clock.sleep(1.0)  # the lamps fade
-
-
 def off_deg(twin: Twin, dataset: Dataset) -> list[float]:
-    """Return by how much the table really stood beside each frame's angle."""
-    found = []
-    for frame in dataset.frames:
-        shot = twin.record.shot_of(read_image(dataset, frame))
-        if shot is not None:
-            found.append((shot.sight.table_deg - frame.table_deg + 180.0) % 360.0 - 180.0)
-    return found
+    """Return by how much the table really stood beside each frame's angle, if the twin took it."""
+    shots = [(twin.record.shot_of(read_image(dataset, frame)), frame.table_deg) for frame in dataset.frames]
+    return [(shot.sight.table_deg - angle_deg + 180.0) % 360.0 - 180.0 for shot, angle_deg in shots if shot is not None]
 
 
 def is_safe(twin: Twin) -> bool:
@@ -64,7 +47,7 @@ def is_safe(twin: Twin) -> bool:
 @pytest.mark.parametrize("protocol", ["lx", "lsc"])
 def test_complete_scan_is_the_plan(protocol: str, tmp_path: Path) -> None:
     twin = twin_of(rig=default_rig(protocol))
-    made = run(twin, tmp_path / "d")
+    made = scan_twin(twin, tmp_path / "d")
     assert made == load_dataset(tmp_path / "d")
     assert [(frame.ring, frame.kind, frame.table_deg) for frame in made.frames] == [
         (view.ring, view.kind, view.table_deg) for view in plan.views(SCENE)
@@ -83,22 +66,20 @@ def test_reset_table_is_found_within_a_tenth_of_a_degree(tmp_path: Path) -> None
     """Reset among the pictures: true angles before and after agree but for the motor's own errors."""
     scene = replace(SCENE, camera=Camera(), strip=MarkerStrip(), plan=CapturePlan(rings=(Ring(views=6),)))
     twin = twin_of(scene=scene)
-    devices = opened(twin)
-    move = devices.table.move_to
+    with opened(twin) as devices:
+        move = devices.table.move_to
 
-    def move_and_reset(angle_deg: float) -> float:
-        if angle_deg == 180.0:
-            twin.inject(Fault(kind="reset", device="table", at_s=twin.clock.now_s() + 0.2))
-            del devices.table.move_to
-        return move(angle_deg)
+        def move_and_reset(angle_deg: float) -> float:
+            if angle_deg == 180.0:
+                twin.inject(Fault(kind="reset", device="table", at_s=twin.clock.now_s() + 0.2))
+                del devices.table.move_to
+            return move(angle_deg)
 
-    devices.table.move_to = move_and_reset
-    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", observers=Observers(say=lambda _: None))
-    offsets = off_deg(twin, made)
-    before = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 0]
-    after = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 1]
-    assert (len(before), len(after)) == (3, 3)
-    assert sum(after) / len(after) == pytest.approx(sum(before) / len(before), abs=0.1 + BENCH.table_microstep_deg)
+        devices.table.move_to = move_and_reset
+        made = scan(devices, twin.calibrated_scene(), tmp_path / "d", observers=Observers(say=lambda _: None))
+    assert [frame.placement for frame in made.frames] == [0, 0, 0, 1, 1, 1]
+    before, after = np.array(off_deg(twin, made)).reshape(2, 3).mean(axis=1)
+    assert after == pytest.approx(before, abs=0.1 + BENCH.table_microstep_deg)
 
 
 STAYING = ("reply_dropped", "request_corrupted", "echo", "stale_frame")
@@ -117,14 +98,14 @@ def test_each_fault_is_cured_or_named(kind: FaultKind, count: int, tmp_path: Pat
     twin = twin_of(Fault(kind=kind.name, device=kind.devices[0], amount=kind.amounts[-1], count=count, **where))
     kept, named = None, "arm"
     try:
-        run(twin, tmp_path / "d")
+        scan_twin(twin, tmp_path / "d")
     except RigError as error:
         named = str(error).split()[0].rstrip(":")
         assert kind.where != "device" or is_safe(twin)
         if (tmp_path / "d" / "dataset.json").exists():
             kept = load_dataset(tmp_path / "d")
         twin = twin_of(seed=2)
-        run(twin, tmp_path / "d", resume=True)
+        scan_twin(twin, tmp_path / "d", resume=True)
     made = load_dataset(tmp_path / "d")
     assert named in ("arm", "turntable", "camera", "lights")
     assert [frame.table_deg for frame in made.frames] == [view.table_deg for view in plan.views(SCENE)]

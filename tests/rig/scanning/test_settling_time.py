@@ -10,16 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from rhizotwin.rig.devices import Shot
-from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile, TurntablePart
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
-from rhizotwin.rig.scanning.settling_time import measure_settling_time
+from rhizotwin.rig.scanning.settling_time import SettlingTime, measure_settling_time
 from rhizotwin.rig.table.ramp import move_s
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.dataset import read_image
 from rhizotwin.scenes.model import CapturePlan, Ring
-from tests.rig.fake_devices import SCENE, World, devices
+from tests.rig.fake_devices import SCENE, World, devices, scan_twin
 
 
 def swinging(at_s: float, *, amplitude_px: float, decay_s: float, noise: float, rng: np.random.Generator) -> NDArray[np.uint16]:
@@ -34,19 +33,19 @@ def swinging(at_s: float, *, amplitude_px: float, decay_s: float, noise: float, 
 def test_the_rest_is_where_the_swing_drowns_in_noise(decay_s: float) -> None:
     rng, times = np.random.default_rng(0), np.arange(0.0, 12.0, 0.25)
     noise, amplitude = 200.0, 3.0
-    found = measure_settling_time(
-        [swinging(t, amplitude_px=amplitude, decay_s=decay_s, noise=noise, rng=rng) for t in times], times.tolist()
-    )
+
+    def measured(decay_s: float, times: NDArray[np.float64]) -> SettlingTime:
+        pictures = [swinging(t, amplitude_px=amplitude, decay_s=decay_s, noise=noise, rng=rng) for t in times]
+        return measure_settling_time(pictures, times.tolist())
+
+    found = measured(decay_s, times)
     slope = 8000.0 * 0.25 * np.sqrt(np.mean((2.0 / np.cosh(2.0 * np.sin(np.arange(160) / 4.0)) ** 2 * np.cos(np.arange(160) / 4.0)) ** 2))
     # moved beyond 1.15 times the noise: the swing makes sqrt(1.15^2 - 1) of it
     expected = decay_s * np.log(amplitude * slope / (noise * np.sqrt(1.15**2 - 1.0)))
     assert found.rest_s is not None
     assert expected - 0.6 <= found.rest_s <= expected + 0.6  # half a period of its swing and a look either way
     assert found.moved > 5.0
-    ever = measure_settling_time(
-        [swinging(t, amplitude_px=amplitude, decay_s=30.0, noise=noise, rng=rng) for t in times[:24]], times[:24].tolist()
-    )
-    assert ever.rest_s is None
+    assert measured(30.0, times[:24]).rest_s is None
 
 
 CASES = {
@@ -99,17 +98,13 @@ def test_on_the_emulated_rig_pictures_are_at_rest(
     rest: Literal["given", "measured"], least_deg: float, most_deg: float, tmp_path: Path
 ) -> None:
     """Roots that swing as the table turns: half a second after it pictures show them twisted, those of a measured rest do not."""
-    scene = replace(SCENE, plan=CapturePlan(rings=(Ring(views=12),)))
+    scene = replace(SCENE, plan=CapturePlan(rings=(Ring(views=6),)))
     rig = RigFile(name="twin", turntable=TurntablePart(rest=rest))
     twin = Twin(scene, profile_name="real", pictures="sketch", rig=rig)
-    opened = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     said: list[str] = []
-    try:
-        dataset = scan(opened, twin.calibrated_scene(), tmp_path / "scan", observers=Observers(say=said.append))
-    finally:
-        opened.close()
+    dataset = scan_twin(twin, tmp_path / "scan", said=said)
     shots = [twin.record.shot_of(read_image(dataset, frame)) for frame in dataset.frames]
     twists = [abs(shot.sight.twist_deg) for shot in shots if shot is not None]
-    assert len(twists) == 12
+    assert len(twists) == 6
     assert least_deg <= max(twists[1:]) <= most_deg
     assert any("the picture moves for" in text for text in said) == (rest == "measured")
