@@ -22,14 +22,9 @@ def _wire(diameter_mm: float, length_mm: float, x: float) -> Root:
 
 
 def test_sections_by_hand(tmp_path: Path):
-    roots = [
-        _wire(0.101, 60.0, 0.0),
-        _wire(0.2, 30.0, 10.0),
-        _wire(0.2, 28.0, 10.0),
-        _wire(0.43, 59.0, 20.0),
-        _wire(0.8, 4.0, 30.0),
-        _wire(3.0, 9.0, 40.0),
-    ]
+    assert diameter_of(1000.0 * np.pi / 4.0 * 8.96) == pytest.approx(1.0)  # a metre of 1 mm wire has pi / 4 times 8.96 g
+    wires = [(0.101, 60.0, 0.0), (0.2, 30.0, 10.0), (0.2, 28.0, 10.0), (0.43, 59.0, 20.0), (0.8, 4.0, 30.0), (3.0, 9.0, 40.0)]
+    roots = [_wire(*one) for one in wires]
     write_rsml(tmp_path / "roots.rsml", roots)
     thin, pieces, thick, short = measure_wires(tmp_path, WIRES)
     assert (thin.length_mm, thin.error) == (pytest.approx(60.0), pytest.approx(0.0201, abs=1e-4))
@@ -43,11 +38,6 @@ def test_sections_by_hand(tmp_path: Path):
     ]
 
 
-def test_diameter_from_mass():
-    """A metre of 1 mm wire has pi / 4 times 8.96 g."""
-    assert diameter_of(1000.0 * np.pi / 4.0 * 8.96) == pytest.approx(1.0)
-
-
 def test_mistakes_are_named(tmp_path: Path):
     with pytest.raises(UserError, match="too similar"):
         measure_wires(tmp_path, (0.4, 0.5))
@@ -59,14 +49,13 @@ def test_mistakes_are_named(tmp_path: Path):
         measure_wires(result, WIRES)
 
 
-def test_scene_has_straight_wires_of_these_diameters():
-    scene = load_scene("wire_phantom")
-    for plant, diameter_mm in zip(scene.plants, WIRES, strict=True):
-        (root,) = grow(plant.specimen)
-        assert np.ptp(root.points_mm[:, :2]) == pytest.approx(0.0, abs=1e-9)
-        length_mm = float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum())
-        assert plant.specimen.volume_ml * 1000.0 == pytest.approx(np.pi / 4.0 * diameter_mm**2 * 60.0, rel=1e-4)
-        assert length_mm == pytest.approx(60.0, abs=1.5)
+@pytest.mark.parametrize("k", range(len(WIRES)))
+def test_scene_has_straight_wires_of_these_diameters(k: int):
+    specimen = load_scene("wire_phantom").plants[k].specimen
+    (root,) = grow(specimen)
+    assert np.ptp(root.points_mm[:, :2]) == pytest.approx(0.0, abs=1e-9)
+    assert specimen.volume_ml * 1000.0 == pytest.approx(np.pi / 4.0 * WIRES[k] ** 2 * 60.0, rel=1e-4)
+    assert float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum()) == pytest.approx(60.0, abs=1.5)
 
 
 def test_command(tmp_path: Path, command: Command):

@@ -17,13 +17,11 @@ from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files, stored_traits
 
-HEAD = (
-    "result,plant,treatment,day,total_length (mm),total_length_low (mm),total_length_high (mm),total_length_verdict,volume (mm3),trusted\n"
-)
+HEAD = "result,plant,treatment,day,{0} (mm),{0}_low (mm),{0}_high (mm),{0}_verdict,volume (mm3),trusted\n".format("total_length")
 TERM = {"name": "noise", "less_mm3": 5.0, "more_mm3": 5.0, "why": "noise"}
 
 
-def table(folder: Path, *, unreliable: set[str] = frozenset(), trusted: str = "yes") -> Path:
+def table(folder: Path, *, unreliable: set[str] = frozenset(), trusted: str = "yes", changed: tuple[str, str] = ("", "")) -> Path:
     """Write the lengths and volumes of six plants on two days; those of treatment b are half as long."""
     rows = []
     for k in range(6):
@@ -33,9 +31,12 @@ def table(folder: Path, *, unreliable: set[str] = frozenset(), trusted: str = "y
             word = "not reliable" if plant in unreliable else "reliable"
             ends = f"{0.95 * length},{1.05 * length}"
             rows.append(f"r{k}_{day},{plant},{'ab'[k % 2]},{day},{length},{ends},{word},{length / 10},{trusted}\n")
-    path = folder / "traits.csv"
-    path.write_text(HEAD + "".join(rows), encoding="utf-8")
-    return path
+    return written(folder, HEAD + "".join(rows).replace(*changed))
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "traits.csv").write_text(text, encoding="utf-8")
+    return folder / "traits.csv"
 
 
 def test_growth_compares_reliable_values_only(tmp_path: Path) -> None:
@@ -50,8 +51,7 @@ def test_treatments_have_the_same_colours_in_all_axes(tmp_path: Path, monkeypatc
     """Lengths of treatment a are not reliable, so that the first axes show only b."""
     drawn = []
     monkeypatch.setattr(growth_page, "png", lambda figure, **_: drawn.append(figure) or b"")
-    path = table(tmp_path, unreliable={"p0", "p2", "p4"})
-    path.write_text(path.read_text(encoding="utf-8").replace(",b,", ",_b,"), encoding="utf-8")  # matplotlib omits such labels
+    path = table(tmp_path, unreliable={"p0", "p2", "p4"}, changed=(",b,", ",_b,"))  # matplotlib omits such labels
     growth_page.draw(growth.measure(read_all([path])))
     lengths, volumes = drawn[0].axes
     assert [text.get_text() for text in lengths.get_legend().get_texts()] == [" _b", "a"]
@@ -61,12 +61,8 @@ def test_treatments_have_the_same_colours_in_all_axes(tmp_path: Path, monkeypatc
 
 
 def test_plants_without_a_treatment_are_named(tmp_path: Path) -> None:
-    path = table(tmp_path)
-    path.write_text(path.read_text(encoding="utf-8").replace(",a,", ",,"), encoding="utf-8")
-    assert any(
-        "total_length: 'b' differs from plants without a treatment: " in one
-        for one in growth_page.sentences(growth.measure(read_all([path])))
-    )
+    said = growth_page.sentences(growth.measure(read_all([table(tmp_path, changed=(",a,", ",,"))])))
+    assert any("total_length: 'b' differs from plants without a treatment: " in one for one in said)
 
 
 def test_growth_without_a_reliable_value_is_no_comparison(tmp_path: Path) -> None:
@@ -93,14 +89,10 @@ def test_rates_and_emergence_are_computed_from_reliable_days(ball_result: Callab
         folders.append(folder)
     rows = list(csv.DictReader(growth.roots_csv(growth.measure(read_all(folders))).splitlines()))
     found = [(row["day"], row["emergence_day"], row["elongation_mm_per_day"], row["verdict"]) for row in rows if row["root"] == "1.2"]
-    assert found == [
-        ("3", "2.00", "", "reliable"),
-        ("5", "2.00", "", "not reliable"),
-        ("7", "2.00", "5", "reliable"),
-    ]
+    assert found == [("3", "2.00", "", "reliable"), ("5", "2.00", "", "not reliable"), ("7", "2.00", "5", "reliable")]
 
 
-def test_growth_does_not_compare_a_treatment_that_lost_its_plants(tmp_path: Path) -> None:
+def test_a_treatment_that_lost_its_plants_is_not_compared(tmp_path: Path) -> None:
     found = growth.measure(read_all([table(tmp_path, unreliable={"p1", "p3"})]))
     assert "total_length" not in found.compared
     assert any("treatment 'b' has 1 plant" in note for note in found.notes)
@@ -119,7 +111,7 @@ def test_biomass_says_why_nothing_is_left(tmp_path: Path) -> None:
         biomass.fit(found, balance_g=1e-4, notes=notes)
 
 
-def test_biomass_fits_reliable_traits_and_predictions_carry_the_verdict(tmp_path: Path) -> None:
+def test_biomass_fits_reliable_traits_and_keeps_the_verdict(tmp_path: Path) -> None:
     measured = read_all([table(tmp_path, trusted="no")])
     found, notes = biomass.pairs(measured, read_masses(masses(tmp_path), balance_g=1e-4))
     model = biomass.fit(found, balance_g=1e-4, notes=notes)
@@ -131,56 +123,46 @@ def test_biomass_fits_reliable_traits_and_predictions_carry_the_verdict(tmp_path
     assert {row.split(",")[column] for row in rows[1:] if ",p0," in row} == {"reliable"}
 
 
-def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
-    path = table(tmp_path)
-    path.write_text(path.read_text(encoding="utf-8").replace(",reliable,", ",fine,", 1), encoding="utf-8")
-    with pytest.raises(
-        UserError, match=r"line 2: the verdict on total_length is 'fine'; a verdict must be one of: reliable, not reliable, not"
-    ):
-        read_all([path])
+VERDICT = "line 2: the verdict on tips is 'fine'; a verdict must be one of: reliable, not reliable, not"
+UNIT = r"line 2: the column .* has another unit than \w+; convert the values and rename the column"
+BAD_TABLES = {
+    "verdict": (
+        "plant,day,tips,tips_verdict\nP,1,9,fine\n",
+        VERDICT,
+    ),
+    "exchanged ends of an interval": (
+        "plant,day,tips,tips_low,tips_high\nP,1,9,12,8\n",
+        "line 2: the interval of tips begins at 12, but ends",
+    ),
+    "no days": ("plant,tips\n1,9\n", "is missing; enter it in the column 'day'"),
+    "no plants": ("day,tips\n1,9\n", "is missing; enter it in the column 'plant'"),
+    "cm": ("plant,day,total_length (cm)\nP,1,50\n", UNIT),
+    "cm of an interval": ("plant,day,total_length_low (cm)\nP,1,50\n", UNIT),
+    "cm2": ("plant,day,surface (cm2)\nP,1,50\n", UNIT),
+    "%": ("plant,day,solidity (%)\nP,1,50\n", UNIT),
+    "two units": ("plant,day,volume_mm3 (ml)\nP,1,50\n", UNIT),
+}
 
 
-def test_an_interval_with_exchanged_ends_is_refused(tmp_path: Path) -> None:
-    """It was ignored, and the value regarded as exact."""
-    (tmp_path / "traits.csv").write_text("plant,day,tips,tips_low,tips_high\nP,1,9,12,8\n", encoding="utf-8")
-    with pytest.raises(UserError, match="line 2: the interval of tips begins at 12, but ends at 8"):
-        read_all([tmp_path / "traits.csv"])
-
-
-@pytest.mark.parametrize(("columns", "name"), [("plant", "day"), ("day", "plant")])
-def test_a_table_without_plants_or_days_is_told_which_column_to_add(columns: str, name: str, tmp_path: Path) -> None:
-    (tmp_path / "traits.csv").write_text(f"{columns},tips\n1,9\n", encoding="utf-8")
-    with pytest.raises(UserError, match=f"is missing; enter it in the column '{name}'"):
-        growth.measure(read_all([tmp_path / "traits.csv"]))
-
-
-@pytest.mark.parametrize("column", ["total_length (cm)", "total_length_low (cm)", "surface (cm2)", "solidity (%)", "volume_mm3 (ml)"])
-def test_a_column_in_another_unit_is_refused(column: str, tmp_path: Path) -> None:
-    path = tmp_path / "traits.csv"
-    path.write_text(f"plant,day,{column}\nP,1,50\n", encoding="utf-8")
-    with pytest.raises(UserError, match=r"line 2: the column .* has another unit than \w+; convert the values and rename the column"):
-        read_all([path])
+@pytest.mark.parametrize(("text", "named"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
+def test_a_wrong_table_is_refused(text: str, named: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=named):
+        growth.measure(read_all([written(tmp_path, text)]))
 
 
 def test_units_as_in_tables_of_earlier_versions_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "traits.csv"
-    path.write_text("plant,depth (mm),surface (mm2),tips,specific_root_length (m/g),volume (ml)\nP,5,6,7,8,9\n", encoding="utf-8")
+    path = written(tmp_path, "plant,depth (mm),surface (mm2),tips,specific_root_length (m/g),volume (ml)\nP,5,6,7,8,9\n")
     assert read_all([path])[0].traits == {"depth": 5.0, "surface": 6.0, "tips": 7.0, "specific_root_length": 8.0, "volume": 9000.0}
 
 
 def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
-    tips = {
-        "name": "tips",
-        "value": 9.0,
-        "interval": [8.0, 12.0],
-        "trusted": False,
-        "verdict": "the number of tips is not to be trusted: few",
-    }
+    reason = "the number of tips is not to be trusted: few"
+    tips = {"name": "tips", "value": 9.0, "interval": [8.0, 12.0], "trusted": False, "verdict": reason}
     folder = ball_result("one", volume_budget=[TERM], estimates=[tips], mass_g=1.0)
     summary, traits = result_files.read_summary(folder), stored_traits.read(folder)
     found = assessments.assess(summary, traits)
     assert (found["volume_mm3"].verdict, found["volume_mm3"].interval) == ("reliable", (850.0, 950.0))
-    assert (found["tips"].verdict, found["tips"].reason) == ("not reliable", "the number of tips is not to be trusted: few")
+    assert (found["tips"].verdict, found["tips"].reason) == ("not reliable", reason)
     assert (found["branch_points"].verdict, found["branch_points"].interval) == ("not assessed", None)
     low, high = found["tissue_density_g_per_ml"].interval or (0.0, 0.0)
     assert (low, high) == pytest.approx((1000.0 / 950.0 * 905.0 / traits.volume_mm3, 1000.0 / 850.0 * 905.0 / traits.volume_mm3), rel=0.02)
@@ -190,30 +172,23 @@ def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
     assert [one.assessment("volume").interval for one in read_all([folder])] == [(850.0, 950.0)]
 
 
-def test_a_scan_that_is_refused_refuses_what_has_no_verdict_of_its_own(ball_result: Callable[..., Path]) -> None:
+def test_a_refused_scan_refuses_what_has_no_verdict_of_its_own(ball_result: Callable[..., Path]) -> None:
     folder = ball_result("one", volume_budget=[TERM], volume_trusted=False, volume_verdict="this scan cannot give a volume: too dark")
     (one,) = read_all([folder])
-    assert one.usable("volume") is None
-    assert one.usable("depth") is None
-    assert exclusion_notes([one], ["depth"]) == [
-        "depth: 1 of 1 values are excluded, because they are not reliable: the scan is not reliable: too dark"
-    ]
-
-
-def test_a_method_without_uncertainty_has_no_verdict(ball_result: Callable[..., Path]) -> None:
-    folder = ball_result("one", volume_budget=[], volume_trusted=False)
+    assert one.usable("volume") is one.usable("depth") is None
+    why = "depth: 1 of 1 values are excluded, because they are not reliable: the scan is not reliable: too dark"
+    assert exclusion_notes([one], ["depth"]) == [why]
+    folder = ball_result("of a method without uncertainty", volume_budget=[], volume_trusted=False)
     found = assessments.assess(result_files.read_summary(folder), stored_traits.read(folder))
     assert {one.verdict for one in found.values()} == {"not assessed"}
 
 
 def test_a_batch_counts_the_volumes_that_are_not_usable(ball_result: Callable[..., Path], tmp_path: Path) -> None:
     bad = {"volume_trusted": False, "volume_verdict": "this scan cannot give a volume: too dark"}
-    for name, changes in (("good", {}), ("bad", bad)):
-        ball_result(name, volume_budget=[TERM], **changes)
-    jobs = [
-        Job(name=name, kind="reconstruct", source="", output=str(tmp_path / name), key="", pixels=1.0, options={})
-        for name in ("good", "bad")
-    ]
+    ball_result("good", volume_budget=[TERM])
+    ball_result("bad", volume_budget=[TERM], **bad)
+    same = {"kind": "reconstruct", "source": "", "key": "", "pixels": 1.0, "options": {}}
+    jobs = [Job(name=name, output=str(tmp_path / name), **same) for name in ("good", "bad")]
     _, sentence = overview.write(tmp_path, jobs, ())
     assert sentence == "1 of 2 volumes usable; not usable: 1 x few views"  # those of this result, whatever its sentence says
     assert sentence in (tmp_path / "overview.html").read_text(encoding="utf-8")

@@ -12,11 +12,16 @@ X_SIGMA = np.array([1000.0, 1000.0, 500.0, 800.0, 200.0, 80.0, 60.0, 20.0, 1.8, 
 Y_SIGMA = np.array([1.0, 1.8, 4.0, 8.0, 20.0, 20.0, 70.0, 70.0, 100.0, 500.0]) ** -0.5
 
 
-def test_pearsons_points_with_yorks_weights() -> None:
+def test_pearsons_points_and_limits_of_the_closed_form() -> None:
     line = fit_line(X, Y, X_SIGMA, Y_SIGMA, scatter=False)
     assert line.intercept == pytest.approx(5.47991022, rel=1e-8)
     assert line.slope == pytest.approx(-0.480533407, rel=1e-8)
     assert line.chi2 / line.dof == pytest.approx(1.483294149, rel=1e-8)
+    line = fit_line(X, Y, np.zeros(10), Y_SIGMA, scatter=False)  # without errors in x it is the weighted line
+    assert (line.slope, line.intercept) == pytest.approx(np.polyfit(X, Y, 1, w=1.0 / Y_SIGMA), rel=1e-8)
+    with pytest.raises(ValueError, match="2 independent points"):
+        fit_line(X[:2], Y[:2], X_SIGMA[:2], Y_SIGMA[:2])
+    assert fit_line(X[:2], Y[:2], X_SIGMA[:2], Y_SIGMA[:2], slope=1.0).dof == 1
 
 
 def test_its_uncertainty_is_that_of_many_draws() -> None:
@@ -30,13 +35,7 @@ def test_its_uncertainty_is_that_of_many_draws() -> None:
     assert np.std(drawn, axis=0) == pytest.approx(np.sqrt(np.diag(line.covariance)), rel=0.15)
 
 
-def test_without_errors_in_x_it_is_the_weighted_line() -> None:
-    line = fit_line(X, Y, np.zeros(10), Y_SIGMA, scatter=False)
-    slope, intercept = np.polyfit(X, Y, 1, w=1.0 / Y_SIGMA)
-    assert (line.intercept, line.slope) == pytest.approx((intercept, slope), rel=1e-8)
-
-
-def test_scatter_makes_chi_squared_what_it_should_be_and_is_found() -> None:
+def test_scatter_makes_chi_squared_one_and_is_found() -> None:
     rng = np.random.default_rng(3)
     x = rng.uniform(0.0, 5.0, 400)
     x_sigma, y_sigma = np.full(400, 0.05), np.full(400, 0.02)
@@ -59,7 +58,7 @@ def test_an_interval_holds_the_share_that_it_says() -> None:
     assert 0.85 < np.mean(held) < 0.95
 
 
-def test_an_interval_holds_its_share_when_four_plants_are_measured_on_six_days() -> None:
+def test_an_interval_of_plants_on_six_days_holds_its_share() -> None:
     """The days of a plant deviate together, so that there are 4 independent points; with 24, 74 % were held."""
     rng, held = np.random.default_rng(7), []
     groups, exact = np.repeat(np.arange(4), 6), np.zeros(24)
@@ -70,9 +69,3 @@ def test_an_interval_holds_its_share_when_four_plants_are_measured_on_six_days()
         middle, spread = line.at(x[4])
         held.append(np.mean(np.abs(middle - y[4]) <= line.reach(0.9) * spread))
     assert 0.86 < np.mean(held) < 0.94
-
-
-def test_two_points_give_no_line_with_an_uncertainty() -> None:
-    with pytest.raises(ValueError, match="2 independent points"):
-        fit_line(X[:2], Y[:2], X_SIGMA[:2], Y_SIGMA[:2])
-    assert fit_line(X[:2], Y[:2], X_SIGMA[:2], Y_SIGMA[:2], slope=1.0).dof == 1
