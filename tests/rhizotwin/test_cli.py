@@ -4,9 +4,6 @@ import errno
 import inspect
 import re
 import signal
-import subprocess
-import sys
-import time
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -25,8 +22,6 @@ from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 from tests.command import Command
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_help_teaches(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,16 +44,13 @@ def test_help_teaches(command: Command, monkeypatch: pytest.MonkeyPatch) -> None
     assert poor == []
 
 
-def test_a_command_or_group_alone_prints_its_help(command: Command) -> None:
+def test_help_of_groups_and_completion_in_shells(command: Command) -> None:
     assert "reconstruct" in command.works().out
     assert "jog" in command.works("rig").out
-
-
-def test_the_shell_can_complete_commands_and_options() -> None:
-    for shell in ("bash", "zsh", "fish"):
-        script = command_line.build().generate_completion(shell=shell)
-        for word in ("reconstruct", "voxel-mm", "calibrate", "printed-ruler-mm", "backlit"):
-            assert word in script, shell
+    app = command_line.build()
+    scripts = {shell: app.generate_completion(shell=shell) for shell in ("bash", "zsh", "fish")}
+    words = ("reconstruct", "voxel-mm", "calibrate", "printed-ruler-mm", "backlit")
+    assert [(shell, word) for shell, script in scripts.items() for word in words if word not in script] == []
 
 
 def given(words: str) -> dict[str, Any]:
@@ -105,11 +97,9 @@ MISTAKES = [
     ("simulate sphere_20mm -o d --specimen a.rsml --specimen-diameter-mm 0", "--specimen-diameter-mm: 0 is out of range"),
     ("reconstruct no_such_dataset -o r", "no_such_dataset: there is no such folder"),
     ("reconstruct d -o r --voxel-mm 0.009", "0.01 to 10 mm"),
-    ("reconstruct d -o r --voxel-mm 11", "0.01 to 10 mm"),
     ("reconstruct d -o r --voxel-mm nan", "0.01 to 10 mm"),
     ("reconstruct d -o r --voxel-mm=", "millimetres"),
     ("import no_such_folder --scene sphere_20mm -o d", "no_such_folder"),
-    ("import pictures -o d", "--scene"),
     ("import pictures --masks --scene sphere_20mm -o d", "--cameras JSON"),
     ("score no_such_result no_such_dataset", "no_such_result"),
     ("score no_such_result", "--volume-ml"),
@@ -125,12 +115,10 @@ MISTAKES = [
     ("plan sphere_20mm -o d --heights=-1e9", "out of range"),
     ("plan sphere_20mm -o d --within 0", "out of range"),
     ("plan sphere_20mm -o pictures", "were not written by an earlier plan"),
-    ("markers", "SCENE"),
     ("markers printed_8ml -o strip.png", "strip.png"),
     ("markers printed_8ml -o strip.pdf --page a9", "'a9' is not a paper size"),
     ("markers printed_8ml -o strip.pdf --page 297x", "'297x' is not a paper size"),
     ("markers printed_8ml -o strip.pdf --page 20x20", "50 to 5000"),
-    ("markers printed_8ml -o strip.pdf --page 160x80", "too small for the strip"),
     ("markers printed_8ml -o strip.pdf --printed-ruler-mm 60", "90 to 110"),
     ("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not a ruler length"),
     ("markers printed_8ml -o strip.pdf --paper-mm 9", "0 to 2"),
@@ -148,8 +136,6 @@ MISTAKES = [
     ("calibrate camera pictures -o lens", "none of the 3 pictures can be used"),
     ("calibrate simulate printed_8ml -o pictures", "not empty"),
     ("calibrate simulate printed_8ml -o twin --pictures 1", "give 3 to 1000"),
-    ("calibrate simulate printed_8ml -o twin --square-mm 500", "too large for the camera"),
-    ("scan -o d", "--rig"),
     ("scan --rig twin -o d --table-angle north", "'north' is not a number"),
     ("scan --rig twin -o d --table-angle 400", "-360 to 360"),
     ("scan --rig no_such_rig.toml -o d", "--scene is missing"),
@@ -161,9 +147,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("words", "named"), MISTAKES, ids=[words[:80] for words, _ in MISTAKES])
-def test_a_mistake_is_one_sentence_and_writes_nothing(
-    words: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
-) -> None:
+def test_a_mistake_is_one_sentence_and_writes_nothing(words: str, named: str, tmp_path: Path, monkeypatch, command: Command) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     for k in range(3):
@@ -184,9 +168,7 @@ FAILURES = [
 
 
 @pytest.mark.parametrize(("error", "code", "sentence"), FAILURES, ids=lambda value: type(value).__name__)
-def test_failure_inside_a_command(
-    error: BaseException, code: int, sentence: str, monkeypatch: pytest.MonkeyPatch, command: Command
-) -> None:
+def test_failure_inside_a_command(error: BaseException, code: int, sentence: str, monkeypatch, command: Command) -> None:
     def fail() -> None:
         raise error
 
@@ -214,30 +196,10 @@ def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.Monkey
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_ctrl_c_in_a_running_simulation(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ["simulate", "sphere_20mm", "-o", str(out), "--views", "2000", "--image-wh", "64x48", "--device", "cpu"]
-    process = subprocess.Popen([sys.executable, "-m", "rhizotwin", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, cwd=ROOT)
-    deadline = time.monotonic() + 60.0
-    while not list(out.glob("images/*.png")) and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == cli.EXIT_STOPPED
-    assert said.decode().splitlines()[-1] == "rhizotwin: interrupted; run the same command again to continue"
-    assert "Traceback" not in said.decode()
-    assert not (out / "dataset.json").exists()
-    assert not [path for path in tmp_path.rglob("*") if path.name.endswith(".tmp")]
-    assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in out.glob("images/*.png"))
-
-
-def test_scenes_lists_library_and_profiles(command: Command) -> None:
-    listed = [line.split()[:1] for line in command.works("scenes").out.splitlines()]
-    for name in ("sphere_20mm", "printed_8ml", "radish_day05a", "radish_day30c", "fallen_plant", "clean", "bench", "harsh"):
-        assert listed.count([name]) == 1
-
-
-def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, command: Command) -> None:
+def test_scenes_are_listed_and_copied(tmp_path: Path, command: Command) -> None:
+    listed = [line.split()[0] for line in command.works("scenes").out.splitlines() if line.strip()]
+    known = ("sphere_20mm", "printed_8ml", "radish_day05a", "radish_day30c", "fallen_plant", "clean", "bench", "harsh")
+    assert [listed.count(name) for name in known] == [1] * len(known)
     path = tmp_path / "mine.toml"
     command.works("scenes", "printed_8ml", "-o", path)
     assert files.load_scene(path) == files.load_scene("printed_8ml")

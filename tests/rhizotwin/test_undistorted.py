@@ -1,10 +1,7 @@
 """Undistorted pictures: exact where they say so, and where no refraction is, everywhere."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -13,7 +10,6 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.undistorted import VirtualCamera, best_distance_mm
-from tests.command import Command
 
 SCENE = Scene(camera=Camera().resized((400, 300)))
 HEIGHTS_MM = (-140.0, -12.0)
@@ -56,15 +52,3 @@ def test_points_of_the_plane_show_where_the_pinhole_sees_them(height_mm: float, 
         np.testing.assert_allclose(at, [u, v], atol=0.1)
     assert 0.1 < left_px < 3.0  # the wall's astigmatism is not nothing
     assert not undistorted[:3].any()  # above the water there is no image
-
-
-def test_pictures_and_cameras_are_written(command: Command, made: Path, found, tmp_path: Path) -> None:
-    words = ["export", found.folder, "--dataset", made, "--undistorted"]
-    command.works(*words, "-o", tmp_path / "out")
-    cameras = json.loads((tmp_path / "out" / "transforms.json").read_text())
-    assert len(cameras["frames"]) == len(list((tmp_path / "out" / "images").iterdir())) == 10
-    assert "in water" in cameras["note"]
-    picture = cv2.imread(str(tmp_path / "out" / cameras["frames"][0]["file_path"]), cv2.IMREAD_UNCHANGED)
-    assert picture.shape == (cameras["h"], cameras["w"])
-    assert (tmp_path / "out" / "colmap" / "images.txt").is_file()
-    command.fails(*words, "-o", tmp_path / "out.json", named=["folder"])
