@@ -1,11 +1,12 @@
 """Effect of the thesis's assumptions on the sign and size of its error: its method with some of them changed.
 
 Poses, strip, silhouettes and blindness are changed in the reconstruction; voxels that are partly inside are counted in
-three ways for the same hull.
+three ways for the same hull. `levels` carves the hull with voxels of several sizes, in an octree and in a full grid.
 """
 
 import itertools
 import json
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -14,18 +15,21 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from skimage import filters
 
 from benchmarks import cache, datasets
 from benchmarks.cases import DEFAULT_VOXEL_MM, Pictures
 from benchmarks.run import Say
 from rhizotwin import sources
-from rhizotwin.recon import carved_hull
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
+from rhizotwin.recon.carved_hull import CarvedHull, carve_hull
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+from rhizotwin.recon.hull import carve
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -36,6 +40,8 @@ Poses = Literal["picture", "one row", "scan"]
 Outlines = Literal["edges", "dark", "coverage"]
 LEVELS = 6
 """Number of sizes of the finest voxel: the thesis's 0.27 mm and five doublings, up to 8.64 mm."""
+_SLAB = 64
+"""Number of layers of a full grid that are carved together: with voxels of 0.27 mm, 20 million voxels."""
 _WHOLE = 0.999
 """Minimum occupancy of a voxel that counts as whole."""
 _KEY = ("benchmarks.assumptions",)
@@ -104,7 +110,7 @@ def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Co
             say(f"{head}: kept")
         elif not only_kept:
             scan = scan or _Scan(pictures)
-            mm3, true_mm3 = scan.volumes(assumed), load_truth(scan.dataset().folder).volume_mm3
+            mm3, true_mm3 = _volumes(scan.carve(assumed).hull.leaves), load_truth(scan.dataset().folder).volume_mm3
             counted = CountedVolumes(assumed=assumed, **{name: value / true_mm3 - 1.0 for name, value in mm3.items()})
             atomic.write_json(path, asdict(counted))
             found.append(counted)
@@ -140,26 +146,34 @@ class _Scan:
     def dataset(self, *, one_row: bool = False) -> Dataset:
         """Return the dataset, or one of the same specimen and a strip with the upper row only."""
         if one_row not in self._datasets:
-            self._datasets[one_row] = _below_one_row(self._pictures) if one_row else load_dataset(datasets.make(self._pictures))
+            self._datasets[one_row] = below_one_row(self._pictures) if one_row else load_dataset(datasets.make(self._pictures))
         return self._datasets[one_row]
 
-    def volumes(self, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM) -> dict[str, float]:
-        """Return the hull's volume (mm3), counted in three ways."""
+    def carve(self, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM) -> CarvedHull:
+        """Carve the hull with voxels of an edge of ``finest_mm``."""
         key, dataset = (assumed.poses, assumed.outlines), self.dataset(one_row=assumed.poses == "one row")
         if assumed.poses not in self._cameras:
             self._cameras[assumed.poses] = _cameras(dataset, joint=assumed.poses == "scan")
         cameras = self._cameras[assumed.poses]
         if key not in self._coverage:
             self._coverage = {key: _coverage(dataset, cameras, assumed.outlines)}  # only one is kept in memory
-        return _volumes(dataset, cameras, self._coverage[key], assumed, finest_mm)
+        return carve_hull(
+            dataset,
+            cameras,
+            self._coverage[key],
+            finest_mm=finest_mm,
+            slack_px=0.0,
+            ignore_blindness=assumed.blind_carves,
+            monitor=Monitor(),
+        )
 
 
 def _words(assumed: Assumptions) -> str:
     return f"poses {assumed.poses}, outlines {assumed.outlines}, blind views {'carve' if assumed.blind_carves else 'are ignored'}"
 
 
-def _below_one_row(pictures: Pictures) -> Dataset:
-    """Render pictures with the upper row of the strip only, once (resuming an interrupted run)."""
+def below_one_row(pictures: Pictures) -> Dataset:
+    """Return pictures with the upper row of the strip only, rendered once (resuming an interrupted run)."""
     from rhizotwin.sim.simulate import simulate
 
     scene = pictures.scene_to_render()
@@ -181,27 +195,21 @@ def _coverage(dataset: Dataset, cameras: Cameras, outlines: Outlines) -> Coverag
     pictures = read_pictures(dataset, monitor=Monitor())
     if outlines == "coverage":
         return measure_coverage(pictures, cameras, monitor=Monitor())[1]
-    drawn = silhouettes.thesis if outlines == "edges" else _dark
+    drawn = silhouettes.thesis if outlines == "edges" else dark
     return measure_coverage(pictures, cameras, monitor=Monitor(), outline=lambda image, _, seen: drawn(image, seen))[1]
 
 
-def _dark(image: Image, seen: Mask) -> Silhouette:
-    """Return the silhouette by Otsu's threshold alone, opened as in the thesis."""
+def dark(image: Image, seen: Mask) -> Silhouette:
+    """Return the silhouette (H, W) by Otsu's threshold alone, opened as in the thesis."""
     if not seen.any():
         return Silhouette(np.zeros(image.shape, np.float32), seen)
-    dark = ((image < filters.threshold_otsu(image[seen])) & seen).astype(np.uint8)
-    opened = cv2.morphologyEx(dark, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    shadow = ((image < filters.threshold_otsu(image[seen])) & seen).astype(np.uint8)
+    opened = cv2.morphologyEx(shadow, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     return Silhouette(opened.astype(np.float32), seen)
 
 
-def _volumes(
-    dataset: Dataset, cameras: Cameras, coverage: Coverage, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM
-) -> dict[str, float]:
-    """Return the hull's volume (mm3), counted in three ways."""
-    carved = carved_hull.carve_hull(
-        dataset, cameras, coverage, finest_mm=finest_mm, slack_px=0.0, ignore_blindness=assumed.blind_carves, monitor=Monitor()
-    )
-    leaves = carved.hull.leaves
+def _volumes(leaves: Leaves) -> dict[str, float]:
+    """Return the volume (mm3) of a hull's leaves, counted in three ways."""
     cubes = (leaves.size * leaves.grid.size_mm).astype(np.float64) ** 3
     return {
         "kept": float(cubes.sum()),
@@ -210,17 +218,36 @@ def _volumes(
     }
 
 
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carved:
+    """Hull carved by one method with one size of the finest voxel."""
+
+    ml: float
+    """Volume: by the thesis's method with partial voxels kept, by ours with their fractions inside."""
+    cpu_s: float
+    """Processor time of the carving."""
+    voxels: int
+    """Number of leaves of the octree."""
+    extents_mm: Triple
+    """Lengths along x, y and z between the outermost faces of the voxels (T3.5)."""
+    grid_cpu_s: float | None = None
+    """Processor time with a full grid; None if it was not measured."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Level:
     """One depth of the octree."""
 
     voxel_mm: float
-    thesis_ml: float
-    """Volume by the thesis's method, which keeps voxels that are partly inside."""
-    thesis_s: float
-    ours_ml: float
-    """Volume of our hull, with partial voxels counted by their fraction inside."""
-    ours_s: float
+    grid_voxels: int
+    """Number of voxels of a full grid, in the box around the water."""
+    thesis: Carved
+    ours: Carved
+    """Our hull, before it is trimmed."""
+    true_extents_mm: Triple
 
 
 def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Level]:
@@ -240,34 +267,74 @@ def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Lev
     Returns
     -------
     list of Level
-        Volumes and times by both methods.
+        Hulls by both methods.
     """
     path = _Keep.of(pictures).place({"levels": LEVELS})
     if path.is_file():
-        return [Level(**one) for one in json.loads(path.read_text(encoding="utf-8"))]
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return [Level(**{**one, "thesis": Carved(**one["thesis"]), "ours": Carved(**one["ours"])}) for one in kept]
     if only_kept:
         return []
     scan = _Scan(pictures)
+    truth = load_truth(scan.dataset().folder)
+    ends = np.subtract(truth.extents_max_mm, truth.extents_min_mm)
     voxels = [DEFAULT_VOXEL_MM * 2 ** (LEVELS - 1 - number) for number in range(LEVELS)]
-    told: list[list[tuple[dict[str, float], float]]] = []
+    hulls: list[list[tuple[Carved, int]]] = []
     for assumed in (Assumptions(), Assumptions(poses="scan", outlines="coverage", blind_carves=False)):
-        told.append([])
+        hulls.append([])
         for voxel_mm in voxels:
-            scan.volumes(assumed, voxel_mm)
-            began = time.perf_counter()
-            told[-1].append((scan.volumes(assumed, voxel_mm), time.perf_counter() - began))
-            say(f"voxels of {voxel_mm:g} mm: {told[-1][-1][1]:.2f} s")
+            hulls[-1].append(_timed(scan.carve(assumed, voxel_mm), assumed))
+            say(f"voxels of {voxel_mm:g} mm: {hulls[-1][-1][0]}")
     found = [
-        Level(voxel_mm=voxel_mm, thesis_ml=theirs["kept"] / 1e3, thesis_s=theirs_s, ours_ml=ours["shared"] / 1e3, ours_s=ours_s)
-        for voxel_mm, (theirs, theirs_s), (ours, ours_s) in zip(voxels, *told, strict=True)
+        Level(voxel_mm=voxel_mm, grid_voxels=number, thesis=theirs, ours=ours, true_extents_mm=_triple(ends))
+        for voxel_mm, (theirs, number), (ours, _) in zip(voxels, *hulls, strict=True)
     ]
     atomic.write_json(path, [asdict(one) for one in found])
     return found
 
 
+def _timed(carved: CarvedHull, assumed: Assumptions) -> tuple[Carved, int]:
+    """Carve a hull again for its time, and return it with the number of voxels of a full grid.
+
+    The full grid is carved too, but by the thesis's method only.
+    """
+    leaves = carved.hull.leaves
+    mm3, grid = _volumes(leaves), leaves.grid
+    slabs = _slabs(grid)
+    is_thesis = assumed == Assumptions()
+
+    def seconds(lattices: Sequence[Grid]) -> float:
+        began = time.process_time()
+        for lattice in lattices:
+            carve.carve(carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, ignore_blindness=assumed.blind_carves)
+        return time.process_time() - began
+
+    low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
+    found = Carved(
+        ml=mm3["kept" if is_thesis else "shared"] / 1e3,
+        cpu_s=min(seconds([grid]), seconds([grid])),
+        voxels=len(leaves.size),
+        extents_mm=_triple((high - low) * grid.size_mm),
+        grid_cpu_s=seconds(slabs) if is_thesis else None,
+    )
+    return found, sum(math.prod(slab.coarse_shape) for slab in slabs)
+
+
+def _slabs(grid: Grid) -> list[Grid]:
+    """Return the full grid of an octree's finest voxels, in slabs that fit in memory."""
+    x, y, z = (number * 2**grid.levels for number in grid.coarse_shape)
+    ends = [(low, min(low + _SLAB, z)) for low in range(0, z, _SLAB)]
+    up = np.array([0.0, 0.0, grid.size_mm])
+    return [Grid(grid.origin_mm + low * up, grid.size_mm, 0, (x, y, high - low)) for low, high in ends]
+
+
+def _triple(values: NDArray[np.float64]) -> Triple:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
 def table(counted: Sequence[CountedVolumes]) -> str:
     """Return the combinations as a Markdown table."""
-    rows = ["| poses | outlines | blind views | partial voxels kept | shared | dropped |", "|---|---|---|---|---|---|"]
+    rows = ["| poses | outlines | blind views | partial voxels kept | weighted | dropped |", "|---|---|---|---|---|---|"]
     for one in counted:
         errors = " | ".join(f"{100.0 * value:+.1f} %" for value in (one.kept, one.shared, one.dropped))
         rows.append(
