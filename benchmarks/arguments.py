@@ -79,7 +79,7 @@ def _add_frozen(what: Any) -> None:
 
 
 _THESIS = (
-    "one page that compares the thesis's table 4.1 and figures 3.10, 4.1 and 5.3 with its re-implemented method and ours, "
+    "one page that compares the thesis's table 4.1 and figures 3.6 to 3.10, 4.1 and 5.3 with its re-implemented method and ours, "
     "and the effect of its assumptions; a stopped run is resumed, and measurements of the ladder are reused"
 )
 
