@@ -36,6 +36,17 @@ def make_dataset(tmp_path: Path) -> Callable[..., Dataset]:
 
 
 @pytest.fixture
+def make_result(ball_result: Callable[..., Path]) -> Callable[..., Path]:
+    """Return a maker of results; its other keywords are those of `Subject`."""
+
+    def make(name: str, *, sha256: str = "", focal: float | None = None, changes: dict[str, Any] | None = None, **whose: Any) -> Path:
+        rig = {} if focal is None else {"focal_scale_found": focal}
+        return ball_result(f"results/{name}", **{"dataset_sha256": sha256, "subject": whose, "rig": rig} | (changes or {}))
+
+    return make
+
+
+@pytest.fixture
 def catalogue(tmp_path: Path) -> Any:
     with Catalogue.create(tmp_path / "study.rhizotwin") as made:
         yield made

@@ -1,6 +1,7 @@
 """Entries of a catalogue: added once, completed, never contradicted."""
 
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,16 +22,9 @@ TAG = Tag(dictionary="APRILTAG_36h11", first_id=62, markers=62)
 
 
 def test_plant_round_trip(catalogue: Catalogue):
-    plant = Plant(
-        name="P1",
-        species="Raphanus sativus",
-        treatment="low N",
-        replicate=2,
-        sown="2026-11-01",
-        notes="x",
-        solution=Solution(recipe="kliman_2022", factors={"N": 0.5}),
-        tag=TAG,
-    )
+    solution = Solution(recipe="kliman_2022", factors={"N": 0.5})
+    whose = {"species": "Raphanus sativus", "treatment": "low N", "replicate": 2, "sown": "2026-11-01", "notes": "x"}
+    plant = Plant(name="P1", solution=solution, tag=TAG, **whose)
     catalogue.add_plant(plant)
     catalogue.add_plant(Plant(name="P1"))
     with Catalogue.open(catalogue.path, read_only=True) as again:
@@ -46,29 +40,26 @@ def test_entry_is_completed_but_not_contradicted(catalogue: Catalogue):
     catalogue.add_plant(Plant(name="P1", species="Raphanus sativus"))
     assert catalogue.plant("P1") == Plant(name="P1", treatment="control", species="Raphanus sativus")
     catalogue.add_plant(Plant(name="P1", replicate=0))
-    for change, words in (
-        (Plant(name="P1", treatment="low N"), "treatment of plant P1 is control in the catalogue, but low N"),
-        (Plant(name="P1", replicate=1), "replicate of plant P1 is 0 in the catalogue, but 1"),
-    ):
-        with pytest.raises(UserError, match=words):
-            catalogue.add_plant(change)
+    with pytest.raises(UserError, match="treatment of plant P1 is control in the catalogue, but low N"):
+        catalogue.add_plant(Plant(name="P1", treatment="low N"))
+    with pytest.raises(UserError, match="replicate of plant P1 is 0 in the catalogue, but 1"):
+        catalogue.add_plant(Plant(name="P1", replicate=1))
 
 
-def test_strips_share_no_markers(catalogue: Catalogue):
-    catalogue.add_plant(Plant(name="P1", tag=TAG))
+def test_names_are_values_and_strips_share_no_markers(catalogue: Catalogue):
+    name = "'); DROP TABLE plants; --"
+    catalogue.add_plant(Plant(name=name, tag=TAG))
     with pytest.raises(UserError, match="have common markers"):
         catalogue.add_plant(Plant(name="P2", tag=replace(TAG, first_id=100)))
-    assert [one.name for one in catalogue.plants()] == ["P1"]
+    assert [one.name for one in catalogue.plants()] == [name]
+    assert catalogue.scans(plant=name, treatment=name) == []
 
 
-def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dataset, ball_result):
-    dataset = make_dataset("P1_day_05", plant="P1", treatment="control", day=5.0)
-    result = ball_result(
-        "results/P1_day_05",
-        dataset_sha256=dataset.sha256,
-        subject={"plant": "P1", "treatment": "control", "day": 5.0},
-        rig={"focal_scale_found": 1.001, "table_correction_deg": 0.05},
-    )
+def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dataset, make_result):
+    whose = {"plant": "P1", "treatment": "control", "day": 5.0}
+    dataset = make_dataset("P1_day_05", **whose)
+    rig = {"focal_scale_found": 1.001, "table_correction_deg": 0.05}
+    result = make_result("P1_day_05", sha256=dataset.sha256, changes={"rig": rig}, **whose)
     masses = tmp_path / "masses.csv"
     masses.write_text("plant,day,root_fresh_g\nP1,5,0.4\n")
     for _ in range(2):  # adding again changes nothing
@@ -78,12 +69,8 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
         assert (scan.path, scan.plants, scan.pictures, scan.complete) == (dataset.folder, ("P1",), 2, True)
         (stored,) = catalogue.results(plant="P1")
         assert (stored.path, stored.scan, stored.plants) == (result, dataset.folder, ("P1",))
-        assert stored.rig_numbers == {
-            "focal_scale": 1.001,
-            "focal_left": 1.001,
-            "table_steps_deg": 0.05,
-            "panel_level": pytest.approx(90.5 / 255.0),
-        }
+        panel_level = pytest.approx(90.5 / 255.0)
+        assert stored.rig_numbers == {"focal_scale": 1.001, "focal_left": 1.001, "table_steps_deg": 0.05, "panel_level": panel_level}
         assert [(one.plant, one.kind, one.grams) for one in catalogue.masses()] == [("P1", "root_fresh", 0.4)]
     assert catalogue.scans(plant="P2") == catalogue.results(treatment="low N") == []
     assert check(catalogue) == []
@@ -92,83 +79,67 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
     assert "P1,control" in export.table(catalogue, "traits").csv()
 
 
-def test_result_added_before_its_scan(catalogue: Catalogue, make_dataset, ball_result):
+def test_result_added_before_its_scan(catalogue: Catalogue, make_dataset, make_result):
     dataset = make_dataset("P1", plant="P1")
-    adding.add_result(catalogue, ball_result("results/P1", dataset_sha256=dataset.sha256))
+    adding.add_result(catalogue, make_result("P1", sha256=dataset.sha256))
     assert catalogue.results()[0].scan is None
     adding.add_scan(catalogue, dataset.folder)
     assert catalogue.results()[0].scan == dataset.folder
 
 
-def test_chart_has_one_point_for_each_scan(catalogue: Catalogue, make_dataset, ball_result):
+def test_chart_has_one_point_for_each_scan(catalogue: Catalogue, make_dataset, make_result):
     for day in (1.0, 2.0):
         dataset = make_dataset(f"P1_{day:g}", plant="P1", day=day)
         adding.add_scan(catalogue, dataset.folder)
         for name, focal in (("a", 1.0), ("b", 1.0 + 0.001 * day)):
-            subject, rig = {"plant": "P1", "day": day}, {"focal_scale_found": focal}
-            adding.add_result(catalogue, ball_result(f"results/{name}_{day:g}", dataset_sha256=dataset.sha256, subject=subject, rig=rig))
+            adding.add_result(catalogue, make_result(f"{name}_{day:g}", sha256=dataset.sha256, focal=focal, plant="P1", day=day))
     assert [(one.day, one.value) for one in report.rig_history(catalogue)["focal_scale"]] == [(1.0, 1.001), (2.0, 1.002)]
 
 
-def test_one_result_is_chosen_for_a_scan_that_is_not_listed(catalogue: Catalogue, ball_result):
+def test_one_result_is_chosen_for_a_scan_that_is_not_listed(catalogue: Catalogue, make_result):
     """All results are of the same dataset; the corrected one is chosen, and the latest other one is charted."""
     edits = {"count": 1, "who": ["Anna"], "volume_share": 0.01}
     for name, focal, changes in (("a", 1.001, {}), ("b", 1.002, {"edits": edits}), ("c", 1.003, {})):
-        subject, rig = {"plant": "P1", "day": 5.0}, {"focal_scale_found": focal}
-        adding.add_result(catalogue, ball_result(f"results/{name}", dataset_sha256="7" * 64, subject=subject, rig=rig, **changes))
+        adding.add_result(catalogue, make_result(name, sha256="7" * 64, focal=focal, changes=changes, plant="P1", day=5.0))
     assert [one.path.name for one in catalogue.chosen_results()] == ["b"]
     assert [one.value for one in report.rig_history(catalogue)["focal_scale"]] == [1.003]
 
 
-def test_wires_are_charted_at_the_dates_of_their_scans(catalogue: Catalogue, ball_result):
-    z = np.linspace(0.0, 1.0, 5)
-    wire = Root(points_mm=np.stack([0.0 * z, 0.0 * z, -60.0 * z], axis=1), diameters_mm=0.4 + 0.0 * z, order=0, parent=-1)
+def test_wires_are_charted_at_their_dates_where_enough_was_found(catalogue: Catalogue, make_result):
+    wires = [
+        Root(points_mm=np.linspace((x, 0.0, 0.0), (x, 0.0, -length), 5), diameters_mm=np.full(5, diameter), order=0, parent=-1)
+        for x, length, diameter in ((0.0, 60.0, 0.4), (10.0, 4.0, 0.8))
+    ]
     for day in ("2026-12-01", "2026-12-08"):
-        folder = ball_result(f"results/{day}", subject={"plant": "wires", "date": day})
-        write_rsml(folder / "roots.rsml", [wire])
+        folder = make_result(day, plant="wires", date=day)
+        write_rsml(folder / "roots.rsml", wires)
         adding.add_result(catalogue, folder)
-    (points,) = report.wire_history(catalogue, "wires", (0.4,)).values()
-    assert [one.day for one in points] == [0.0, 7.0]
-    adding.add_result(catalogue, ball_result("results/undated", subject={"plant": "P1", "day": 3.0}))
+    ((name, points),) = report.wire_history(catalogue, "wires", (0.4, 0.8)).items()
+    assert "0.4 mm wire" in name
+    assert [(one.day, one.value) for one in points] == [(0.0, pytest.approx(1.0)), (7.0, pytest.approx(1.0))]
+    adding.add_result(catalogue, make_result("undated", plant="P1", day=3.0))
     with pytest.raises(UserError, match="give every scan a date, or the scans of wires a day"):
         report.wire_history(catalogue, "wires", (0.4,))
 
 
-def test_wire_is_charted_where_enough_of_it_was_found(catalogue: Catalogue, ball_result):
-    folder, z = ball_result("results/wires", subject={"plant": "wires", "day": 3.0}), np.linspace(0.0, 1.0, 5)
-    roots = [
-        Root(points_mm=np.stack([x + 0.0 * z, 0.0 * z, -length * z], axis=1), diameters_mm=diameter + 0.0 * z, order=0, parent=-1)
-        for x, length, diameter in ((0.0, 60.0, 0.4), (10.0, 4.0, 0.8))
-    ]
-    write_rsml(folder / "roots.rsml", roots)
-    adding.add_result(catalogue, folder)
-    ((name, (point,)),) = report.wire_history(catalogue, "wires", (0.4, 0.8)).items()
-    assert "0.4 mm wire" in name
-    assert (point.day, point.value) == (3.0, pytest.approx(1.0))
-
-
-def test_paths_move_with_the_catalogue(tmp_path: Path, make_dataset):
+def test_paths_move_with_the_catalogue_and_its_links(tmp_path: Path, make_dataset):
     study = tmp_path / "study"
     make_dataset("../study/scans/P1", plant="P1")
     with Catalogue.create(study / "my.rhizotwin") as made:
         adding.add_all(made, adding.find_all([study / "scans"]))
         assert made.rows("SELECT path FROM scans")[0][0] == "scans/P1"
     study.rename(tmp_path / "moved")
+    (tmp_path / "link.rhizotwin").symlink_to(tmp_path / "moved" / "my.rhizotwin")
+    with Catalogue.open(tmp_path / "link.rhizotwin") as linked:
+        make_dataset("../moved/scans/P2", plant="P2")
+        adding.add_scan(linked, tmp_path / "moved" / "scans" / "P2")
     with Catalogue.open(tmp_path / "moved" / "my.rhizotwin") as moved:
         assert check(moved) == []
 
 
-def test_damaged_dataset_does_not_stop_the_others(catalogue: Catalogue, tmp_path: Path, make_dataset):
-    make_dataset("P1", plant="P1")
-    (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
-    added = adding.add_all(catalogue, adding.find_all([tmp_path / "scans"]))
-    assert [path.name for path in added.scans] == ["P1"]
-    assert len(added.failed) == 1
-
-
-def test_check_names_differences(catalogue: Catalogue, tmp_path: Path, make_dataset, ball_result):
+def test_check_names_differences(catalogue: Catalogue, tmp_path: Path, make_dataset, make_result):
     kept, lost, changed = (make_dataset(name, plant=name) for name in ("P1", "P2", "P3"))
-    result = ball_result("results/P1")
+    result = make_result("P1")
     adding.add_all(catalogue, adding.find_all([tmp_path / "scans", tmp_path / "results"]))
     make_dataset("P4", plant="P4")
     (kept.folder / "images" / "view_000.png").write_bytes(b"")
@@ -223,18 +194,26 @@ def test_query_without_an_end_is_interrupted(catalogue: Catalogue, monkeypatch: 
         export.query(catalogue, "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT max(i) FROM n")
 
 
+def execute(path: Path, statement: str) -> None:
+    with closing(sqlite3.connect(path)) as raw:
+        raw.execute(statement)
+        raw.commit()
+
+
 def test_foreign_files_are_rejected(tmp_path: Path):
     path = tmp_path / "x.rhizotwin"
     with pytest.raises(UserError, match="does not exist"):
         Catalogue.open(path)
+    with schema._connecting(tmp_path / "empty.rhizotwin") as raw:  # as a killed run leaves it
+        raw.execute("PRAGMA journal_mode = WAL")
+        raw.close()
+    with Catalogue.open_or_create(tmp_path / "empty.rhizotwin") as made:
+        assert made.plants() == []
     path.write_bytes(b"SQLite format 3\0" + bytes(300))
     with pytest.raises(UserError, match=r"damaged|not a catalogue"):
         Catalogue.open(path)
     path.unlink()
-    other = sqlite3.connect(path)
-    other.execute("CREATE TABLE plants (name)")
-    other.commit()
-    other.close()
+    execute(path, "CREATE TABLE plants (name)")
     before = path.read_bytes()
     with pytest.raises(UserError, match="not a catalogue"):
         Catalogue.open_or_create(path)
@@ -247,51 +226,19 @@ def test_foreign_files_are_rejected(tmp_path: Path):
 def test_other_versions_and_tables_are_rejected(tmp_path: Path, change: str):
     path = tmp_path / "x.rhizotwin"
     Catalogue.create(path).close()
-    raw = sqlite3.connect(path)
-    raw.execute(change)
-    raw.commit()
-    raw.close()
+    execute(path, change)
     with pytest.raises(UserError, match="rebuild"):
         Catalogue.open(path)
 
 
 @pytest.mark.parametrize("change", ["path = 'a' || char(0)", "date = 'soon'", "path = CAST(x'ff' AS TEXT)"])
-def test_damaged_text_is_named(catalogue: Catalogue, tmp_path: Path, ball_result, change: str):
-    ball_result("results/P1", rig={"focal_scale_found": 1.001})
+def test_damaged_text_is_named(catalogue: Catalogue, tmp_path: Path, make_result, change: str):
+    make_result("P1", focal=1.001)
     adding.add_all(catalogue, adding.find_all([tmp_path / "results"]))
     catalogue.connection.execute(f"UPDATE results SET {change}")
     with pytest.raises(UserError, match=r"damaged|cannot be used"):
         report.page(catalogue, report.charts(report.rig_history(catalogue)), [])
-
-
-def test_damaged_plant_is_named(catalogue: Catalogue):
-    catalogue.add_plant(Plant(name="P1"))
+    catalogue.add_plant(Plant(name="P2"))
     catalogue.connection.execute("UPDATE plants SET sown = 'soon'")
     with pytest.raises(UserError, match="must be a date such as 2022-10-06"):
         catalogue.plants()
-
-
-def test_linked_catalogue_has_the_paths_of_the_file(catalogue: Catalogue, tmp_path: Path, make_dataset):
-    folder = make_dataset("P1", plant="P1").folder
-    link = tmp_path / "elsewhere" / "link.rhizotwin"
-    link.parent.mkdir()
-    link.symlink_to(catalogue.path)
-    with Catalogue.open(link) as linked:
-        adding.add_scan(linked, folder)
-    assert check(catalogue) == []
-
-
-def test_names_are_values_and_no_statements(catalogue: Catalogue):
-    name = "'); DROP TABLE plants; --"
-    catalogue.add_plant(Plant(name=name))
-    assert [one.name for one in catalogue.plants()] == [name]
-    assert catalogue.scans(plant=name, treatment=name) == []
-
-
-def test_file_that_a_killed_run_left_empty(tmp_path: Path):
-    path = tmp_path / "x.rhizotwin"
-    with schema._connecting(path) as raw:
-        raw.execute("PRAGMA journal_mode = WAL")
-        raw.close()
-    with Catalogue.open_or_create(path) as made:
-        assert made.plants() == []

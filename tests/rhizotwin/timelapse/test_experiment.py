@@ -2,15 +2,19 @@
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import save_scene
+from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.example import EXAMPLE
 from rhizotwin.timelapse.experiment import EVERY_H, load_experiment
 from rhizotwin.timelapse.table import true_scene
+from tests.rhizotwin.timelapse.conftest import small_scene
 
 
 def test_example_plans_six_plants_for_ten_days(tmp_path: Path):
@@ -90,7 +94,7 @@ def test_mistakes_are_named(make_experiment, old: str, new: str, words: str):
 def test_files_are_relative_to_the_experiment_file(make_experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = make_experiment(plants=1)
     (tmp_path / "mine.toml").write_text("[disturbances]\ncanister_tilt_deg = 2.5\n")
-    (tmp_path / "ball.toml").write_text((tmp_path / "small.toml").read_text().replace("diameter_mm = 10.0", "diameter_mm = 7.0"))
+    save_scene(replace(small_scene(3), specimen=SphereSpecimen(diameter_mm=7.0)), tmp_path / "ball.toml")
     path.write_text(path.read_text().replace('"clean"', '"mine.toml"') + 'scene = "ball.toml"\n')
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")

@@ -21,7 +21,7 @@ from rhizotwin.timelapse.reconstruction import Reconstructor
 from rhizotwin.timelapse.runner import Listener, Runner
 
 
-def test_growth_curves_are_written_if_an_earlier_run_was_killed_before(make_experiment, ball_result):
+def test_growth_curves_that_a_killed_run_did_not_write(make_experiment, ball_result):
     experiment = load_experiment(make_experiment(plants=1, rounds=1))
     Runner(experiment).prepare()
     page = experiment.results_folder / "growth" / "growth.html"
@@ -42,17 +42,19 @@ def test_growth_curves_are_written_if_an_earlier_run_was_killed_before(make_expe
 class SlowBatch:
     """Reconstructions that take two hours of virtual time, unless they are stopped."""
 
-    def __init__(self, calendar: VirtualCalendar) -> None:
+    def __init__(self, calendar: VirtualCalendar, patch: pytest.MonkeyPatch) -> None:
         self._calendar = calendar
-        self.began = list[str]()
-        self.stopped = list[str]()
+        self.began, self.stopped = list[str](), list[str]()
+        patch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
+        patch.setattr("rhizotwin.batches.run.run", self.run)
 
     def run(self, jobs: Sequence[Job], _: str, *, stop: Callable[[], bool], **__: object) -> Batch:
         """Let time pass minute by minute."""
-        self.began += [job.name for job in jobs]
+        names = [job.name for job in jobs]
+        self.began += names
         for _minute in range(120):
             if stop():
-                self.stopped += [job.name for job in jobs]
+                self.stopped += names
                 return Batch(kept=(), done=(), failed=())
             self._calendar.advance(60.0)
         return Batch(kept=(), done=(), failed=tuple((job, "no roots") for job in jobs))
@@ -61,34 +63,23 @@ class SlowBatch:
 def test_reconstruction_does_not_delay_the_next_scan(make_experiment, monkeypatch: pytest.MonkeyPatch):
     experiment = load_experiment(make_experiment(plants=2, rounds=2, schedule="every_h = 1\nlate_h = 0.5"))
     calendar = VirtualCalendar(experiment.start_utc)
-    batch = SlowBatch(calendar)
-    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
-    monkeypatch.setattr("rhizotwin.batches.run.run", batch.run)
+    batch = SlowBatch(calendar, monkeypatch)
     outcome = Runner(experiment, calendar=calendar).run()
     assert (outcome.scanned, outcome.missed) == (4, ())
     assert batch.stopped == ["P1_day_000.00"]
     assert sorted(batch.began[1:]) == ["P1_day_000.00", "P1_day_000.04", "P2_day_000.00", "P2_day_000.04"]
 
 
-def test_results_folder_in_use_does_not_end_the_run(make_experiment, monkeypatch: pytest.MonkeyPatch):
-    experiment, lines = load_experiment(make_experiment(plants=1, rounds=2)), list[str]()
+def test_reconstruction_without_its_folder_or_its_time(make_experiment, monkeypatch: pytest.MonkeyPatch):
+    """A results folder in use does not end the run, and a reconstruction that would take too long is not begun."""
+    experiment, lines = load_experiment(make_experiment(plants=1, rounds=1)), list[str]()
     monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
     experiment.results_folder.mkdir()
     with lock_file(experiment.results_folder / LOCK, what="results"):
-        assert Runner(experiment, listener=Listener(say=lines.append)).run().scanned == 2
-    failed = [line for line in lines if line.startswith("the reconstruction of 1 scan failed: ")]
-    assert len(failed) == 2
-    assert all("is using it" in line for line in failed)
-
-
-def test_reconstruction_that_would_take_too_long_is_not_begun(make_experiment, monkeypatch: pytest.MonkeyPatch):
-    experiment = load_experiment(make_experiment(plants=1, rounds=1))
-    batch = SlowBatch(VirtualCalendar(experiment.start_utc))
-    monkeypatch.setattr("rhizotwin.catalogue.adding.is_sketch", lambda _: False)
-    monkeypatch.setattr("rhizotwin.batches.run.run", batch.run)
-    done = list[str]()
-    Runner(experiment, listener=Listener(on_visit=lambda visit: done.append(visit.state), stop=lambda: "scanned" in done)).run()
-    reconstructor = Reconstructor(experiment, say=print)
+        assert Runner(experiment, listener=Listener(say=lines.append)).run().scanned == 1
+    (failed,) = (line for line in lines if line.startswith("the reconstruction of 1 scan failed: "))
+    assert "is using it" in failed
+    batch, reconstructor = SlowBatch(VirtualCalendar(experiment.start_utc), monkeypatch), Reconstructor(experiment, say=print)
     with Catalogue.open(experiment.catalogue_path) as catalogue:
         stops = iter([False, True, True])
         assert reconstructor.step(catalogue, stop=lambda: next(stops), left_s=60.0)
@@ -103,19 +94,16 @@ def test_rendered_scans_are_reconstructed(tmp_path: Path):
     scene = files.load_scene("radish_day05b")
     plan = CapturePlan(rings=(Ring(views=16),))
     files.save_scene(replace(scene, camera=scene.camera.resized((400, 300)), plan=plan), tmp_path / "scene.toml")
-    text = (
-        'name = "radish"\nrig = "twin"\nscene = "scene.toml"\n[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 2\nevery_h = 72\n'
-    )
-    text += '[twin]\nfidelity = "render"\n[[plants]]\nname = "P1"\ncanister = 1\nsown = "2026-11-26"\n'
-    (tmp_path / "e.toml").write_text(text)
+    schedule = '[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 2\nevery_h = 72\n'
+    plant = '[twin]\nfidelity = "render"\n[[plants]]\nname = "P1"\ncanister = 1\nsown = "2026-11-26"\n'
+    (tmp_path / "e.toml").write_text(f'name = "radish"\nrig = "twin"\nscene = "scene.toml"\n{schedule}{plant}')
     experiment = load_experiment(tmp_path / "e.toml")
     assert Runner(experiment).run().scanned == 2
     with Catalogue.open(experiment.catalogue_path) as catalogue:
         first, second = catalogue.results()
         assert (first.plants, first.day, second.day) == (("P1",), 5.0, 8.0)
         assert {"focal_scale", "panel_level", "canister_tilt_deg"} <= set(first.rig_numbers)
-        lengths = dict(
-            catalogue.rows("SELECT x.day, t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'total_length'")
-        )
+        query = "SELECT x.day, t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'total_length'"
+        lengths = dict(catalogue.rows(query))
         assert lengths[8.0] > lengths[5.0] > 0.0
         assert check(catalogue) == []
