@@ -63,9 +63,8 @@ def table(kind: str, **changes: object) -> Fault:
 def test_bytes_take_their_time_both_ways() -> None:
     talk = _Talk()
     talk.line.write(b"123456789\n", 0.0)
-    for wait_s, heard, answer in ((0.0099, [], b""), (0.0100, [b"123456789\n"], b""), (0.0102, [b"123456789\n"], b"123456789\nok\n")):
-        assert talk.listen(wait_s) == answer
-        assert talk.parrot.heard == heard
+    heard = [(talk.listen(wait_s), list(talk.parrot.heard)) for wait_s in (0.0099, 0.0100, 0.0102)]
+    assert heard == [(b"", []), (b"", [b"123456789\n"]), (b"123456789\nok\n", [b"123456789\n"])]
 
 
 CASES = [
@@ -113,11 +112,11 @@ def test_a_device_breaks_at_its_message_or_is_unplugged() -> None:
     assert talk.ask(b"B\n") == b"B\nok\n"
 
 
-def test_one_bit_is_turned() -> None:
+@pytest.mark.parametrize("amount", [0.0, 0.31, 1.0])
+def test_one_bit_is_turned(amount: float) -> None:
     data = bytes(range(1, 12))
-    for amount in (0.0, 0.31, 1.0):
-        assert sum((a ^ b).bit_count() for a, b in zip(data, corrupt(data, amount), strict=True)) == 1
-        assert corrupt(b"", amount) == b""
+    assert (int.from_bytes(data) ^ int.from_bytes(corrupt(data, amount))).bit_count() == 1
+    assert corrupt(b"", amount) == b""
 
 
 def test_every_kind_is_drawn_within_its_menu() -> None:

@@ -1,9 +1,12 @@
-"""Servo, stepper, lamp and clock of the twin: physics in virtual time."""
+"""Servo, stepper, lamp, clock and carousel of the twin: physics in virtual time."""
 
 import numpy as np
 import pytest
 
+from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.table.ramp import move_s
+from rhizotwin.rig.twin.carousel import LIFT_S, STEP_S, TwinCarousel
+from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.imperfections import CLEAN, Imperfections
 from rhizotwin.rig.twin.servo import DEG_PER_COUNT, Servo
 from rhizotwin.rig.twin.stepper import MICROSTEPS, Stepper
@@ -146,3 +149,29 @@ def test_what_hangs_twists_as_its_equation_says(damping: float) -> None:
         assert swing.twist_deg == pytest.approx(twist, abs=1e-2)
     swing.turn(60.0, 0.0, 0.0)
     assert swing.twist_deg == 0.0
+
+
+def test_canisters_are_changed_in_virtual_time():
+    clock, table = VirtualClock(), list[int]()
+    carousel = TwinCarousel(clock, [1, 7, 0], table.append)
+    carousel.prepare()
+    carousel.load(2)
+    carousel.load(2)
+    assert (table, clock.now_s()) == ([7], LIFT_S + STEP_S)
+    carousel.load(1)
+    carousel.unload()
+    carousel.unload()
+    assert table == [7, 0, 1, 0]
+
+
+@pytest.mark.parametrize(("place", "words"), [(3, "place 3 is empty"), (4, "there is no place 4, only places 1 to 3")])
+def test_places_without_a_canister(place: int, words: str):
+    with pytest.raises(UnsafeError, match=words):
+        TwinCarousel(VirtualClock(), [1, 7, 0], lambda _: None).load(place)
+
+
+def test_blocked():
+    carousel = TwinCarousel(VirtualClock(), [1], lambda _: None)
+    carousel.blocked = True
+    with pytest.raises(UnsafeError, match="remove the obstacle"):
+        carousel.prepare()

@@ -1,9 +1,5 @@
 """The twin's ports: in virtual time by pyserial's own way in, and behind pseudo-terminals in real time."""
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
 import pytest
 import serial
 
@@ -45,10 +41,8 @@ def test_a_read_ends_with_bytes_or_time_out_or_is_refused() -> None:
     assert 0.5 < rig.clock.now_s() < 0.51
     port.write(ASK_ARM)
     port.timeout = 0.0
-    deadline_s = rig.clock.now_s() + 1.0
-    while not port.read(1) and rig.clock.now_s() < deadline_s:  # a loop that only asks gets on, too
-        pass
-    assert rig.clock.now_s() < deadline_s
+    assert any(port.read(1) for _ in range(100_000))  # a loop that only asks gets on, too
+    assert rig.clock.now_s() < 1.6
     port.close()
     with serial.serial_for_url(rig.rig.turntable.port, timeout=None) as board:
         board.write(b"G4 S5\n")
@@ -128,25 +122,3 @@ def test_a_repaired_twin_has_no_fault_left() -> None:
         assert b"External Reset" in port.read(500)
     assert not any(unit.hot or unit.celsius > 50 for unit in rig.world.servos.values())
     assert "reset" not in [fault.kind for _, fault in rig.pending.happened]
-
-
-@pytest.fixture
-def served(tmp_path: Path) -> Iterator[tuple[Twin, Any]]:
-    pty_ports = pytest.importorskip("rhizotwin.rig.twin.pty_ports", reason="needs pseudo-terminals", exc_type=ImportError)
-    rig = twin()
-    ports = pty_ports.PtyPorts(rig.lines, rig.clock, tmp_path, speed=1000.0)
-    ports.start()
-    yield rig, ports
-    ports.stop()
-    assert not ports.paths["table"].exists()
-
-
-def test_any_program_can_open_the_pseudo_terminals(served: tuple[Twin, Any]) -> None:
-    rig, ports = served
-    with opened(str(ports.paths["table"]), timeout=5.0, exclusive=True) as port:
-        port.write(b"G1 X90 F1800\nM400\nM114\n")
-        assert port.read_until(b"X:90.00 ").endswith(b"X:90.00 ")
-    with opened(str(ports.paths["arm"]), timeout=5.0) as port:
-        port.write(ASK_ARM)
-        assert port.read(8)[:5] == bytes.fromhex("55 55 05 05 1c")
-    assert rig.world.table.true_deg == pytest.approx(90.0)
