@@ -6,20 +6,20 @@ import pytest
 from rhizotwin.recon.coverage import background
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from tests.recon.hull.exact_pictures import views_of
+from rhizotwin.scenes.model import Scene
+from tests.recon.hull.exact_pictures import ring_of, views_of
+
+V, U = np.mgrid[0:120, 0:160]
 
 
-def panel(height: int = 120, width: int = 160) -> np.ndarray:
-    v, u = np.mgrid[0:height, 0:width]
-    x, y = 2 * u / width - 1, 2 * v / height - 1
+def panel() -> np.ndarray:
+    x, y = 2 * U / 160 - 1, 2 * V / 120 - 1
     return (40000 * (1 - 0.25 * x**2 - 0.1 * y + 0.05 * x * y)).astype(np.float32)
 
 
 def turned(always_px: int, noise: float, *, views: int = 20, light: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
     """Pictures with a dark band that never leaves the middle, a lateral that wanders, and noise."""
-    rng = np.random.default_rng(0)
-    empty = panel()
+    rng, empty = np.random.default_rng(0), panel()
     stack = np.repeat(empty[None], views, axis=0)
     stack[:, :, 80 - always_px // 2 : 80 + always_px // 2] *= light
     for k in range(views):
@@ -31,23 +31,20 @@ def turned(always_px: int, noise: float, *, views: int = 20, light: float = 0.05
 @pytest.mark.parametrize(
     ("always_px", "noise", "light"), [(0, 0.0, 0.05), (16, 0.01, 0.05), (16, 0.0, 0.0)], ids=["none", "noise", "pitch black"]
 )
-def test_estimate_finds_the_panel_behind_what_always_stands_before_it(always_px: int, noise: float, light: float) -> None:
+def test_the_panel_behind_what_always_hides_it_is_estimated(always_px: int, noise: float, light: float) -> None:
     stack, empty = turned(always_px, noise, light=light)
-    inside = np.ones(empty.shape, bool)
-    inside[:5] = False
-    found, _, glare = background.estimate(stack, inside)
+    found, _, glare = background.estimate(stack, np.broadcast_to(np.arange(len(empty))[:, None] >= 5, empty.shape))
     off = (found / empty - 1)[5:]
     assert np.abs(off).mean() < 0.003 + 0.6 * noise
-    assert abs(float(off.mean())) < 0.002 + 0.5 * noise
+    assert abs(off.mean()) < 0.002 + 0.5 * noise
     assert np.abs(off[:, 72:88]).max() < 0.05
     assert not glare.any()
     assert (found[:5] == 0).all()
 
 
-def test_reflections_are_found_and_do_not_brighten_what_is_behind_a_root() -> None:
+def test_reflections_do_not_brighten_what_is_behind_a_root() -> None:
     stack, empty = turned(16, 0.0)
-    v, u = np.mgrid[0 : empty.shape[0], 0 : empty.shape[1]]
-    spot = ((u - 60) / 5.0) ** 2 + ((v - 50) / 14.0) ** 2 < 1.0
+    spot = ((U - 60) / 5.0) ** 2 + ((V - 50) / 14.0) ** 2 < 1.0
     stack[:, spot] += 12000.0
     found, _, glare = background.estimate(stack, np.ones(empty.shape, bool))
     assert glare[spot].all()
@@ -55,11 +52,10 @@ def test_reflections_are_found_and_do_not_brighten_what_is_behind_a_root() -> No
     assert np.abs(found / empty - 1)[~glare].max() < 0.05
 
 
-def test_a_reflection_is_taken_off_and_a_bright_part_of_the_panel_is_not() -> None:
+def test_a_reflection_is_taken_off_and_a_bright_panel_is_not() -> None:
     """A soft streak a tenth as bright as the panel: reflected by the wall, nothing is hidden by it; the panel's own, roots hide it."""
     stack, empty = turned(0, 0.003, views=30)
-    v, u = np.mgrid[0 : empty.shape[0], 0 : empty.shape[1]]
-    streak = (5000.0 * np.exp(-0.5 * (((u - 70) / 2.0) ** 2 + ((v - 60) / 25.0) ** 4))).astype(np.float32)
+    streak = (5000.0 * np.exp(-0.5 * (((U - 70) / 2.0) ** 2 + ((V - 60) / 25.0) ** 4))).astype(np.float32)
     strong, inside = streak > 0.07 * empty, np.ones(empty.shape, bool)
     found = background.estimate(stack + streak, inside)
     assert not found.glare.any()
@@ -72,12 +68,11 @@ def test_a_reflection_is_taken_off_and_a_bright_part_of_the_panel_is_not() -> No
     assert found.glare[strong].all()
 
 
-def test_a_crowd_that_hides_most_of_the_panel_most_of_the_time_bends_nothing() -> None:
+def test_a_crowd_that_mostly_hides_the_panel_bends_nothing() -> None:
     """Roots before half of the panel in nine of ten views: what they leave free is the panel, and not a reflection on a darker one."""
-    rng = np.random.default_rng(1)
-    empty, views = panel(), 40
-    stack = np.repeat(empty[None], views, axis=0)
-    hidden = rng.random((views, *empty.shape)) < 0.9
+    rng, empty = np.random.default_rng(1), panel()
+    stack = np.repeat(empty[None], 40, axis=0)
+    hidden = rng.random(stack.shape) < 0.9
     stack[:, 15:105, 30:130] *= np.where(hidden, rng.uniform(0.05, 0.9, hidden.shape), 1.0)[:, 15:105, 30:130].astype(np.float32)
     stack[:, 60:100, 70:90] *= 0.05  # and always before some
     found, _, glare = background.estimate(stack, np.ones(empty.shape, bool))
@@ -85,7 +80,7 @@ def test_a_crowd_that_hides_most_of_the_panel_most_of_the_time_bends_nothing() -
     assert np.abs(found / empty - 1).max() < 0.04
 
 
-def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_past_it() -> None:
+def test_views_past_a_wobbling_skirt_give_the_background() -> None:
     stack, empty = turned(0, 0.0)
     inside = np.ones(stack.shape, bool)
     inside[:9, :10] = False  # the skirt hides the upper rows in nine of twenty views
@@ -96,15 +91,15 @@ def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_p
     assert np.abs(found / empty - 1)[4:].max() < 1e-3
 
 
-def masked(ring: Ring) -> tuple[Scene, cameras.View, refraction.Optics, np.ndarray]:
+def masked(**ring: float) -> tuple[Scene, cameras.View, refraction.Optics, np.ndarray]:
     """Return a scene of one ring, its first view, its optics, and where that view sees water."""
-    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(ring,)))
+    scene = ring_of(1, **ring)
     view, optics = views_of(scene)[0], refraction.Optics.from_scene(scene)
     return scene, view, optics, background.water_mask(view, optics, scene)
 
 
 def test_water_mask_ends_below_the_skirt_and_inside_the_walls() -> None:
-    scene, view, optics, mask = masked(Ring())
+    scene, view, optics, mask = masked()
     skirt = np.array([[scene.net_pot.outer_radius_mm, 0.0, scene.net_pot.skirt_bottom_mm]])
     cam = frames.apply(view.cam_from_canister, skirt)[0]
     top = np.flatnonzero(mask[:, 200])[0]
@@ -117,9 +112,9 @@ def test_water_mask_ends_below_the_skirt_and_inside_the_walls() -> None:
     np.testing.assert_array_equal(mask[:, ::-1], mask)
 
 
-def test_a_camera_that_looks_down_does_not_see_the_backlight_through_the_base() -> None:
+def test_a_camera_that_looks_down_sees_no_light_through_the_base() -> None:
     """The wall stands on the base, which is opaque out to the outer wall: below its line there is no backlight to be covered."""
-    _, view, optics, mask = masked(Ring(height_mm=10.0, tilt_deg=8.0))
+    _, view, optics, mask = masked(height_mm=10.0, tilt_deg=8.0)
     bottom = np.flatnonzero(mask[:, 200])[-1]
     line, _ = cameras.water_lines(view, optics, np.array([[200.0, bottom], [200.0, bottom + 2.0]]))
     far_z = line.entry_z_mm + 2.0 * line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)

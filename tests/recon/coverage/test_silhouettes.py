@@ -25,7 +25,8 @@ def outlined_width(coverage: np.ndarray, angle: float) -> float:
 
 @pytest.mark.parametrize("width_px", [1.0, 1.5, 2.0, 4.0, 12.0])
 def test_outline_keeps_the_width_of_strips(width_px: float) -> None:
-    widths = [outlined_width(strip(width_px, angle, offset), angle) for angle in (0.0, 0.2, 0.6) for offset in (0.1, 0.35, 0.6)]
+    drawn = [(strip(width_px, angle, offset, (48, 64)), angle) for angle in (0.0, 0.2, 0.6) for offset in (0.1, 0.35, 0.6)]
+    widths = [outlined_width(*one) for one in drawn]
     assert np.mean(widths) == pytest.approx(width_px, rel=0.05 if width_px < 2 else 0.02)
 
 
@@ -47,9 +48,7 @@ def test_level_distance_of_a_disc_is_the_distance_to_its_circle() -> None:
 
 
 def test_where_nothing_is_seen_the_map_says_so() -> None:
-    coverage, seen = np.zeros((40, 60), np.float32), np.ones((40, 60), bool)
-    seen[:, 30:] = False
-    distance = silhouettes.signed_distance(Silhouette(coverage, seen))
+    distance = silhouettes.signed_distance(Silhouette(np.zeros((40, 60), np.float32), np.mgrid[:40, :60][1] < 30))
     assert (distance[:, 58:] == silhouettes.UNSEEN_PX).all()
     assert (distance[:, :58] < 0).all()
     assert distance[40, 0] == pytest.approx(-29.5, abs=0.6), "the unseen may hide a root: nothing is ruled out there"
@@ -70,14 +69,12 @@ def test_a_speck_before_a_thick_root_changes_no_outline() -> None:
     assert (silhouettes.signed_distance(speck)[2 * 8 : 2 * 16, :60] < 0).all(), "beside the root nothing is covered"
 
 
-def test_measured_coverage_is_the_covered_fraction_whatever_the_light() -> None:
+def test_measured_coverage_is_the_fraction_whatever_the_light() -> None:
     truth = strip(6.0, 0.3, 0.2) + strip(0.8, -0.4, 20.0)
-    x = np.linspace(0.6, 1.0, truth.shape[1], dtype=np.float32)[None]
-    background = 40000 * x * np.ones_like(truth)
-    root = 3000.0
-    image = background * (1 - truth) + root * truth
+    background = (40000 * np.linspace(0.6, 1.0, truth.shape[1]) * np.ones_like(truth)).astype(np.float32)
+    image = (background * (1 - truth) + 3000.0 * truth).astype(np.float32)
     seen = np.ones(truth.shape, bool)
-    found = silhouettes.measure(silhouettes.opacity(image.astype(np.float32), background.astype(np.float32), seen), seen)
+    found = silhouettes.measure(silhouettes.opacity(image, background, seen), seen)
     assert np.abs(found.coverage - np.clip(truth, 0, 1)).max() < 0.03
 
 
@@ -99,3 +96,31 @@ def test_narrow_insides_are_as_deep_as_wide_ones(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(level_distance, "_LOOKS", looks)
         found.append(level_distance.level_distance(value))
     np.testing.assert_allclose(*found, atol=1e-3)
+
+
+def disc(*, radius: float = 30.0, column: float = 50.0) -> np.ndarray:
+    rows, columns = np.mgrid[:100, :100]
+    return (np.hypot(rows - 50.0, columns - column) <= radius).astype(np.float32)
+
+
+def spots_of(coverage: np.ndarray, seen: np.ndarray | None = None) -> np.ndarray:
+    return evidence.bright_spots(Silhouette(coverage, np.ones(coverage.shape, bool) if seen is None else seen))
+
+
+@pytest.mark.parametrize(("away_px", "found"), [(0.0, True), (18.0, True), (26.0, False)])
+def test_a_spot_counts_where_enough_is_full_about_it(away_px: float, found: bool) -> None:
+    coverage = disc()
+    hole = disc(radius=2.0, column=50.0 + away_px) > 0.0
+    coverage[hole] = 0.2
+    np.testing.assert_array_equal(spots_of(coverage), hole & found)
+
+
+def test_gaps_and_what_is_not_seen_are_no_spots() -> None:
+    """Between four roots of 6 px about a gap of 6 px; an open one; a round root; an empty picture; two spots beside each other."""
+    across = np.isin(np.arange(100), [*range(30, 36), *range(42, 48)]).astype(np.float32)
+    pair, blind, seen = disc(), disc(), np.ones((100, 100), bool)
+    pair[49:52, 47:50] = pair[49:52, 52:55] = blind[48:52, 48:52] = 0.0
+    seen[46:54, 46:54] = False
+    shown = np.maximum(across, across[:, None]), disc() - disc(radius=12.0), disc(), np.zeros((50, 50), np.float32), pair
+    assert [spots_of(one).any() for one in shown] == [False] * 5
+    assert not spots_of(blind, seen).any()

@@ -6,11 +6,9 @@ import pytest
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage import measure, silhouettes, translucency
 from rhizotwin.recon.coverage.measure import Coverage
-from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.scenes import plan
-from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
+from tests.recon.hull.exact_pictures import ring_of, views_of
 
 PX_A_MM = 4.0
 WIDE = (1.2, 1.5, 1.8, 2.2, 2.5)
@@ -29,34 +27,27 @@ def picture(mu_per_mm: float, diameters_mm: tuple[float, ...], *, own: float = 0
     return rows[0], rows[1]
 
 
-def learned(opacity: np.ndarray) -> translucency.Attenuation:
-    return translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+def test_resolved_roots_tell_their_attenuation_or_own_brightness() -> None:
+    def learned(opacity: np.ndarray) -> translucency.Attenuation:
+        return translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
 
-
-def test_the_attenuation_comes_from_resolved_roots() -> None:
     assert learned(picture(2.0, WIDE, noise=0.01)[0]).mu_per_mm == pytest.approx(2.0, rel=0.1)
-
-
-def test_opaque_roots_stay_opaque_and_show_their_own_brightness() -> None:
-    attenuation = learned(picture(1e4, WIDE, own=0.05)[0])
-    assert attenuation.mu_per_mm is None
-    assert attenuation.own == pytest.approx(0.05, abs=1e-3)
+    opaque = learned(picture(1e4, WIDE, own=0.05)[0])
+    assert opaque.mu_per_mm is None
+    assert opaque.own == pytest.approx(0.05, abs=1e-3)
 
 
 def test_translucent_roots_get_the_width_they_have() -> None:
     diameters = (0.2, 0.3, 0.45, 0.8, 1.5, 2.2)
     opacity, coverage = picture(2.0, diameters)
     found = translucency.translucent_coverage(opacity, translucency.Attenuation(0.0, 2.0, 100), PX_A_MM)
-    for k in range(len(diameters)):
-        part = np.s_[60, int(36.4 * k) : int(36.4 * k) + 40]
-        assert found[part].sum() == pytest.approx(coverage[part].sum(), rel=0.1)
+    widths, true = ([one[60, int(36.4 * k) : int(36.4 * k) + 40].sum() for k in range(len(diameters))] for one in (found, coverage))
+    assert widths == pytest.approx(true, rel=0.1)
 
 
 def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
-    scene = Scene(camera=Camera().resized((400, 300)))
-    cameras = Cameras.from_views(
-        [View(camera=scene.camera, cam_from_canister=next(iter(plan.views(scene))).cam_from_rig)], Optics.from_scene(scene)
-    )
+    scene = ring_of(1)
+    cameras = Cameras.from_views(views_of(scene), Optics.from_scene(scene))
     opacity, coverage = picture(2.0, (0.3, 0.45, 0.8, 1.5))
     mu_per_mm = 2.0 * measure._px_a_mm(cameras) / PX_A_MM  # the same picture at the camera's scale
     seen = np.ones(opacity.shape, bool)

@@ -1,9 +1,17 @@
 """Small trees whose roots were joined wrongly, and what they should be."""
 
+import json
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from rhizotwin.recon.roots.hierarchy import arrange
+from rhizotwin.recon.roots.root_tree import RootSystem
+from rhizotwin.recon.roots.thick_lines import BURIED_MM, trim_buried
+from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.strings import root
 
@@ -15,27 +23,19 @@ def test_a_right_tree_stays_as_it_is():
     branch = root([7.5, 0, -20], [7.5, 8, -24], diameters=(0.2, 0.2), order=2, parent=1)
     kept = arrange([TAP, LATERAL, branch])
     assert [(one.order, one.parent) for one in kept] == [(0, -1), (1, 0), (2, 1)]
-    for one, original in zip(kept, (TAP, LATERAL, branch), strict=True):
-        np.testing.assert_array_equal(one.points_mm, original.points_mm)
-        np.testing.assert_array_equal(one.diameters_mm, original.diameters_mm)
-
-
-def bent_aside(*, tip_seen: bool = True) -> list[Root]:
-    """Return a taproot that was traced on into a lateral, and what is left of it."""
-    aside = root([0, 0, -20], [10, 0, -26])
-    wrong = Root(
-        points_mm=np.concatenate([TAP.points_mm[:41], aside.points_mm[1:]]),
-        diameters_mm=np.concatenate([TAP.diameters_mm[:41], aside.diameters_mm[1:]]),
-        order=0,
-        parent=-1,
-        tip_seen=tip_seen,
-    )
-    return [wrong, root([0, 0, -20], [0, 0, -40], diameters=(1.5, 1.5), order=1, parent=0)]
+    for name in ("points_mm", "diameters_mm"):
+        joined, original = (np.concatenate([getattr(one, name) for one in roots]) for roots in (kept, (TAP, LATERAL, branch)))
+        np.testing.assert_array_equal(joined, original)
 
 
 def test_the_thick_line_is_the_taproot():
-    traced = bent_aside()
+    """The taproot was traced on into a lateral, whose tip is hidden; its own end was left over, and its tip is seen."""
+    aside, rest = root([0, 0, -20], [10, 0, -26]), root([0, 0, -20], [0, 0, -40], diameters=(1.5, 1.5), order=1, parent=0)
+    points, diameters = (np.concatenate([getattr(TAP, name)[:41], getattr(aside, name)[1:]]) for name in ("points_mm", "diameters_mm"))
+    traced = [Root(points_mm=points, diameters_mm=diameters, order=0, parent=-1, tip_seen=False), rest]
     tap, lateral = arrange(traced)
+    assert (tap.tip_seen, lateral.tip_seen) == (True, False)
+    assert lateral.points_mm[-1, 0] == pytest.approx(10.0)
     assert tap.points_mm[-1] == pytest.approx([0.0, 0.0, -40.0])
     assert tap.diameters_mm.min() == 1.5
     assert lateral.diameters_mm.max() == 0.3
@@ -66,6 +66,41 @@ def test_a_lateral_in_the_basal_zone_is_the_grandparents():
     assert [(one.order, one.parent) for one in arrange([TAP, LATERAL, beside, further])] == [(0, -1), (1, 0), (1, 0), (1, 0)]
 
 
-def test_a_tip_is_seen_where_its_line_ends_though_the_line_began_as_another():
-    found = arrange(bent_aside(tip_seen=False))
-    assert [(root.tip_seen, round(float(root.points_mm[-1, 0]))) for root in found] == [(True, 0), (False, 10)]
+SWOLLEN = root([0, 0, 0], [0, 0, -40], diameters=(12, 12))
+LEVEL = root([0, 0, -20], [30, 0, -20], diameters=(0.6, 0.6), order=1, parent=0)
+
+
+def test_a_lateral_of_a_storage_root_begins_near_its_skin() -> None:
+    second = root([1.5, 0, -20], [1.5, 30, -20], diameters=(0.5, 0.5), order=1, parent=1)
+    _, found, of_lateral = trim_buried([SWOLLEN, LEVEL, second])
+    assert found.points_mm[0] == pytest.approx([6.0 - BURIED_MM, 0.0, -20.0], abs=0.05)
+    assert found.points_mm[-1] == pytest.approx([30.0, 0.0, -20.0])
+    assert polyline.length_mm(found.points_mm) == pytest.approx(25.0, abs=0.05)
+    assert len(found.diameters_mm) == len(found.points_mm)
+    assert np.hypot(*of_lateral.points_mm[0, :2]) == pytest.approx(6.0 - BURIED_MM, abs=0.05), "laterals of laterals too"
+    assert of_lateral.parent == 1
+
+
+@pytest.mark.parametrize(
+    ("parent", "lateral"),
+    [
+        (root([0, 0, 0], [0, 0, -40], diameters=(1.9, 1.9)), LEVEL),
+        (SWOLLEN, root([0, 0, -20], [30, 0, -20], diameters=(4, 4), order=1, parent=0)),
+        (SWOLLEN, root([0, 0, -20], [3, 0, -20], diameters=(0.6, 0.6), order=1, parent=0)),
+    ],
+    ids=["a thin parent", "a thick lateral", "a root that never comes out"],
+)
+def test_where_nothing_has_swollen_laterals_begin_on_the_axis(parent: Root, lateral: Root) -> None:
+    assert trim_buried([parent, lateral]) == (parent, lateral)
+
+
+@pytest.mark.parametrize(
+    ("first", "end", "tips"), [(40, 40, [True]), (15, 25, [False, True]), (15, 40, [False])], ids=["no solid", "through a solid", "into it"]
+)
+def test_a_root_that_enters_a_solid_has_no_tip_there(first: int, end: int, tips: list[bool]) -> None:
+    nodes = np.arange(40)
+    solid = (nodes >= first) & (nodes < end)
+    tubes = Tubes(np.outer(-10.0 - 0.6 * nodes, [0.0, 0.0, 1.0]), np.full(40, 0.4), (nodes,))
+    tree = SimpleNamespace(tubes=tubes, solid=solid, uncertain=np.zeros(40, bool))
+    found = [root.tip_seen for root in RootSystem.roots(cast(RootSystem, tree))]
+    assert json.dumps(found) == json.dumps(tips)  # NumPy's values cannot be written as JSON

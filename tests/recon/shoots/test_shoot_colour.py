@@ -56,7 +56,7 @@ INDICES = {"ndvi": (0.48 - 0.06) / (0.48 + 0.06), "ndre": (0.48 - 0.3) / (0.48 +
 
 
 @pytest.mark.parametrize("curve", [LINEAR, SRGB], ids=["linear", "undeclared curve"])
-def test_reflectances_are_relative_to_the_paper_in_the_same_light(curve: Curve, tmp_path: Path) -> None:
+def test_reflectances_are_relative_to_paper_in_the_same_light(curve: Curve, tmp_path: Path) -> None:
     found = colour_of(tmp_path, curve=curve)
     assert found.values == pytest.approx({f"reflectance_{name}": 0.75 * share for name, share in LEAF.items()} | INDICES, abs=2e-3)
     assert found.warnings == ()
@@ -70,17 +70,12 @@ def test_a_damaged_picture_costs_its_view_and_not_the_index(tmp_path: Path) -> N
     assert "1_nir.png is not used for the colour of the shoot" in found.warnings[0]
 
 
-def test_light_through_the_leaves_counts_for_nothing(tmp_path: Path) -> None:
+def test_light_through_leaves_and_unlit_paper_tell_nothing(tmp_path: Path) -> None:
     """Half of the panel's near infrared comes through a leaf: with the panel on there is no index, and a reason."""
-    found = colour_of(tmp_path, panel_level=0.75)
-    assert found.values == {}
-    assert "panel_level = 0" in found.warnings[0]
-
-
-def test_paper_that_is_not_lit_gives_no_reflectance(tmp_path: Path) -> None:
-    found = colour_of(tmp_path, paper=0.01)
-    assert found.values == {}
-    assert len(found.warnings) == len(LEAF)
+    through, unlit = colour_of(tmp_path, panel_level=0.75), colour_of(tmp_path, paper=0.01)
+    assert through.values == unlit.values == {}
+    assert "panel_level = 0" in through.warnings[0]
+    assert len(unlit.warnings) == len(LEAF)
 
 
 def test_paper_behind_the_camera_or_beyond_the_lens_is_not_read() -> None:
@@ -95,12 +90,9 @@ def test_saturated_paper_is_not_used(tmp_path: Path) -> None:
 
 
 def test_saturated_leaves_give_no_reflectance_and_a_remedy(tmp_path: Path) -> None:
-    """Their true brightness is unknown: clipped near infrared would make the index too small."""
+    """Their true brightness is unknown: clipped near infrared would make the index too small. A highlight alone is no saturation."""
     found = colour_of(tmp_path, bright=20)
     assert set(found.values) == {"reflectance_red", "reflectance_red_edge"}
     assert "2 of 2 pictures in the band nir" in found.warnings[0]
     assert "reduce front_level" in found.warnings[0]
-
-
-def test_a_highlight_on_a_leaf_is_no_saturation(tmp_path: Path) -> None:
     assert "ndvi" in colour_of(tmp_path, bright=1).values

@@ -1,7 +1,6 @@
 """The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -20,8 +19,8 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import occlusion, solid_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Term
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene, Tank
-from tests.recon.hull import exact_pictures
+from rhizotwin.scenes.model import Scene, Tank
+from tests.recon.hull import blocks, exact_pictures
 
 
 def term(less_mm3: float, more_mm3: float, name: str = "outlines") -> Term:
@@ -32,18 +31,11 @@ def budget_of(*terms: Term, **changes: object) -> Budget:
     return Budget(**({"volume_mm3": 100.0, "terms": terms, "views": 40} | changes))
 
 
-@pytest.mark.parametrize(
-    ("terms", "interval_mm3"),
-    [
-        (((3.0, 3.0), (4.0, 4.0)), (95.0, 105.0)),
-        (((3.0, 6.0), (4.0, 8.0)), (95.0, 111.0)),
-        (((0.0, 6.0),), (100.0, 106.0)),
-        (((200.0, 1.0),), (0.0, 101.0)),
-    ],
-    ids=["in quadrature", "what is expected as it is", "one-sided", "never below nothing"],
-)
-def test_terms_add_in_quadrature(terms: tuple[tuple[float, float], ...], interval_mm3: tuple[float, float]) -> None:
-    np.testing.assert_allclose(budget_of(*(term(*one) for one in terms)).interval_mm3, interval_mm3, atol=1e-9)
+def test_terms_add_in_quadrature() -> None:
+    assert budget_of(term(3.0, 3.0), term(4.0, 4.0)).interval_mm3 == pytest.approx((95.0, 105.0))
+    assert budget_of(term(3.0, 6.0), term(4.0, 8.0)).interval_mm3 == pytest.approx((95.0, 111.0)), "what is expected as it is"
+    assert budget_of(term(0.0, 6.0)).interval_mm3 == pytest.approx((100.0, 106.0))
+    assert budget_of(term(200.0, 1.0)).interval_mm3 == pytest.approx((0.0, 101.0)), "never below nothing"
 
 
 @pytest.mark.parametrize("even", [0.0, 1.0, 10.0])
@@ -80,6 +72,17 @@ def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
     assert chosen == list(range(10, 10 + count, 2))
 
 
+def thin_grid(bottom_mm: float) -> Grid:
+    return Grid(np.array([-2.0, -2.0, bottom_mm]), 0.2, 1, (10, 10, 10))
+
+
+def occlusion_of(monkeypatch: pytest.MonkeyPatch, scene: Scene, seen: Callable[[NDArray], NDArray], shape: Leaves) -> Term:
+    """Return what may be hidden of a shape, where ten views see some points."""
+    monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
+    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.from_scene(scene)))
+    return occlusion.occlusion_term(bank, cast(DistanceMaps, None), shape, Water(70.0, -8.0, -150.0))  # only `_votes` looks into maps
+
+
 @pytest.mark.parametrize(
     ("top_mm", "seen", "hidden_mm3"),
     [
@@ -93,22 +96,20 @@ def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
     ids=["up to the water's top", "ends below what is seen", "below", "blind for a while", "beside", "ends in sight"],
 )
 def test_a_shape_may_go_on_wherever_sight_ends(
-    monkeypatch: pytest.MonkeyPatch, top_mm: float, seen: Callable[[NDArray[np.float64]], NDArray[np.bool_]], hidden_mm3: float
+    monkeypatch: pytest.MonkeyPatch, top_mm: float, seen: Callable[[NDArray], NDArray], hidden_mm3: float
 ) -> None:
     """A block of 0.8 x 0.8 x 4 mm on the axis, in water from -8 mm down to -150 mm."""
-    grid = Grid(np.array([-2.0, -2.0, top_mm - 4.0]), 0.2, 1, (10, 10, 10))
-    index = (np.argwhere(np.ones((4, 4, 20), bool)) + np.array([8, 8, 0])).astype(np.int32)
-    block = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
-    monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
-    optics = Optics.from_scene(Scene())
-    bank, maps = cast(ViewBank, SimpleNamespace(count=10, optics=optics)), cast(DistanceMaps, None)  # only `_votes` looks into maps
-    hidden = occlusion.occlusion_term(bank, maps, block, Water(70.0, -8.0, -150.0))
-    assert hidden.less_mm3 == 0.0
-    assert hidden.more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
+    index = np.argwhere(np.ones((4, 4, 20), bool)) + np.array([8, 8, 0])
     ends = (index[:, 2] < 2) | (index[:, 2] > 17)
-    cut = replace(block, occupancy=np.where(ends, 0.3, 1.0).astype(np.float32))  # flat ends inside voxels
+
+    def hidden(occupancy: NDArray[np.float64] | float) -> Term:
+        return occlusion_of(monkeypatch, Scene(), seen, blocks.block(thin_grid(top_mm - 4.0), index, occupancy))
+
+    assert hidden(1.0).less_mm3 == 0.0
+    assert hidden(1.0).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
     share = 1.0 if seen(np.array([[1.0, 0.0, -18.0]]))[0] else 1.0 - 0.2 * 0.7  # of its sides, if these are hidden
-    assert occlusion.occlusion_term(bank, maps, cut, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(share * hidden.more_mm3, rel=0.06)
+    cut = np.where(ends, 0.3, 1.0)  # flat ends inside voxels
+    assert hidden(cut).more_mm3 == pytest.approx(share * hidden(1.0).more_mm3, rel=0.06)
 
 
 @pytest.mark.parametrize("per_mm", [-0.01, 0.0, 0.01, 0.03])
@@ -119,20 +120,14 @@ def test_roots_that_join_upwards_are_wider_where_they_are_hidden(per_mm: float) 
     hidden = float((0.4 + per_mm * (np.arange(40, 50) - 20.0)).mean() / section[30:].mean())  # if the increase continues
     assert found == pytest.approx(1.0 if per_mm <= 0.0 else 2.0 * hidden - 1.0, rel=0.25)
     assert found >= max(hidden, 1.0)
-
-
-def test_what_is_visible_to_its_end_is_not_widened() -> None:
-    assert occlusion._widening(np.arange(9), np.ones(9, np.float32), np.array([8]), np.array([0.0])) == 1.0
-    assert occlusion._widening(np.arange(9), np.ones(9, np.float32), np.array([8]), np.array([7.0])) == 1.0
+    visible = [occlusion._widening(np.arange(9), np.ones(9, np.float32), np.array([8]), np.array([mm])) for mm in (0.0, 7.0)]
+    assert visible == [1.0, 1.0]
 
 
 @pytest.mark.parametrize(("scene", "bends"), [(Scene(), True), (Scene(tank=Tank()), False)], ids=["round wall", "tank"])
 def test_only_a_round_wall_bends_light_away(monkeypatch: pytest.MonkeyPatch, scene: Scene, bends: bool) -> None:
-    grid = Grid(np.array([-2.0, -2.0, -20.0]), 0.2, 1, (10, 10, 10))
-    block = Leaves(grid, np.argwhere(np.ones((4, 4, 20), bool)).astype(np.int32), np.ones(320, np.int32), np.ones(320, np.float32))
-    monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(points[:, 0] < -1.5, 10, 0))
-    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.from_scene(scene)))
-    why = occlusion.occlusion_term(bank, cast(DistanceMaps, None), block, Water(70.0, -8.0, -150.0)).why
+    shape = blocks.block(thin_grid(-20.0), np.argwhere(np.ones((4, 4, 20), bool)))
+    why = occlusion_of(monkeypatch, scene, lambda points: points[:, 0] < -1.5, shape).why
     assert "towards the wall" in why
     assert ("refracts light away" in why) == bends
 
@@ -148,13 +143,12 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     Of a web beside which as much hull had to be kept, most may be there.
     """
     grid, centre, radius = Grid(np.array([38.0, -7.0, -77.0]), 0.25, 1, (28, 28, 28)), np.array([45.0, 0.0, -70.0]), 5.0
-    every = np.argwhere(np.ones((56, 56, 56), bool)).astype(np.int32)
+    every = np.argwhere(np.ones((56, 56, 56), bool))
     out_mm = np.linalg.norm(grid.origin_mm + (every + 0.5) * grid.size_mm - centre, axis=1)
 
     def within(reach_mm: NDArray[np.float64] | float) -> Leaves:
-        occupancy = np.clip(0.5 + (reach_mm - out_mm) / grid.size_mm, 0.0, 1.0).astype(np.float32)
-        some = occupancy > 0.0
-        return Leaves(grid, every[some], np.ones(int(some.sum()), np.int32), occupancy[some])
+        occupancy = np.clip(0.5 + (reach_mm - out_mm) / grid.size_mm, 0.0, 1.0)
+        return blocks.block(grid, every[occupancy > 0.0], occupancy[occupancy > 0.0])
 
     ball = within(radius)
     larger = within(np.where(every[:, 2] > 50, radius + beyond_mm, radius) if beyond_mm else radius + 0.06)  # the web is at the top alone
@@ -163,7 +157,7 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     needed = np.float32(kept * removed_mm3 / ball.volume_mm3())
     trimmed = TrimmedHull(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
     hull = Hull(larger, larger.occupancy, larger.volume_mm3(), 0.0)
-    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
+    scene = exact_pictures.ring_of(8)
     bank = ViewBank.pack(exact_pictures.views_of(scene), Optics.from_scene(scene))
     terms = solid_uncertainty.estimate_terms(bank, hull, hull.leaves, trimmed, slack_px=0.3, half_excess=0.0, missed=0.04, binary=False)
     trimmed_away, disagreeing = (next(one for one in terms if one.name == name) for name in ("trimmed away", "views disagree"))

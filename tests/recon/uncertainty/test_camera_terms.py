@@ -1,4 +1,4 @@
-"""What another canister does to a volume, against the slow way: every point looked for where it agrees best with all views."""
+"""What cameras without markers leave open, against shapes whose volume is known."""
 
 from dataclasses import replace
 
@@ -6,15 +6,48 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from rhizotwin.recon.calibration.cameras import BareUncertainty
 from rhizotwin.recon.hull import carve
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.uncertainty import canister_uncertainty
+from rhizotwin.recon.uncertainty import bare_uncertainty, canister_uncertainty
+from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.canister_uncertainty import CUBE_MM, misread
-from rhizotwin.scenes.model import CapturePlan, Ring, Scene
-from tests.recon.hull.exact_pictures import views_of
+from tests.recon.hull.blocks import block
+from tests.recon.hull.exact_pictures import ring_of, views_of
 
-SCENE = Scene(plan=CapturePlan(rings=(Ring(views=5),)))
+GRID = Grid.over(np.array([-32.0, -32.0, -32.0]), np.array([32.0, 32.0, 0.0]), 1.0)
+
+
+def cube_at(x_mm: int) -> Leaves:
+    """Return a cube of 4 mm whose middle is at (x, 0, -10)."""
+    return block(GRID, np.argwhere(np.ones((4, 4, 4))) + np.array([x_mm - 2, -2, -12]) - np.asarray(GRID.origin_mm))
+
+
+def terms_at(x_mm: int, *, scale: float = 0.0, azimuth_rad: float = 0.0, lift_mm: float = 0.0):
+    known = BareUncertainty(scale=scale, azimuth_rad=azimuth_rad, lift_mm=lift_mm, mm_per_px=0.5)
+    return bare_uncertainty.camera_terms(known, cube_at(x_mm), views=25, mm3_per_px=48.0)
+
+
+def test_a_scale_counts_three_times() -> None:
+    scale, cameras = terms_at(0, scale=0.001)
+    grown = 64.0 * (1.0 + NINETY * 0.001) ** 3 - 64.0
+    assert scale.less_mm3 == scale.more_mm3 == pytest.approx(grown, rel=0.01)
+    assert cameras.more_mm3 == 0.0
+
+
+def test_an_angle_counts_by_distance_and_a_lift_everywhere() -> None:
+    far, farther = (terms_at(x, azimuth_rad=0.01)[1] for x in (10, 20))
+    away = np.sqrt(10.0**2 + 2.0 * 15.0 / 12.0)  # the middles of four cells a side scatter by sqrt(15 / 12)
+    assert far.more_mm3 == pytest.approx(NINETY * 0.01 * away / np.sqrt(2.0) / 0.5 * 48.0, rel=1e-3)
+    assert farther.more_mm3 == pytest.approx(2.0 * far.more_mm3, rel=0.02)
+    assert far.less_mm3 == pytest.approx(0.2 * far.more_mm3)
+    assert [terms_at(x, lift_mm=0.1)[1].more_mm3 for x in (0, 20)] == [pytest.approx(NINETY * 0.1 / 0.5 * 48.0)] * 2
+    assert bare_uncertainty.camera_terms(None, cube_at(0), views=20, mm3_per_px=48.0) == ()
+
+
+SCENE = ring_of(3)
 BELIEVED, VIEWS = Optics.from_scene(SCENE), views_of(SCENE)
 OTHERS = {
     "wall": replace(BELIEVED, inner_radius_mm=BELIEVED.inner_radius_mm - 0.3),
@@ -45,7 +78,7 @@ def test_misread_is_what_looking_for_every_point_gives(name: str) -> None:
 
 
 def test_few_views_give_what_all_give_in_the_order_of_carving(monkeypatch: pytest.MonkeyPatch) -> None:
-    many = views_of(Scene(plan=CapturePlan(rings=(Ring(views=40),))))
+    many = views_of(ring_of(40))
     carved = [many[k] for k in carve.spread(len(many))]
     few = misread(carved, BELIEVED, OTHERS["radius"], POINT_MM)
     monkeypatch.setattr(canister_uncertainty, "VIEWS", len(many))
