@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from rhizotwin.recon.calibration import markers
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.results import result
 from rhizotwin.report import result_pictures as report
+from rhizotwin.sim import specimen
 
 pytestmark = pytest.mark.slow
 
@@ -73,11 +75,13 @@ def stopped(moment: Moment, command: Any, fault: Any, *words: Any, says: str = "
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Simulate a set without disturbance, to compare with."""
+def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Simulate a set of a coarse ball, which the tests simulate too, without disturbance."""
     out = tmp_path_factory.mktemp("small") / "out"
-    assert cli.main([*SIMULATE, "-o", str(out)]) == 0
-    return out
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(specimen, "SPHERE_SUBDIVISIONS", 4)
+        assert cli.main([*SIMULATE, "-o", str(out)]) == 0
+        yield out
 
 
 @pytest.fixture
