@@ -36,7 +36,7 @@ def read(path: Path = PATH) -> list[Record]:
         if not all(isinstance(record["case"]["name"], str) and record["commit"] and record["score"] for record in records):
             raise TypeError("a record is incomplete")
     except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); make it with `./run bench accuracy --update-ladder`.") from None
+        raise UserError(f"{path} is damaged ({error!r}); make it with `./run bench accuracy --update-baseline`.") from None
     return records
 
 

@@ -11,7 +11,7 @@ LADDER = "benchmarks/ladder.json"
 SOURCES = "recon"
 MAX_COMMITS = 60
 """Commits of the reconstruction since the measurement: about a week of work on it, of which a renewal takes a night."""
-RENEW = "./run bench accuracy --update-ladder"
+RENEW = "./run bench accuracy --update-baseline"
 
 
 def check(root: Path) -> Iterator[str]:
