@@ -20,22 +20,10 @@ from tests.command import Command
 
 def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) -> plans.Row:
     variant = plans.Variant(heights=(Height(-42.0),), views=pictures, image_wh=image_wh)
-    return plans.Row(
-        variant=variant,
-        pictures=pictures,
-        volume_error=worst / 2.0,
-        volume_error_worst=worst,
-        volume_errors=(worst / 2.0, -worst),
-        interval_width=0.2,
-        interval_holds=1.0,
-        length_error=-0.01,
-        length_error_worst=0.02,
-        length_errors=(-0.02, 0.0),
-        recall=0.9,
-        precision=0.9,
-        capture_min=1.0,
-        compute_s=10.0,
-    )
+    volume = {"volume_error": worst / 2.0, "volume_error_worst": worst, "volume_errors": (worst / 2.0, -worst)}
+    length = {"length_error": -0.01, "length_error_worst": 0.02, "length_errors": (-0.02, 0.0)}
+    shares = {"interval_width": 0.2, "interval_holds": 1.0, "recall": 0.9, "precision": 0.9}
+    return plans.Row(variant=variant, pictures=pictures, capture_min=1.0, compute_s=10.0, **volume, **length, **shares)
 
 
 def test_every_ring_of_a_variant_looks_at_the_same_point():
@@ -55,7 +43,7 @@ def test_every_ring_of_a_variant_looks_at_the_same_point():
     assert first == pytest.approx([0.0, 1.0 / 3.0, 2.0 / 3.0])  # no two views have one direction
 
 
-def test_rings_of_a_variant_keep_span_jitter_and_bands_of_the_first_ring():
+def test_rings_of_a_variant_are_like_the_first_ring():
     scene = files.load_scene("radish_bands")
     variant = plans.Variant(heights=(Height(-42.0), Height(10.0)), views=10, image_wh=(400, 300))
     assert capture.count_pictures(variant.of(scene)) == 20  # the first ring has one band of six
@@ -63,18 +51,23 @@ def test_rings_of_a_variant_keep_span_jitter_and_bands_of_the_first_ring():
     rings = variant.of(replace(scene, plan=replace(scene.plan, rings=(first,)))).plan.rings
     assert [(ring.span_deg, ring.jitter_mm, ring.jitter_deg) for ring in rings] == [(120.0, 2.0, 0.5)] * 2
     assert [ring.first_deg for ring in rings] == pytest.approx([0.0, 6.0])
+    patch = Ring(views=3, distance_mm=200.0, first_deg=30.0, span_deg=90.0)
+    turn = replace(Scene(), plan=CapturePlan(rings=(Ring(views=4), patch)))
+    assert [view.table_deg for view in capture.views(turn)] == pytest.approx([0.0, 90.0, 180.0, 270.0, 30.0, 60.0, 90.0])
 
 
-def test_the_second_ring_of_the_ladder_can_be_asked_for():
-    words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42", "--heights=-42,10:8"]
-    asked = command_line.bind(words)[1].arguments["grid"].heights[1]
-    variant = plans.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(800, 600))
+def test_rings_are_asked_for_on_the_command_line():
+    words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42,10:8", "--heights=-42,-14:0@200"]
+    asked = command_line.bind(words)[1].arguments["grid"].heights
+    ladder, near = (plans.Variant(heights=tuple(Height(*one) for one in own), views=40, image_wh=(800, 600)) for own in asked)
+    assert (ladder.name, near.name) == ("40x800x600_at_-42_10tilt8", "40x800x600_at_-42_-14tilt0from200")
     scene = files.load_scene("radish_day05a")
-    assert variant.of(scene).plan == cases.Pictures(scene="radish_day05a", rings=2).scene_to_render().plan
-    assert variant.name == "40x800x600_at_-42_10tilt8"
+    assert ladder.of(scene).plan == cases.Pictures(scene="radish_day05a", rings=2).scene_to_render().plan
+    rings = near.of(scene).plan.rings
+    assert [(ring.height_mm, ring.distance_mm, ring.tilt_deg) for ring in rings] == [(-42.0, 400.0, 0.0), (-14.0, 200.0, 0.0)]
 
 
-def test_table_and_csv_have_a_row_a_plan():
+def test_a_table_has_a_row_a_plan_and_the_cheapest_is_named():
     rows = [row(20, 0.09), replace(row(40, 0.02), length_error=None, length_error_worst=None, length_errors=())]
     lines = plan_report.table(rows).splitlines()
     assert len(lines) == 6
@@ -85,9 +78,6 @@ def test_table_and_csv_have_a_row_a_plan():
     csv_lines = plan_report.csv_text(rows).splitlines()
     assert len({line.count(",") for line in csv_lines}) == 1
     assert csv_lines[1].startswith("-42,20,800x600,20,0.045,0.09,")
-
-
-def test_the_cheapest_plan_that_is_good_enough_is_named():
     rows = [row(20, 0.09), row(41, 0.02), row(40, 0.04), row(30, 0.04, image_wh=(1600, 1200))]
     assert planning.best(rows, within=0.05) is rows[2]
     assert planning.best(rows, within=0.01) is None
@@ -134,17 +124,8 @@ def test_the_pictures_of_all_bands_are_counted(tmp_path: Path, monkeypatch: pyte
     assert f"{2 * 2 * 10 * len(scene.camera.bands)} pictures in 2 runs" in said[0]
 
 
-def test_a_ring_has_a_distance_of_its_own():
-    words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42,-14:0@200"]
-    asked = command_line.bind(words)[1].arguments["grid"].heights[0]
-    variant = plans.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(400, 300))
-    rings = variant.of(files.load_scene("radish_day05a")).plan.rings
-    assert [(ring.height_mm, ring.distance_mm, ring.tilt_deg) for ring in rings] == [(-42.0, 400.0, 0.0), (-14.0, 200.0, 0.0)]
-    assert variant.name == "40x400x300_at_-42_-14tilt0from200"
-
-
 @pytest.mark.parametrize(("height_mm", "distance_mm", "blind"), [(-42.0, 400.0, False), (-22.0, 200.0, True), (-14.0, 200.0, False)])
-def test_a_ring_that_sees_no_strip_is_said_before_pictures_are_taken(height_mm: float, distance_mm: float, blind: bool):
+def test_a_ring_that_sees_no_strip_is_said_beforehand(height_mm: float, distance_mm: float, blind: bool):
     """As simulated scans of 400x300: at -22 mm no markers were found in any of 40 pictures, at -14 mm in all."""
     ring = Ring(height_mm=height_mm, distance_mm=distance_mm)
     scene = replace(Scene(camera=Camera().resized((400, 300))), plan=CapturePlan(rings=(Ring(), ring)))
@@ -154,15 +135,9 @@ def test_a_ring_that_sees_no_strip_is_said_before_pictures_are_taken(height_mm: 
     assert marker_warnings(replace(scene, strip=replace(scene.strip, rows=0))) == []
 
 
-def test_a_telecentric_camera_sees_as_many_markers_from_any_distance():
+def test_a_telecentric_camera_sees_markers_from_any_distance():
     camera = Camera(kind="telecentric", mm_per_px=0.3, focal_px=(1e5, 1e5))
     scenes = [replace(Scene(camera=camera), plan=CapturePlan(rings=(Ring(distance_mm=distance),))) for distance in (150.0, 900.0)]
     assert [marker_warnings(scene) for scene in scenes] == [[], []]
     near = replace(scenes[0], camera=replace(camera, mm_per_px=0.1))  # the picture ends 30 mm above its centre, below the strip
     assert marker_warnings(near)
-
-
-def test_a_patch_is_a_part_of_a_turn():
-    patch = Ring(views=3, distance_mm=200.0, first_deg=30.0, span_deg=90.0)
-    scene = replace(Scene(), plan=CapturePlan(rings=(Ring(views=4), patch)))
-    assert [view.table_deg for view in capture.views(scene)] == pytest.approx([0.0, 90.0, 180.0, 270.0, 30.0, 60.0, 90.0])

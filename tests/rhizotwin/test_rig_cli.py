@@ -49,25 +49,25 @@ def test_scan_of_the_twin(scene: Path, tmp_path: Path, command: Command) -> None
     assert load_dataset(tmp_path / "d").frames == dataset.frames
 
 
-def test_a_tank_is_scanned(scene: Path, tmp_path: Path, command: Command) -> None:
-    inside = tmp_path / "tank.toml"
-    inside.write_text(scene.read_text(encoding="utf-8") + "\n[tank]\nlevel_mm = -8.0\n", encoding="utf-8")
-    command.works("scan", "--rig", "twin", "--scene", inside, "-o", tmp_path / "d", *SKETCH)
-    assert load_dataset(tmp_path / "d").scene.tank == Tank(level_mm=-8.0)
-
-
-def test_plan_of_another_file(scene: Path, tmp_path: Path, command: Command) -> None:
+def test_plan_of_another_file_and_a_tank(scene: Path, tmp_path: Path, command: Command) -> None:
     (tmp_path / "plan.toml").write_text("[[plan.rings]]\nviews = 2\nheight_mm = -20.0\n")
     (tmp_path / "none.toml").write_text('name = "none"\n')
     words = ("scan", "--rig", "twin", "--scene", scene, *SKETCH)
     command.works(*words, "-o", tmp_path / "d", "--plan", tmp_path / "plan.toml")
     assert len(load_dataset(tmp_path / "d").frames) == 2
+    inside = tmp_path / "tank.toml"
+    inside.write_text(scene.read_text(encoding="utf-8") + "\n[tank]\nlevel_mm = -8.0\n", encoding="utf-8")
+    command.works("scan", "--rig", "twin", "--scene", inside, "-o", tmp_path / "t", "--plan", tmp_path / "plan.toml", *SKETCH)
+    assert load_dataset(tmp_path / "t").scene.tank == Tank(level_mm=-8.0)
     command.fails(*words, "-o", tmp_path / "e", "--plan", tmp_path / "none.toml", named=["none.toml: the table [[plan.rings]] is missing"])
     command.fails(*words, "-o", tmp_path / "d", "--resume", named=["contains a scan with different values of scene.plan.rings.1.views"])
 
 
 def test_check_of_the_twin_and_of_a_rig_that_is_not_there(scene: Path, tmp_path: Path, command: Command) -> None:
     assert command.works("rig", "check", "twin", "--scene", scene, "--profile", "clean").out.startswith("turntable  ok")
+    command.works("rig", "example", "-o", tmp_path / "rig.toml")
+    assert load_rig(tmp_path / "rig.toml").name == "my_rig"
+    command.fails("rig", "example", "-o", tmp_path / "rig.toml", named=["already exists"])
     (tmp_path / "rig.toml").write_text('[turntable]\nport = "/dev/no-table"\n[camera]\nkind = "v4l2"\naddress = "/dev/no-camera"\n')
     told = command.fails("rig", "check", tmp_path / "rig.toml", named=["2 checks of rig failed"]).out
     assert "turntable  WRONG /dev/no-table does not exist" in told
@@ -80,12 +80,6 @@ def test_jog_from_a_pipe(scene: Path, command: Command, monkeypatch: pytest.Monk
     assert "table at 9.000 deg" in command.works(*words).out
     monkeypatch.setattr(sys, "stdin", io.StringIO("table sideways\nhome 0\n"))
     assert "table at" not in command.fails(*words, named=["'table sideways' is invalid; usage: table +9"]).out
-
-
-def test_example_is_written_once(tmp_path: Path, command: Command) -> None:
-    command.works("rig", "example", "-o", tmp_path / "rig.toml")
-    assert load_rig(tmp_path / "rig.toml").name == "my_rig"
-    command.fails("rig", "example", "-o", tmp_path / "rig.toml", named=["already exists"])
 
 
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGKILL], ids=lambda number: number.name)
