@@ -1,29 +1,28 @@
 """Jobs in processes of this computer: memory, stopping, processes that die."""
 
 import json
-import os
-import signal
-import subprocess
 import threading
 import time
-from multiprocessing import Pipe
+from multiprocessing import Pipe, active_children
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
-from rhizotwin.batches import jobs, local
+from rhizotwin.batches import jobs, local, work
 from rhizotwin.batches.jobs import Outcome
+from rhizotwin.batches.run import LOCK, run
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import lock_file
 from tests.rhizotwin.batches.conftest import dataset, job
+from tests.rhizotwin.browser import wait
 
 
 def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[str] = []
-
-    class Line:
-        def send(self, plain: dict[str, object]) -> None:
-            given.append(str(plain["name"]))
-
-    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(None, Line()))
+    line = SimpleNamespace(send=lambda plain: given.append(plain["name"]))
+    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(None, line))
     waiting = [job("large", tmp_path, pixels=40e6), job("huge", tmp_path, pixels=90e6), job("small", tmp_path, pixels=2e6)]
     crew: list[local._Worker] = []
     local._hand_out(waiting, crew, 8, waiting[0].memory_mib + waiting[2].memory_mib)
@@ -35,71 +34,52 @@ def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: p
 
 def test_jobs_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     killed: list[str] = []
-
-    class Process:
-        def kill(self) -> None:
-            killed.append("killed")
-
-        def join(self) -> None:
-            killed.append("joined")
-
+    process = SimpleNamespace(kill=lambda: killed.append("killed"), join=lambda: killed.append("joined"))
     line, _other = Pipe()
-    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(Process(), line))
+    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(process, line))
     monkeypatch.setattr(local, "LOOK_S", 0.01)
     stops = iter([False, False, True])
     assert list(local.run([job("a", tmp_path)], workers=1, stop=lambda: next(stops))) == []
     assert killed == ["killed", "joined"]
 
 
-def test_a_damaged_scan_fails_with_its_sentence_and_a_killed_process_is_replaced(tmp_path: Path) -> None:
+def test_a_damaged_scan_fails_and_a_killed_process_is_replaced(tmp_path: Path) -> None:
     bad = dataset(tmp_path / "bad")
     given = [job(f"job{k}", tmp_path, source=str(bad)) for k in range(3)]
-    outcomes: dict[str, Outcome] = {}
-    before = _children()
+    before = set(active_children())
 
     def kill() -> None:
         """Kill the first process while it loads."""
-        for _ in range(200):
-            new = [child for child in _children() - before if "spawn_main" in _command(child)]
-            if new:
-                time.sleep(0.5)
-                os.kill(new[0], signal.SIGKILL)
-                return
-            time.sleep(0.05)
+        (process,) = wait(lambda: set(active_children()) - before, "a process")
+        time.sleep(0.5)
+        process.kill()
 
     killer = threading.Thread(target=kill)
     killer.start()
-    for one, outcome in local.run(given, workers=1):
-        assert one.name not in outcomes  # nothing twice
-        outcomes[one.name] = outcome
+    outcomes = list(local.run(given, workers=1))
     killer.join()
-    assert {outcome.state for outcome in outcomes.values()} == {"failed"}
-    assert all("the picture is missing" in outcome.sentence for outcome in outcomes.values())
+    assert sorted(one.name for one, _ in outcomes) == ["job0", "job1", "job2"]  # nothing twice
+    assert {outcome.state for _, outcome in outcomes} == {"failed"}
+    assert all("the picture is missing" in outcome.sentence for _, outcome in outcomes)
     record = json.loads((tmp_path / jobs.RECORDS / "job1.json").read_text(encoding="utf-8"))
     assert (record["state"], record["key"]) == ("failed", "k")
 
 
 @pytest.mark.parametrize(("code", "named"), [(-9, "signal SIGKILL"), (-40, "signal 40"), (3, "exit code 3")])
 def test_a_process_that_died_names_its_signal(code: int, named: str, tmp_path: Path) -> None:
-    class Dead:
-        exitcode = code
-
-        def join(self) -> None:
-            pass
-
     ours, theirs = Pipe()
     theirs.close()
-    worker = local._Worker(Dead(), ours, job("a", tmp_path))
+    worker = local._Worker(SimpleNamespace(exitcode=code, join=lambda: None), ours, job("a", tmp_path))
     assert f"died ({named})" in local._hear(worker, [worker]).sentence
 
 
-def _children() -> set[int]:
-    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(os.getpid())], capture_output=True, text=True, check=False)
-    return {int(word) for word in listed.stdout.split()}
+def test_a_full_disk_is_not_the_scans_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = Mock(side_effect=OSError(28, "No space left on device", "result"))
+    monkeypatch.setattr(work, "_reconstruct", full)
+    outcome = Outcome(**work.work(job("a", tmp_path).plain()))
+    assert (outcome.state, outcome.sentence) == ("again", "result: the disk is full; free some space and run the same command again")
 
 
-def _command(pid: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")
-    except OSError:
-        return ""
+def test_two_batches_do_not_work_in_one_folder(tmp_path: Path) -> None:
+    with lock_file(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="is using it"):
+        run([job("a", tmp_path)], str(tmp_path))

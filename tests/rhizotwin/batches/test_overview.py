@@ -15,7 +15,7 @@ from tests.command import Command
 from tests.rhizotwin.batches.conftest import job
 
 
-def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result: Callable[..., Path], tmp_path: Path) -> None:
+def test_the_table_and_the_page_name_plants_and_failures(ball_result: Callable[..., Path], tmp_path: Path) -> None:
     ball_result("one", subject={"plant": "P<1>", "treatment": "low N"})
     (tmp_path / "two").mkdir()
     overview.write(tmp_path, [job("one", tmp_path)], [(job("two", tmp_path), "the picture <x> is missing")])

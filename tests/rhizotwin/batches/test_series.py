@@ -30,9 +30,8 @@ def test_series_name_plants_days_and_treatments() -> None:
 
 def test_no_variation_replaces_another_of_the_same_name(tmp_path: Path, command: Command) -> None:
     scene = files.load_scene("radish_day05a")
-    with pytest.raises(UserError, match="have the same name"):
-        series.vary(scene, treatments=(("low N", 0.85, ()), ("low_N", 0.9, ())))
-    with pytest.raises(UserError, match="have the same name"):
-        series.vary(scene, days=(5.01, 5.04))
+    for same in ({"treatments": (("low N", 0.85, ()), ("low_N", 0.9, ()))}, {"days": (5.01, 5.04)}):
+        with pytest.raises(UserError, match="have the same name"):
+            series.vary(scene, **same)
     words = ("batch", "simulate", "radish_day05a", "radish_day05a", "--plants", 2, "-o", tmp_path / "scans")
     command.fails(*words, named=["two scenes have the same name"])
