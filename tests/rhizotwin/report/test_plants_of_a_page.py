@@ -1,5 +1,6 @@
 """Several plants on a result's page: a plant has no volume where the whole has none."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import page
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
-from rhizotwin.scenes.traits import measure_traits
+from rhizotwin.scenes.traits import Traits, measure_traits
 
 EMPTY = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))
 
@@ -20,32 +21,22 @@ def rod(plant: str, x: float) -> Root:
     return Root(points_mm=points, diameters_mm=np.full(11, 2.0), order=0, parent=-1, plant=plant)
 
 
+def of_roots(roots: Sequence[Root]) -> Traits:
+    points_mm = np.concatenate([root.points_mm for root in roots])
+    return measure_traits(roots, points_mm, volume_mm3=126.0 * len(roots), surface_mm2=251.0 * len(roots))
+
+
 @pytest.mark.parametrize("trusted", [True, False])
 def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> None:
     roots = (rod("A", 0.0), rod("B", 9.0))
+    known = {"volume_mm3": 126.0, "volume_interval_mm3": (120.0, 130.0), "open_mm": 0.0}
     plants = [
-        PlantResult(
-            subject=Subject(plant=root.plant),
-            at_mm=(float(root.points_mm[0, 0]), 0.0),
-            volume_mm3=126.0,
-            volume_interval_mm3=(120.0, 130.0),
-            open_mm=0.0,
-            traits=measure_traits([root], root.points_mm, volume_mm3=126.0, surface_mm2=251.0),
-        ).plain()
+        PlantResult(subject=Subject(plant=root.plant), at_mm=(root.points_mm[0, 0], 0.0), traits=of_roots([root]), **known).plain()
         for root in roots
     ]
-    summary = {
-        "plants": plants,
-        "volume_trusted": trusted,
-        "volume_verdict": "",
-        "settings": {},
-        "volume_mm3": 252.0,
-        "views": [],
-        "volume_budget": {"focal": 0.01},
-        "volume_interval_mm3": (240.0, 260.0),
-    }
-    traits = measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=252.0, surface_mm2=502.0)
-    shown = page._plants(page._Report(Path("result"), summary, roots, EMPTY, traits, None))
+    volume = {"volume_trusted": trusted, "volume_verdict": "", "volume_mm3": 252.0, "volume_interval_mm3": (240.0, 260.0)}
+    summary = volume | {"plants": plants, "settings": {}, "views": [], "volume_budget": {"focal": 0.01}}
+    shown = page._plants(page._Report(Path("result"), summary, roots, EMPTY, of_roots(roots), None))
     assert (" ml</td>" in shown) is trusted
     assert (">40</td>" in shown) is trusted  # their lengths
     assert ("not reliable" in shown) is not trusted
