@@ -12,6 +12,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
+assert len(NOTEBOOKS) >= 2
 SHOW = "_shown = {}\nassert getattr(_shown, '_repr_html_', lambda: None)() or repr(_shown)"
 """What a notebook does with the last line of a cell, if it is a value: HTML where it has any, else its text."""
 
@@ -26,17 +27,11 @@ def program_of(notebook: dict) -> str:
     return "\n".join(cells)
 
 
-def test_there_are_examples() -> None:
-    assert len(NOTEBOOKS) >= 2
-
-
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_example_runs(path: Path, tmp_path: Path) -> None:
     notebook = json.loads(path.read_text(encoding="utf-8"))
     assert not any(cell.get("outputs") for cell in notebook["cells"]), "clear the outputs before committing"
     (tmp_path / "example.py").write_text(program_of(notebook), encoding="utf-8")
-    paths = {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "example.py"], cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, timeout=900, check=False
-    )
+    words, env = [sys.executable, "example.py"], os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr

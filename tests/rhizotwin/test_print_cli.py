@@ -11,9 +11,7 @@ from rhizotwin.scenes.files import load_scene
 from tests.command import Command
 
 
-def test_the_strip_and_the_board_are_written_and_nothing_is_overwritten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
-) -> None:
+def test_strip_and_board_are_written_and_never_overwritten(tmp_path: Path, monkeypatch, command: Command) -> None:
     monkeypatch.chdir(tmp_path)
     assert "must be 159.2 mm" in command.works("markers printed_8ml -o strip.pdf").out
     command.works("calibrate board -o board.svg --squares 6x5 --square-mm 25")
