@@ -15,17 +15,15 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
-from tests.recon.hull.exact_pictures import views_of
+from tests.recon.hull.exact_pictures import ring_of, views_of
 
 
 def line(*corners: tuple[float, float, float], step: float = 0.1) -> np.ndarray:
     """Return points along straight pieces."""
-    pieces = []
-    for a, b in pairwise(corners):
-        count = max(2, round(float(np.linalg.norm(np.subtract(b, a))) / step) + 1)
-        pieces.append(np.linspace(a, b, count))
+    counts = [max(2, round(float(np.linalg.norm(np.subtract(b, a))) / step) + 1) for a, b in pairwise(corners)]
+    pieces = [np.linspace(a, b, count) for (a, b), count in zip(pairwise(corners), counts, strict=True)]
     return np.concatenate([pieces[0], *(piece[1:] for piece in pieces[1:])])
 
 
@@ -64,7 +62,7 @@ def drawn(system: tubes.Tubes, empty: Evidence, *, noise: float = 0.0, opacity: 
     return Evidence.from_silhouettes(empty.bank, shown, empty.window)
 
 
-SCENE = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=12),)))
+SCENE = ring_of(12)
 
 
 @cache
@@ -82,18 +80,18 @@ def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:
     return drawn(system, nothing(), noise=noise)
 
 
-def at_rest(found: tubes.Tubes, *, px_a_mm: float, solids_mm: np.ndarray | None = None, blur_px: float = 0.0) -> RootSystem:
-    """Return tubes as roots without solids; ``solids_mm`` (M, 3) puts one beside them."""
+def at_rest(found: tubes.Tubes, *, px_a_mm: float, blur_px: float = 0.0, seen: Evidence | None = None) -> RootSystem:
+    """Return tubes as roots without solids, in given pictures or where nothing is to be seen."""
     no_nodes = np.zeros(len(found.radius_mm), bool)
     return RootSystem(
         tubes=found,
         solid=no_nodes,
-        solids_mm=np.zeros((0, 3)) if solids_mm is None else solids_mm,
+        solids_mm=np.zeros((0, 3)),
         core_mm=np.zeros((0, 3)),
         margin_mm=0.6,
         px_a_mm=px_a_mm,
         attenuation=TubeAttenuation.opaque(),
-        evidence=replace(pictured(found), blur_px=blur_px),
+        evidence=replace(nothing() if seen is None else seen, blur_px=blur_px),
         cameras=standing(),
         uncertain=no_nodes,
     )

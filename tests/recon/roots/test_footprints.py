@@ -8,7 +8,7 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.roots import density
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.hull.exact_pictures import ring_of
 from tests.recon.strings import blank_of
 
 VIEWS, WIDTH, HEIGHT = 5, 200, 150
@@ -17,7 +17,7 @@ VIEWS, WIDTH, HEIGHT = 5, 200, 150
 @pytest.fixture(scope="module")
 def seen() -> Evidence:
     """Evidence that says nothing in the left half of the second picture."""
-    empty = blank_of(Scene(camera=Camera().resized((WIDTH, HEIGHT)), plan=CapturePlan(rings=(Ring(views=VIEWS),))))
+    empty = blank_of(ring_of(VIEWS, (WIDTH, HEIGHT)))
     told, rng = np.ones((VIEWS, HEIGHT, WIDTH), bool), np.random.default_rng(5)
     told[1, :, : WIDTH // 2] = False
     return Evidence.from_silhouettes(empty.bank, [Silhouette(rng.random((HEIGHT, WIDTH)).astype(np.float32), part) for part in told])

@@ -3,31 +3,30 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.roots import ghosts, node_support
+from rhizotwin.recon.roots import ghosts, node_support, rooting, tips
 from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tube_picture import Rendering
-from tests.recon.strings import TRUNK, line, pictured, strung
+from rhizotwin.scenes.monitor import Monitor
+from tests.recon.strings import TRUNK, TWIG, at_rest, line, pictured, strung
 
 
-def test_an_end_is_uncertain_where_little_shows_much_is_left_and_another_root_is_near():
+@pytest.mark.parametrize(
+    ("branch", "shown", "share", "expected"),
+    [(7, 0.05, 0.3, True), (7, 0.5, 0.3, False), (7, 0.25, 0.02, False), (3, 0.05, 0.02, False), (3, 0.05, 0.9, True)],
+    ids=["near and hidden", "it shows", "it leaves little", "hidden but free, leaves no more than others", "hidden and free, leaves much"],
+)
+def test_hidden_ends_near_others_are_uncertain(branch: int, shown: float, share: float, expected: bool):
     angle = np.arange(6) * 2.0 * np.pi / 6.0
     laterals = [line((0.0, 0.0, -24.0 - 4.0 * k), (4.0 * np.cos(a), 4.0 * np.sin(a), -27.0 - 4.0 * k)) for k, a in enumerate(angle)]
     beside = line((0.0, 0.0, -44.0), (0.4, 0.0, -46.0))  # its tip is 0.2 mm from the trunk's surface, those of the others far
-    system, near = strung(TRUNK, *laterals, beside), 7
-    for branch, shown, share, expected in (
-        (near, 0.05, 0.3, True),
-        (near, 0.5, 0.3, False),  # it shows
-        (near, 0.25, 0.02, False),  # it leaves little
-        (3, 0.05, 0.02, False),  # hidden, but it stands free of all others and leaves no more than they do
-        (3, 0.05, 0.9, True),
-    ):
-        own = system.owner == branch
-        visible, left = np.where(own, shown, 0.5), np.where(own, share, 0.02)
-        judged = ghosts.find_uncertain_ends(system, visible, node_support.Support(1.0 - left, left, left), np.zeros(len(own), bool))
-        np.testing.assert_array_equal(judged, own & expected)
+    system = strung(TRUNK, *laterals, beside)
+    own = system.owner == branch
+    visible, left = np.where(own, shown, 0.5), np.where(own, share, 0.02)
+    judged = ghosts.find_uncertain_ends(system, visible, node_support.Support(1.0 - left, left, left), np.zeros(len(own), bool))
+    np.testing.assert_array_equal(judged, own & expected)
 
 
-def test_a_second_tube_of_a_root_and_a_detour_beside_one_explain_little():
+def test_a_second_tube_and_a_detour_beside_one_explain_little():
     def hanging(x: float, *on: tuple[float, float, float]) -> np.ndarray:
         return line((0.0, 0.0, -26.0), (x, 0.0, -28.0), (x, 0.0, -48.0), *on)
 
@@ -35,12 +34,61 @@ def test_a_second_tube_of_a_root_and_a_detour_beside_one_explain_little():
     found = strung(TRUNK, hanging(0.7), hanging(0.1), hanging(-0.1, (12.0, 0.0, -52.0)), radius_mm=0.3)
     beside = found.centre_mm[:, 0] < 0.3
     found = tubes.with_geometry(found, found.centre_mm, np.where((found.owner >= 2) & beside, 0.1, 0.3))
-    unproven = ghosts.find_unsupported_starts(
-        found, node_support.compute_support(Rendering.draw(seen, found)), np.zeros(len(found.radius_mm), bool)
-    )
+    support = node_support.compute_support(Rendering.draw(seen, found))
+    unproven = ghosts.find_unsupported_starts(found, support, np.zeros(len(found.radius_mm), bool))
     np.testing.assert_array_equal(unproven[found.owner < 3], found.owner[found.owner < 3] == 2)
     detour, last = unproven[found.own(3)], found.cut_detours(unproven)
     assert 34 <= detour.sum() <= 48  # 24 mm of it, and what follows until it shows more
     assert not detour[48:].any()
     assert last.owner[last.branches[3][0]] == 1
     assert last.centre_mm[last.branches[3][0], 2] == pytest.approx(-48.0, abs=1.5)
+
+
+def test_a_branch_that_no_picture_shows_is_removed_in_the_end() -> None:
+    """After the fit, the branch is as thin as tubes can be; without its removal, its length would still count."""
+    false = line((0.0, 0.0, -25.0), (-8.0, 4.0, -30.0), (-10.0, 6.0, -45.0))
+    true, found = strung(TRUNK, TWIG), strung(TRUNK, TWIG, false)
+    tree = at_rest(found, px_a_mm=3.2, seen=pictured(true, noise=0.003))
+    system = rooting.finish_tree(tree, monitor=Monitor())
+    assert len(system.tubes.branches) == 2
+    assert system.tubes.length_mm == pytest.approx(true.length_mm, rel=0.01)
+    assert len(system.solid) == len(system.uncertain) == len(system.tubes.radius_mm)
+    assert np.median(system.tubes.radius_mm) == pytest.approx(0.2, rel=0.05)
+
+
+SHORT = line((0.0, 0.0, -20.0), (0.0, 0.0, -40.0))
+SIDEWAYS = line((0.0, 0.0, -28.0), (12.0, 3.0, -34.0))
+PX_A_MM = 2.6
+"""Sideways in the middle of the pictures; up and down the water does not magnify, there it is 1.7."""
+
+
+def off(found: tubes.Tubes, true: tubes.Tubes) -> np.ndarray:
+    """Return how far found tips lie beyond the true ones along the roots."""
+    last = [nodes[-1] for nodes in true.branches]
+    return np.asarray(((found.centre_mm[last] - true.centre_mm[last]) * true.tangents[last]).sum(axis=1))
+
+
+def with_tips_moved(true: tubes.Tubes, by_mm: float) -> tubes.Tubes:
+    centre = true.centre_mm.copy()
+    for nodes in true.ends:
+        centre[nodes] = tips._stretch(centre[nodes], by_mm)
+    moved = tubes.with_geometry(true, centre, true.radius_mm)
+    np.testing.assert_allclose(off(moved, true), by_mm, atol=1e-6)
+    return moved
+
+
+@pytest.mark.parametrize(("radius_mm", "by_mm"), [(0.15, -0.8), (0.15, 0.8), (0.4, 0.0), (1.2, -0.8), (1.2, 0.8)])
+def test_tips_that_are_off_come_back(radius_mm: float, by_mm: float) -> None:
+    true = strung(SHORT, SIDEWAYS, radius_mm=radius_mm)
+    found = tips.place_tips(pictured(true), with_tips_moved(true, by_mm), PX_A_MM)
+    assert np.abs(off(found, true)).max() < (0.29 if by_mm else 1e-3)  # half of a pixel up and down
+    bears = true.branches[1][0]
+    np.testing.assert_array_equal(found.centre_mm[: bears + 1], true.centre_mm[: bears + 1])  # laterals stay where they leave
+
+
+def test_tips_one_at_a_time_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = strung(SHORT, SIDEWAYS, radius_mm=0.4)
+    evidence, moved = pictured(true), with_tips_moved(true, 0.8)
+    together = tips.place_tips(evidence, moved, PX_A_MM).centre_mm
+    monkeypatch.setattr(tips, "_AT_ONCE", 1)
+    np.testing.assert_array_equal(tips.place_tips(evidence, moved, PX_A_MM).centre_mm, together)

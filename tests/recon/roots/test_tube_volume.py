@@ -1,11 +1,14 @@
 """The volume of tubes, against closed forms, and beside solids."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import filling, tubes
+from tests.recon.hull.blocks import everything
 from tests.recon.strings import at_rest, line, strung
 
 
@@ -14,10 +17,11 @@ def half_ball(radius_mm: float) -> float:
     return 2.0 / 3.0 * np.pi * radius_mm**3
 
 
-def everything(grid: Grid) -> Leaves:
-    """Return a hull that is all of a grid."""
-    index = np.argwhere(np.ones(grid.coarse_shape, bool)).astype(np.int32) * 2**grid.levels
-    return Leaves(grid, index, np.full(len(index), 2**grid.levels, np.int32), np.ones(len(index), np.float32))
+def painted(system: tubes.Tubes, grid: Grid, *, blur_px: float = 0.0, half: bool = False) -> Leaves:
+    """Paint tubes without solids into a hull that is all of a grid, or the half of it where x < 0."""
+    water = everything(grid, 2**grid.levels)
+    water = water.select(water.middles_mm[:, 0] < 0.0) if half else water
+    return tube_volume.combine(water.select(slice(0)), at_rest(system, px_a_mm=4.0, blur_px=blur_px), water).leaves
 
 
 def test_filled_volume_is_that_of_the_frustum():
@@ -34,7 +38,7 @@ def test_tubes_are_painted_beside_solids():
     index = np.array([[64, 64, 200]], np.int32)
     solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
     path, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 4.0, -20.0), (4.0, 4.0, -40.0))
-    water = everything(grid)
+    water = everything(grid, 8)
     thin = tube_volume.combine(solid, at_rest(strung(path), px_a_mm=4.0, blur_px=0.3), water)
     assert thin.thick.volume_mm3() == pytest.approx(1.0)
     assert thin.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0 + half_ball(0.2), rel=0.01)
@@ -48,12 +52,10 @@ def test_a_thin_tube_keeps_its_volume_beside_a_wide_one():
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     thin, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 0.0, -20.0), (4.0, 0.0, -40.0))
     system = tubes.place_nodes([wide, thin], [np.full(len(wide), 0.4), np.full(len(thin), 0.05)])
-    none = Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    leaves = tube_volume.combine(none, at_rest(system, px_a_mm=4.0, blur_px=0.3), everything(grid)).leaves
+    leaves = painted(system, grid, blur_px=0.3)
     x, _, z = leaves.middles_mm.T
-    for side, radius_mm in ((x < 0.0, 0.05), (x > 0.0, 0.4)):
-        middle = leaves.select(side & (z > -38.0) & (z < -22.0))
-        assert middle.volume_mm3() == pytest.approx(np.pi * radius_mm**2 * 16.0, rel=0.01)
+    middle = [leaves.select(side & (z > -38.0) & (z < -22.0)).volume_mm3() for side in (x < 0.0, x > 0.0)]
+    assert middle == pytest.approx([np.pi * 0.05**2 * 16.0, np.pi * 0.4**2 * 16.0], rel=0.01)
 
 
 def test_a_ball_on_a_rod_has_the_volume_of_its_cross_sections():
@@ -62,46 +64,37 @@ def test_a_ball_on_a_rod_has_the_volume_of_its_cross_sections():
     path = line((0.0, 0.0, -18.0), (0.0, 0.0, -46.0))
     beyond = np.abs(path[:, 2] + 26.0)
     radius = np.maximum(np.sqrt(np.maximum(36.0 - beyond**2, 0.0)), 1.0)
-    system = at_rest(tubes.place_nodes([path], [radius]), px_a_mm=4.0)
-    none = Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    painted = tube_volume.combine(none, system, everything(grid)).leaves
-    low, high = painted.middles_mm[:, 2].min(), -26.0 - 35.0**0.5
+    system = tubes.place_nodes([path], [radius])
+    whole = painted(system, grid)
+    low, high = whole.middles_mm[:, 2].min(), -26.0 - 35.0**0.5
     discs = np.pi * np.trapezoid(np.square(radius), -path[:, 2]) + half_ball(1.0)
-    assert painted.volume_mm3() == pytest.approx(discs, rel=0.02)
-    bulge = painted.select(painted.middles_mm[:, 2] < high - 0.5)
+    assert whole.volume_mm3() == pytest.approx(discs, rel=0.02)
+    bulge = whole.select(whole.middles_mm[:, 2] < high - 0.5)
     assert bulge.volume_mm3() == pytest.approx(np.pi * (high - 0.5 - low - 1.0) + half_ball(1.0), rel=0.1)
-    half = everything(grid)
-    left = tube_volume.combine(none, system, half.select(half.middles_mm[:, 0] < 0.0)).leaves
-    assert left.volume_mm3() == pytest.approx(0.5 * painted.volume_mm3(), rel=0.01)
+    assert painted(system, grid, half=True).volume_mm3() == pytest.approx(0.5 * whole.volume_mm3(), rel=0.01)
 
 
-def _shape(kind: str, below_mm: np.ndarray) -> np.ndarray:
-    """Return the radii of a thick root at given distances below its middle, mm."""
-    ball = np.sqrt(np.maximum(36.0 - below_mm**2, 0.0))
-    radii = {
-        "blunt": np.where(np.abs(below_mm) < 4.0, 6.0, 1.0),
-        "wide": np.where(np.abs(below_mm) < 4.0, 8.0, 1.0),
-        "ball": np.maximum(ball, 0.8),
-        "taper": np.interp(below_mm, [-8.0, 12.0], [4.0, 0.2]),
-        "swollen": 1.0 + 4.0 * np.exp(-((below_mm / 5.0) ** 2)),
-    }
-    return radii[kind]
+RADII: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "blunt": lambda below_mm: np.where(np.abs(below_mm) < 4.0, 6.0, 1.0),
+    "wide": lambda below_mm: np.where(np.abs(below_mm) < 4.0, 8.0, 1.0),
+    "ball": lambda below_mm: np.sqrt(np.maximum(36.0 - below_mm**2, 0.64)),
+    "taper": lambda below_mm: np.interp(below_mm, [-8.0, 12.0], [4.0, 0.2]),
+    "swollen": lambda below_mm: 1.0 + 4.0 * np.exp(-((below_mm / 5.0) ** 2)),
+}
+"""Radii of a thick root at distances below its middle, mm."""
 
 
-@pytest.mark.parametrize("kind", ["blunt", "wide", "ball", "taper", "swollen"])
-@pytest.mark.parametrize("bend_mm", [0.0, 2.0])
+@pytest.mark.parametrize(("kind", "bend_mm"), [("blunt", 0), ("blunt", 2), ("wide", 2), ("ball", 0), ("taper", 2), ("swollen", 2)])
 def test_a_thick_root_has_the_volume_of_its_frustums(kind: str, bend_mm: float) -> None:
     """Discs of a bent tube overlap inside the bend as much as they part outside (Pappus), however blunt its ends."""
     grid = Grid(np.array([-12.0, -12.0, -48.0]), 0.125, 3, (24, 24, 32))
     path = line((0.0, 0.0, -18.0), (0.0, 0.0, -44.0))
     path[:, 0] += bend_mm * (1.0 - ((path[:, 2] + 31.0) / 13.0) ** 2)
-    system = at_rest(tubes.place_nodes([path], [_shape(kind, -30.0 - path[:, 2])]), px_a_mm=4.0)
-    none = Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    painted = tube_volume.combine(none, system, everything(grid)).leaves
-    nodes, found = system.tubes.branches[0], system.tubes.radii(0)
-    step, (a, b) = np.linalg.norm(np.diff(system.tubes.centre_mm[nodes], axis=0), axis=1), (found[:-1], found[1:])
+    system = tubes.place_nodes([path], [RADII[kind](-30.0 - path[:, 2])])
+    step, found = np.linalg.norm(np.diff(system.centre_mm[system.branches[0]], axis=0), axis=1), system.radii(0)
+    a, b = found[:-1], found[1:]
     frustums = np.pi / 3.0 * float(step @ (a**2 + a * b + b**2)) + half_ball(found[-1])
-    assert painted.volume_mm3() == pytest.approx(frustums, rel=0.002)
+    assert painted(system, grid).volume_mm3() == pytest.approx(frustums, rel=0.002)
 
 
 @pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.75, 1.05), (0.75, 1.6)])
