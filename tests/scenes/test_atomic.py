@@ -25,7 +25,7 @@ def raising(error: BaseException) -> Any:
     return fail
 
 
-FAILURES = {"full": OSError(errno.ENOSPC, "full"), "quota": OSError(errno.EDQUOT, "full"), "interrupt": KeyboardInterrupt()}
+FAILURES = {"full": OSError(errno.ENOSPC, "full"), "interrupt": KeyboardInterrupt()}
 
 
 @pytest.mark.parametrize("error", FAILURES.values(), ids=FAILURES)
@@ -53,8 +53,6 @@ def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_json_refuses_what_json_has_not(tmp_path: Path) -> None:
     with pytest.raises(ValueError):
         atomic.write_json(tmp_path / "a.json", {"x": float("nan")})
-    with pytest.raises(TypeError):
-        atomic.write_json(tmp_path / "a.json", {"x": tmp_path})
     assert names(tmp_path) == []
 
 
@@ -67,12 +65,6 @@ def test_pictures_survive(tmp_path: Path, kind: type) -> None:
     colour[..., 0] = 200  # red, which OpenCV keeps last
     atomic.write_image(tmp_path / "b.png", colour)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "b.png"), cv2.IMREAD_UNCHANGED)[..., 2], colour[..., 0])
-
-
-@pytest.mark.parametrize("image", [np.zeros((2, 2)), np.zeros((2, 2, 2), np.uint8), np.zeros(3, np.uint8), np.zeros((2, 2), bool)])
-def test_what_is_no_picture_is_refused(tmp_path: Path, image: Any) -> None:
-    with pytest.raises(ValueError, match="a uint8 or uint16 array"):
-        atomic.write_image(tmp_path / "a.png", image)
 
 
 def test_a_link_is_followed(tmp_path: Path) -> None:

@@ -1,38 +1,27 @@
 """Scene and profile files: round trips, and one clear sentence for each mistake."""
 
 import json
-import tempfile
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rhizotwin.scenes import files
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
 
 MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [
     ("unknown key", "[canister]\n\nwal_mm = 3.0", ("line 3", "[canister] wal_mm", "unknown key", '"wall_mm"')),
     ("above the limit", "# rig\n[canister]\nwall_mm = 900", ("line 3", "[canister] wall_mm = 900", "between 0.2 and 50")),
-    ("number as text", '[water]\nn_water = "1.33"', ("line 2", '[water] n_water = "1.33"', "must be a number")),
     ("bool is no number", "[water]\nn_water = true", ("[water] n_water = true", "must be a number, not true or false")),
-    ("fraction is no whole number", "[camera]\nbits = 12.0", ("[camera] bits = 12.0", "whole number")),
     ("not a number", "[water]\nn_water = nan", ("[water] n_water = nan", "finite")),
-    ("tuple too short", "[camera]\nimage_wh = [800]", ("line 2", "[camera] image_wh = [800]", "2 elements, not 1")),
     ("element beyond its limit", "[camera]\nimage_wh = [800, 15]", ("line 2", "image_wh element 2 = 15", "between 16 and 20000")),
     ("none of the choices", "[turntable]\ndirection = 2", ("[turntable] direction = 2", "one of 1, -1")),
-    ("section as a value", "camera = 3", ("line 1", "camera = 3", "table")),
     ("second ring", "[[plan.rings]]\n[[plan.rings]]\nviews = 0", ("line 3", "[plan.rings 2] views = 0", "between 1")),
     ("no kind", "[specimen]\ndiameter_mm = 2.0", ("line 1", "[specimen] kind", "missing", '"sphere", "mesh", "rsml", "grown"')),
-    ("unknown kind", '[specimen]\nkind = "spher"', ("line 2", '[specimen] kind = "spher"', 'did you mean "sphere"')),
     ("key of another kind", '[specimen]\nkind = "mesh"\nfile = "a.stl"\nseed = 1', ("line 4", "[specimen] seed", "unknown key")),
-    ("order of a plant", '[specimen]\nkind = "grown"\n[[specimen.orders]]\ntaper = 2', ("line 4", "specimen.orders 1] taper = 2")),
     ("not TOML", "[camera\nbits = 12", ("not valid TOML", "line 1")),
 ]
 """Scene files with something wrong, and what the message must name."""
@@ -89,8 +78,7 @@ def from_json(scene: Scene) -> Scene:
 
 
 SCENES = [
-    Scene(),
-    Scene(name='Wurzel "ß"\n\t\\ \x7f', description="日本 # [x]"),
+    Scene(name='Wurzel "ß"\n\t\\ \x7f\x01', description="日本 # [x]"),
     Scene(specimen=RsmlSpecimen(file="/a/b c.rsml", unit=None, diameter_mm=0.1 + 0.2)),
     Scene(specimen=GrownSpecimen(seed=2**62, orders=(RootOrder(taper=1 / 3), RootOrder(), RootOrder(wobble_deg=1e-7)))),
     Scene(plan=CapturePlan(rings=(Ring(), Ring(height_mm=30.0, tilt_deg=8.0, kind="shoot"))), disturbances=Disturbances(full_well_e=1e5)),
@@ -103,45 +91,11 @@ def test_scenes_survive_toml_and_json(tmp_path: Path, scene: Scene) -> None:
     assert files.load_scene(tmp_path / "other_name.toml") == from_json(scene) == scene
 
 
-@given(
-    radius=st.floats(30.0, 100.0), level=st.floats(-10.0, -1e-300), focal=st.floats(1.0, 1e6), seed=st.integers(0, 2**63 - 1),
-    name=st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
-)  # fmt: skip
-@settings(deadline=None, max_examples=50)
-def test_any_values_survive(radius: float, level: float, focal: float, seed: int, name: str) -> None:
-    scene = Scene(
-        name=name,
-        canister=Canister(outer_radius_mm=radius),
-        water=replace(Scene().water, level_mm=level),
-        net_pot=replace(Scene().net_pot, outer_radius_mm=101.0),
-        camera=Camera(focal_px=(focal, focal / 3.0 + 1.0)),
-        specimen=GrownSpecimen(seed=seed),
-    )
-    assert from_json(scene) == scene
-    with tempfile.TemporaryDirectory() as folder:
-        files.save_scene(scene, Path(folder) / "a.toml")
-        assert files.load_scene(Path(folder) / "a.toml") == scene
-
-
-def test_none_is_the_default_wherever_it_is_allowed() -> None:
-    """TOML has no None: a field that may be None must take it by being left out."""
-    todo, found = [Scene], list[tuple[str, object]]()
-    while todo:
-        kind = todo.pop()
-        hints = get_type_hints(kind)
-        found += [(f"{kind.__name__}.{f.name}", f.default) for f in fields(kind) if NoneType in get_args(hints[f.name])]
-        todo += [h for f in fields(kind) for h in (hints[f.name], *get_args(hints[f.name])) if is_dataclass(h)]
-    assert "Scene.specimen" in dict(found)
-    assert [name for name, default in found if default is not None] == []
-
-
 @pytest.mark.parametrize(
     ("load", "name", "says"),
     [
         (files.load_scene, "sphere_20m", r'"sphere_20m".*did you mean "sphere_20mm"'),
-        (files.load_scene, "", "no scene"),
         (files.load_scene, "{}/nothing.toml", r"nothing\.toml: there is no such file"),
-        (files.load_scene, "{}", "is a folder"),
         (files.load_profile, "bensch", r'"bensch".*did you mean "bench".*clean, bench, camera, harsh, real'),
     ],
 )
@@ -150,18 +104,10 @@ def test_unknown_scene_and_profile_suggest_the_nearest(tmp_path: Path, load: Any
         load(name.format(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("[disturbances]\nbubles = 3\n", r'line 2: \[disturbances\] bubles: unknown key \(did you mean "bubbles"'),
-        ("bubbles = 3\n", "line 1: bubbles: unknown key"),
-        ("disturbances = 3\n", "must be a table"),
-    ],
-)
-def test_own_profile_file(tmp_path: Path, text: str, says: str) -> None:
+def test_own_profile_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text("[disturbances]\nbubbles = 3\n")
     assert files.load_profile(str(path)) == Disturbances(bubbles=3)
-    path.write_text(text)
-    with pytest.raises(UserError, match=says):
+    path.write_text("[disturbances]\nbubles = 3\n")
+    with pytest.raises(UserError, match=r'line 2: \[disturbances\] bubles: unknown key \(did you mean "bubbles"'):
         files.load_profile(str(path))

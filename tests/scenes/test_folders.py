@@ -41,10 +41,8 @@ def test_folder_appears_when_done(tmp_path: Path) -> None:
 
 FAILURES = {
     "interrupt": (KeyboardInterrupt(), KeyboardInterrupt, "^$"),
-    "mistake": (UserError("no"), UserError, "no"),
     "bug": (RuntimeError(), RuntimeError, "^$"),
     "full disk": (OSError(errno.ENOSPC, "full"), UserError, "out: the disk is full"),
-    "missing file": (FileNotFoundError("input"), FileNotFoundError, "input"),
 }
 
 

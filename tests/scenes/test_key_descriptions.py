@@ -19,13 +19,9 @@ def test_every_key_has_a_meaning_unit_and_range():
     by_path = {key.path: key for key in found}
     wall = by_path["canister.wall_mm"]
     assert (wall.default, wall.unit, wall.limits) == (3.175, "mm", "0.2 to 50")
-    assert by_path["specimen.grown.orders.gravitropism_per_mm"].unit == "per mm"
-    assert by_path["specimen.grown.orders.elongation_mm_per_day"].unit == "mm per day"
-    assert by_path["camera.kind"].limits == '"pinhole" or "telecentric"'
-    assert by_path["plan.rings.views"].line().endswith("[1 to 10000]")
 
 
-@pytest.mark.parametrize("name", ["radish_day05a", "sphere_20mm", "two_radishes"])
+@pytest.mark.parametrize("name", ["sphere_20mm", "two_radishes"])
 def test_a_written_scene_explains_every_line_and_reads_back(name: str, tmp_path: Path):
     scene = files.load_scene(name)
     files.save_scene(scene, tmp_path / "copy.toml")
@@ -35,7 +31,7 @@ def test_a_written_scene_explains_every_line_and_reads_back(name: str, tmp_path:
     assert len(keys) > 50
     assert [line for line, before in keys if before[:1] != "#"] == []
     diameters = sum(line.startswith("# Mean diameter at the base of the root") for line in lines)
-    assert diameters == {"radish_day05a": 3, "sphere_20mm": 0, "two_radishes": 6}[name]  # of the plants' own specimens, too
+    assert diameters == {"sphere_20mm": 0, "two_radishes": 6}[name]  # of the plants' own specimens, too
 
 
 def test_page_and_figure_in_the_documents_are_of_the_program():

@@ -6,7 +6,7 @@ import pytest
 from rhizotwin.scenes.neighbours import HEAD, find_neighbours, rows
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, SphereSpecimen
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen
 
 
 def rod(plant: str, start: tuple[float, float, float], end: tuple[float, float, float], *, diameter_mm: float = 1.0) -> Root:
@@ -35,7 +35,6 @@ def test_crossing_rods_touch() -> None:
     # surfaces meet within sqrt(1 - 0.9^2) = 0.436 mm either way
     assert found.contact_mm == pytest.approx((0.87, 0.87), abs=0.26)
     assert found.lines("reliable")[0] == "A and B: their roots touch"
-    assert found.lines("not reliable")[0] == "A and B (not reliable): their roots touch"
 
 
 def test_the_common_volume_of_two_boxes() -> None:
@@ -47,8 +46,6 @@ def test_the_common_volume_of_two_boxes() -> None:
 
     (found,) = find_neighbours([*box("A", 0.0), *box("B", 5.0)])
     assert found.hulls_overlap_share == pytest.approx((0.75, 0.75), abs=0.02)
-    (apart,) = find_neighbours([*box("A", 0.0), *box("B", 30.0)])
-    assert apart.hulls_overlap_mm3 == 0.0
 
 
 def test_one_plant_has_no_neighbours_and_three_have_three_pairs() -> None:
@@ -62,19 +59,12 @@ def test_rows_have_the_whole_and_each_depth() -> None:
     found = find_neighbours([rod("A", (0.0, 0.0, 0.0), (0.0, 0.0, -19.0)), rod("B", (2.5, 0.0, 0.0), (2.5, 0.0, -9.0))])
     table = rows(found)
     assert all(len(row) == len(HEAD) for row in table)
-    assert [(row[0], row[1], row[8]) for row in table] == [
-        ("A", "B", ""),
-        ("A", "B", "0"),
-        ("A", "B", "10"),
-        ("B", "A", ""),
-        ("B", "A", "0"),
-    ]
+    assert [(row[0], row[8]) for row in table] == [("A", ""), ("A", "0"), ("A", "10"), ("B", ""), ("B", "0")]
     assert float(table[1][9]) == pytest.approx(1.0)
 
 
 def test_specimens_stand_where_their_plants_hang() -> None:
     assert Plant(plant="A", at_mm=(5.0, -3.0), specimen=GrownSpecimen()).placed() == GrownSpecimen(origin_mm=(5.0, -3.0, -10.5))
-    assert Plant(plant="A", at_mm=(5.0, -3.0), specimen=SphereSpecimen()).placed() == SphereSpecimen(centre_mm=(5.0, -3.0, -55.0))
     moved = Plant(plant="A", at_mm=(5.0, 0.0), specimen=MeshSpecimen(file="a.stl", shift_mm=(1.0, 0.0, -9.0))).placed()
     assert moved == MeshSpecimen(file="a.stl", shift_mm=(6.0, 0.0, -9.0))
     assert Plant(plant="A").placed() is None

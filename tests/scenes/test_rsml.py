@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xmlschema
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, plant_roots, write_rsml
@@ -67,15 +65,10 @@ AT = TWO.format("length", "position='1'", "position='3'")
 THREE = AT.replace("<sample", "<sample position='0' value='2'/><sample", 1)
 THICKNESS: dict[str, tuple[str, list[float]]] = {
     "numbered function": (THICK.replace("function ", "function1 ").replace("/function>", "/function1>"), [0.5, 0.4, 0.1]),
-    "plural functions nested": (THICK.replace("<function ", "<functions ").replace("</function>", "</functions>"), [0.5, 0.4, 0.1]),
-    "radius": (scaled(THICK.replace("diameter", "radius"), "0.25", "0.2", "0.05"), [0.5, 0.4, 0.1]),
     "radius with its unit": (scaled(AS_TEXT.format("radius [m]"), "0.00025", "0.0002", "5e-5"), [0.5, 0.4, 0.1]),
-    "capitals": (THICK.replace('"diameter"', '"Diameter"').replace("sample", "Sample"), [0.5, 0.4, 0.1]),
     "diameter before radius": (THICK.replace("diameter", "radius").replace("0.5", "7") + THICK, [0.5, 0.4, 0.1]),
     "property, element with value": ('<properties><type value="1"/><diameter value="0.3"/></properties>', [0.3] * 3),
-    "property with a name": ('<properties><property name="diameter" value="0.3"/></properties>', [0.3] * 3),
     "uniform": (TWO.format("uniform", "", ""), [1.0, 0.8, 0.4]),
-    "at positions": (AT, [1.0, 1.0, 0.4]),
     "as many as the points, but elsewhere": (THREE, [2.0, 1.0, 0.4]),
     "halfway": (THREE.replace("position='1'", "position='1.5'"), [2.0, 2.0 - 1.0 / 1.5, 0.4]),
 }
@@ -87,13 +80,10 @@ def test_thickness_in_many_forms(write: Write, thickness: str, expected: list[fl
 
 
 UNITS: dict[str, tuple[str, str, float, list[float]]] = {
-    "mm": ("<metadata><unit>mm</unit></metadata>", THICK, 1.0, [0.5, 0.4, 0.1]),
     "cm with resolution 1": ("<metadata><unit>cm</unit><resolution>1</resolution></metadata>", THICK, 10.0, [5, 4, 1]),
     "steps per cm": ("<metadata><unit>cm</unit><resolution>40</resolution></metadata>", THICK, 0.25, [0.125, 0.1, 0.025]),
     "m in steps of 0.1 mm": ("<metadata><unit>m</unit><resolution>0.0001</resolution></metadata>", THICK, 0.1, [0.05, 0.04, 0.01]),
-    "um": ("<metadata><unit>µm</unit></metadata>", THICK, 1e-3, [5e-4, 4e-4, 1e-4]),
     "of a property": (DEFINED, '<properties><diameter value="0.03"/></properties>', 1.0, [0.3] * 3),
-    "functions follow the points": (DEFINED, THICK, 1.0, [0.5, 0.4, 0.1]),
     "a function's serves the points": ("", THICK.replace("diameter", "radius [m]"), 1000.0, [1000, 800, 200]),
 }
 
@@ -107,9 +97,7 @@ def test_units(write: Write, metadata: str, thickness: str, step_mm: float, diam
 
 UNKNOWN = {
     "no metadata": "",
-    "pixel": "<metadata><unit>pixel</unit><resolution>1</resolution></metadata>",
     "inch without dpi": "<metadata><unit>inch</unit></metadata>",
-    "resolution 0": "<metadata><unit>cm</unit><resolution>0</resolution></metadata>",
 }
 
 
@@ -122,15 +110,10 @@ def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> No
     assert one(path, unit="0.5 mm").points_mm[0, 2] == -0.5
 
 
-@pytest.mark.parametrize("unit", ["furlong", "", "0 mm", "-1 mm", "nan mm", "mm mm"])
+@pytest.mark.parametrize("unit", ["furlong", "-1 mm"])
 def test_nonsense_unit_option(write: Write, unit: str) -> None:
     with pytest.raises(UserError, match="--specimen-unit"):
         read_rsml(write(ROOT), unit=unit)
-
-
-def test_the_unit_option_is_about_what_is_not_marked(write: Write) -> None:
-    root = one(write(f"<root>{LINE}{THICK.replace('diameter', 'radius [m]')}</root>", ""), unit="cm")
-    assert (root.points_mm[0, 2], root.diameters_mm[0]) == (-10.0, 1000.0)
 
 
 def test_no_diameter_is_refused_unless_given(write: Write) -> None:
@@ -151,8 +134,7 @@ REFUSED = {
     "too few samples": (f"<root>{LINE}{TWO.format('polyline', '', '')}</root>", "2 samples for 3 points"),
     "negative diameter": (ROOT.replace("0.4", "-0.5"), "diameters must be above 0"),
     "diameter in words": (ROOT.replace("0.4", "thick"), "not a finite number"),
-    "diameter not a number": (ROOT.replace("0.4", "nan"), "not a finite number"),
-    **{f"x: {bad}": (ROOT.replace('x="0"', bad, 1), "x of a point of root 1 is") for bad in ('x="one"', 'x="inf"', 'x=""', "")},
+    **{f"x: {bad}": (ROOT.replace('x="0"', bad, 1), "x of a point of root 1 is") for bad in ('x="inf"', "")},
 }
 
 
@@ -182,15 +164,12 @@ def test_two_dimensions_hang_down_at_depth_0(write: Write) -> None:
 
 
 def test_a_tip_was_seen_unless_the_file_says_no(write: Write) -> None:
-    seen = {"false": False, "False": False, "0": False, "true": True, "1": True}
-    said = {f'<properties><tip-seen value="{value}"/></properties>': tip for value, tip in seen.items()}
-    said |= {"<properties><tip-seen/></properties>": True, "": True}
+    said = {f'<properties><tip-seen value="{value}"/></properties>': value == "true" for value in ("false", "true")} | {"": True}
     assert {text: one(write(f"<root>{LINE}{THICK}{text}</root>")).tip_seen for text in said} == said
 
 
 NO_RSML = {
     "empty": b"",
-    "html": b"<html><body/></html>",
     "cut off": f"<rsml><scene><plant><root>{LINE}".encode(),
     "not utf-8": b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
 }
@@ -221,42 +200,6 @@ def test_deep_nesting_is_read(write: Write) -> None:
     assert roots[-1].order == depth - 1
 
 
-numbers = st.floats(-200.0, 200.0)
-
-
-@st.composite
-def root_systems(draw: st.DrawFn) -> list[Root]:
-    roots: list[Root] = []
-    for index in range(draw(st.integers(1, 5))):
-        n, parent = draw(st.integers(2, 4)), draw(st.integers(-1, index - 1))
-        points = draw(st.lists(st.tuples(numbers, numbers, numbers), min_size=n, max_size=n))
-        diameters, sigma = (draw(st.lists(st.floats(low, 20.0), min_size=n, max_size=n)) for low in (1e-3, 0.0))
-        root = Root(
-            points_mm=np.array(points), diameters_mm=np.array(diameters), order=roots[parent].order + 1 if parent >= 0 else 0,
-            parent=parent, label=f'r{index} <&">ß', tip_seen=draw(st.booleans()),
-            diameter_sigma_mm=np.array(sigma) if draw(st.booleans()) else None,
-        )  # fmt: skip
-        roots.append(root)
-    return roots
-
-
-def plain(roots: list[Root] | tuple[Root, ...]) -> dict[str, tuple[object, ...]]:
-    """Return everything of each root by its label, for which numbers and their text are equal if they are exact."""
-    parents = [roots[root.parent].label if root.parent >= 0 else None for root in roots]
-    arrays = [[None if a is None else a.tolist() for a in (r.points_mm, r.diameters_mm, r.diameter_sigma_mm)] for r in roots]
-    return {r.label: (r.order, r.tip_seen, up, *own) for r, up, own in zip(roots, parents, arrays, strict=True)}
-
-
-@given(roots=root_systems())
-@settings(deadline=None, max_examples=30)
-def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, roots: list[Root]) -> None:
-    path = tmp_path_factory.mktemp("rsml") / "ours.rsml"
-    write_rsml(path, roots)
-    found = read_rsml(path)
-    assert len(found) == len(roots)
-    assert plain(found) == plain(roots)
-
-
 def root_of(points: list[list[float]], diameters: list[float], *, order: int = 0, parent: int = -1, **options: object) -> Root:
     return Root(points_mm=np.array(points), diameters_mm=np.array(diameters), order=order, parent=parent, **options)
 
@@ -266,24 +209,20 @@ def test_written_file_is_valid_by_the_schema(tmp_path: Path) -> None:
     tap = root_of([[0.0, 1e-7, -1.0], [0.0, 0.0, -2.0], [1.5e-16, 123456789.25, -40.0]], [0.5, 1e-5, 0.0], label='tap <&">ß')
     lateral = root_of([[0.0, 0.1, -2.0], [5.0, 0.0, -2.0]], [0.2, 0.1], order=1, parent=0)
     second = root_of([[1.0, 1.1, -1.0], [6.0, 1.0, -1.0]], [0.2, 0.1], order=2, parent=1, tip_seen=False)
+    tap = replace(tap, diameter_sigma_mm=np.array([0.1, 1 / 3, 0.0]))
     path = tmp_path / "roots.rsml"
     write_rsml(path, [tap, lateral, second], modified=datetime(2024, 1, 2, tzinfo=UTC))
     found = read_rsml(path)
-    assert [root.points_mm.tolist() for root in found] == [root.points_mm.tolist() for root in (tap, lateral, second)]
-    assert [root.diameters_mm.tolist() for root in found] == [root.diameters_mm.tolist() for root in (tap, lateral, second)]
+    for read, own in zip(found, (tap, lateral, second), strict=True):
+        np.testing.assert_array_equal([*read.points_mm.T, read.diameters_mm], [*own.points_mm.T, own.diameters_mm])
+        assert (read.order, read.parent, read.label, read.tip_seen) == (own.order, own.parent, own.label, own.tip_seen)
+    np.testing.assert_array_equal(found[0].diameter_sigma_mm, tap.diameter_sigma_mm)
     schema, text = xmlschema.XMLSchema(Path(__file__).parent / "data" / "rsml.xsd"), path.read_text(encoding="utf-8")
     schema.validate(text)
     assert "<last-modified>2024-01-02T00:00:00+00:00</last-modified>" in text
     assert [part.split('"')[1] for part in text.split("<parent-node value=")[1:]] == ["0", "1", "0"]  # where laterals leave
     wrong = {'z="-2.0"': 'z="-2e0"', 'id="1.2"': 'id="1.1"', "<geometry>": "<functions/><geometry>", ' y="': ' w="'}
     assert [schema.is_valid(text.replace(good, bad, 1)) for good, bad in wrong.items()] == [False] * 4
-
-
-@pytest.mark.parametrize("parents", [(0,), (1, 0), (5,), (-2,)])
-def test_impossible_parents_are_refused(tmp_path: Path, parents: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError):
-        write_rsml(tmp_path / "a.rsml", [root_of([[0.0, 0, -1], [0, 0, -2]], [0.5, 0.4], parent=p) for p in parents])
-    assert not list(tmp_path.iterdir())
 
 
 def test_plants_have_elements_and_names_that_are_read_back(tmp_path: Path) -> None:
