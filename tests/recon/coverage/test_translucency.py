@@ -22,7 +22,7 @@ def picture(mu_per_mm: float, diameters_mm: tuple[float, ...], *, own: float = 0
         half = np.sqrt(np.maximum((0.5 * diameter) ** 2 - ((fine - 20.3 - 36.4 * k) / PX_A_MM) ** 2, 0.0))
         opacity += (1.0 - own) * (1.0 - np.exp(-2.0 * mu_per_mm * half))
         coverage += half > 0
-    rows = [np.repeat(line.reshape(240, 20).mean(axis=1)[None], 120, axis=0).astype(np.float32) for line in (opacity, coverage)]
+    rows = [np.repeat(line.reshape(240, 20).mean(axis=1)[None], 60, axis=0).astype(np.float32) for line in (opacity, coverage)]
     rows[0] += np.random.default_rng(0).normal(0.0, noise, rows[0].shape).astype(np.float32)
     return rows[0], rows[1]
 
@@ -41,7 +41,7 @@ def test_translucent_roots_get_the_width_they_have() -> None:
     diameters = (0.2, 0.3, 0.45, 0.8, 1.5, 2.2)
     opacity, coverage = picture(2.0, diameters)
     found = translucency.translucent_coverage(opacity, translucency.Attenuation(0.0, 2.0, 100), PX_A_MM)
-    widths, true = ([one[60, int(36.4 * k) : int(36.4 * k) + 40].sum() for k in range(len(diameters))] for one in (found, coverage))
+    widths, true = ([one[30, int(36.4 * k) : int(36.4 * k) + 40].sum() for k in range(len(diameters))] for one in (found, coverage))
     assert widths == pytest.approx(true, rel=0.1)
 
 
