@@ -9,9 +9,13 @@ import pytest
 from scipy.integrate import quad
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.tubes import translucent_tube, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes import root_light, translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes.root_light import Prior
+from rhizotwin.recon.tubes.translucent_tube import HAIRS
+from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.hull.exact_pictures import ring_of
 from tests.recon.strings import blank_of, drawn
 
 RINGS = Ring(views=8), Ring(views=8, height_mm=60.0, tilt_deg=15.0)
@@ -44,19 +48,28 @@ SLANTED = ((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0))
 ORGAN = np.zeros(len(STAR.radius_mm), bool)
 
 
+@cache
+def strips(mu: float | None, hairs: float, radius_mm: float, sine: float, half_px: float, index: float = 1.0) -> np.ndarray:
+    """Return half-width and height of each strip."""
+    layers = translucent_tube.layers(mu, hairs, mi.Float(radius_mm), mi.Float(sine), mi.Float(half_px), index=index)
+    return np.array([[layer.half_px[0], layer.height[0]] for layer in layers], np.float64).T
+
+
+def moment(strips: np.ndarray, power: int, scale: float = 1.0) -> float:
+    half, height = strips
+    return float((2.0 / (power + 1) * (half / scale) ** (power + 1) * height).sum())
+
+
+@pytest.mark.parametrize("power", range(0, 4 * translucent_tube.LAYERS, 2))
 @pytest.mark.parametrize("tau", [1e-3, 0.1, 1.0, 20.0])
 @pytest.mark.parametrize("index", [1.0, 1.024])
-def test_strips_have_the_moments_of_a_round_root(tau: float, index: float) -> None:
-    found = translucent_tube.layers(tau / 0.5, 0.0, mi.Float(0.5), mi.Float(1.0), mi.Float(1.0), index=index)
-    for k in range(2 * translucent_tube.LAYERS):
+def test_strips_have_the_moments_of_a_round_root(power: int, tau: float, index: float) -> None:
+    def slab(angle: float) -> float:
+        chord = np.sqrt(1.0 - (np.cos(angle) / index) ** 2)
+        return float((1.0 - np.exp(-2.0 * tau * chord)) * np.sin(angle) * np.cos(angle) ** power)
 
-        def slab(angle: float, power: int = 2 * k) -> float:
-            chord = np.sqrt(1.0 - (np.cos(angle) / index) ** 2)
-            return float((1.0 - np.exp(-2.0 * tau * chord)) * np.sin(angle) * np.cos(angle) ** power)
-
-        expected = quad(slab, 0.0, np.pi, limit=200)[0]
-        moment = sum(2.0 / (2 * k + 1) * layer.half_px[0] ** (2 * k + 1) * layer.height[0] for layer in found)
-        assert moment == pytest.approx(expected, rel=3e-5 if index == 1.0 else 2e-4)
+    found = strips(tau / 0.5, 0.0, 0.5, 1.0, 1.0, index)
+    assert moment(found, power) == pytest.approx(quad(slab, 0.0, np.pi, limit=200)[0], rel=3e-5 if index == 1.0 else 2e-4)
 
 
 def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
@@ -79,3 +92,61 @@ def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -
     inside = np.s_[:, 3:-3]
     ratio = found.width[inside].sum() / (found.width_2 * found.scale)[inside].sum()
     assert ratio == pytest.approx(0.01, rel=0.15)  # the slope is that of a Gaussian pixel
+
+
+CROWD = straight(
+    *(((0.0, 0.0, -25.0 - 2.0 * k), (18.0 * np.cos(2.4 * k), 18.0 * np.sin(2.4 * k), -32.0 - 2.4 * k), 0.15 + 0.02 * k) for k in range(14))
+)
+
+
+@pytest.mark.parametrize(("radius", "sine"), [(0.05, 1.0), (0.5, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize("mu", [None, 1.0])
+@pytest.mark.parametrize("power", [0, 2])
+def test_strips_with_hairs_have_the_moments_of_root_and_sleeve(radius: float, sine: float, mu: float | None, power: int) -> None:
+    outer = radius + HAIRS.length_mm
+
+    def dark(x: float) -> float:
+        inside = np.sqrt(max(radius**2 - x**2, 0.0))
+        sleeve = HAIRS.mu_per_mm * (np.sqrt(outer**2 - x**2) - inside)
+        root = 0.0 if x >= radius else np.inf if mu is None else mu * inside
+        return float(x**power * (1.0 - np.exp(-2.0 * (root + sleeve) / sine)))
+
+    expected = 2.0 * quad(dark, 0.0, outer, points=[radius], limit=200)[0]
+    assert moment(strips(mu, 1.0, radius, sine, 4.0 * radius), power, scale=4.0) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(("mu", "hairs"), [(None, 1.0), (2.0, 0.0), (2.0, 1.0)])
+def test_slopes_of_strips_are_derivatives(mu: float | None, hairs: float) -> None:
+    def at(mm: float, *names: str) -> np.ndarray:
+        layers = translucent_tube.layers(mu, hairs, mi.Float(mm), mi.Float(0.8), mi.Float(4.0 * mm))
+        return np.array([[getattr(layer, name)[0] for layer in layers] for name in names])
+
+    height, by_width, by_height = at(0.3, "height", "by_width", "by_height")
+    wider, higher = (at(0.301, "half_px", "height") - at(0.299, "half_px", "height")) / (2.0 * 4.0 * 1e-3)
+    assert by_width == pytest.approx(height * wider, rel=0.01)
+    assert by_height == pytest.approx(higher, abs=2e-3)
+
+
+@pytest.mark.parametrize("hairs", [0.0, 1.0])
+@pytest.mark.parametrize("mu", [None, 2.0])
+def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, hairs: float) -> None:
+    radius = np.array([0.05, 0.1, 0.4, 2.0])
+    light = translucent_tube.opaque_radius(radius, mu, hairs)
+    assert not hairs or (light > translucent_tube.opaque_radius(radius, mu)).all()
+    np.testing.assert_allclose(translucent_tube.equivalent_radius(light, mu, hairs), radius, rtol=1e-3)
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_pictures_tell_whether_roots_have_hairs(strength: float) -> None:
+    """In pictures that are fine enough to show hairs: 0.2 mm a pixel."""
+    lens = replace(Camera().resized((1200, 900)), image_wh=(400, 300), principal_px=(199.5, 149.5))  # the middle of the picture
+    sharp = blank_of(replace(ring_of(6), camera=lens))
+    true = replace(sharp, mu_per_mm=1.0, hairs=strength, index=1.0 + root_light.BENDING[0])
+    seen = replace(drawn(CROWD, true, noise=0.003, opacity=True).with_opacity(), mu_per_mm=1.0, hairs=0.5)
+    fixed = np.zeros(len(CROWD.radius_mm), bool)
+    fit = tube_fit.fit(seen, root_light.match_absorption(CROWD, fixed, true, seen), fixed, steps=10, light=Prior.from_evidence(seen))
+    found = tube_attenuation.update_attenuation(TubeAttenuation.opaque(), fit)
+    assert found.hairs == ("there" if strength else "none")
+    assert fit.evidence.hairs == pytest.approx(strength, abs=0.1)
+    assert np.median(fit.tubes.radius_mm / CROWD.radius_mm) == pytest.approx(1.0, abs=0.02)
+    assert ("hairs" in " ".join(found.warnings())) == (strength > 0.0)
