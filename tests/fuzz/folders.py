@@ -57,9 +57,6 @@ def shapes() -> dict[str, Change]:
         (at / "docs").symlink_to(outside / "docs")
         (at / "thesis").symlink_to(outside / "thesis.txt")
 
-    def deep(at: Path, _: Path) -> None:
-        (at / "/".join("d" * 300)).mkdir(parents=True)
-
     return {
         "link to a folder": lambda at, outside: at.symlink_to(outside / "docs"),
         "link to a file": lambda at, outside: at.symlink_to(outside / "thesis.txt"),
@@ -73,7 +70,7 @@ def shapes() -> dict[str, Change]:
         "files": many,
         "files of paths": listing(["/etc/hostname", "../outside/thesis.txt", STEER]),
         "links in it": nested,
-        "deep folders": deep,
+        "deep folders": lambda at, _: (at / "/".join("d" * 300)).mkdir(parents=True),
     }
 
 

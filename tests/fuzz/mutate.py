@@ -58,14 +58,4 @@ def _word(data: bytes, rng: Rng) -> bytes:
     return data[: one.start()] + other[0] + data[one.end() :]
 
 
-def _line(data: bytes, rng: Rng) -> bytes:
-    """Put a line elsewhere."""
-    lines = data.split(b"\n")
-    if len(lines) < 2:
-        return data
-    moved = lines.pop(int(rng.integers(len(lines))))
-    lines.insert(int(rng.integers(len(lines) + 1)), moved)
-    return b"\n".join(lines)
-
-
-DAMAGES = (_flip, _flip, *(_stretch,) * 5, _number, _number, _number, _word, _line)
+DAMAGES = (_flip, _flip, *(_stretch,) * 5, _number, _number, _number, _word)

@@ -15,13 +15,7 @@ RENEW = "./run bench accuracy --update-baseline"
 
 
 def check(root: Path) -> Iterator[str]:
-    """Yield a line for each commit whose records are too old; none without a ladder, or where git cannot tell their age.
-
-    Parameters
-    ----------
-    root : Path
-        The repository.
-    """
+    """Yield a line for each commit whose records are too old; none without a ladder, or where git does not know their age."""
     if not (root / LADDER).exists():
         return
     try:

@@ -33,13 +33,6 @@ def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
     assert (tmp_path / "dataset" / "images" / "view_000.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_twin_says_what_to_use_instead(tmp_path: Path) -> None:
-    done = run(tmp_path, SCRIPT, "twin")
-    assert done.returncode == 2
-    said = "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which are not available on Windows; use 'rhizotwin scan --rig twin'"
-    assert done.stderr.splitlines()[-1].startswith(said)
-
-
 def test_a_second_run_finds_the_lock_and_a_later_one_does_not(tmp_path: Path) -> None:
     code = """
 import subprocess, sys
@@ -47,7 +40,6 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from as_windows import hide_posix
 hide_posix()
-from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import lock_file
 lock = Path("lock")
@@ -61,10 +53,7 @@ lock.write_text("left by a killed run")
 with lock_file(lock, what="a folder") as left:
     print("left", left)
 print("removed", not lock.exists())
-write_text("a.txt", "one\\n")
-write_text("a.txt", "two\\n")
-print(Path("a.txt").read_bytes(), sorted(path.name for path in Path().iterdir()))
 """
     done = run(tmp_path, "-c", code, SCRIPT.parent)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["refused", "left True", "removed True", r"b'two\n' ['a.txt']"]
+    assert done.stdout.splitlines() == ["refused", "left True", "removed True"]

@@ -50,12 +50,6 @@ def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     assert names(tmp_path) == ["file", "folder"]
 
 
-def test_json_refuses_what_json_has_not(tmp_path: Path) -> None:
-    with pytest.raises(ValueError):
-        atomic.write_json(tmp_path / "a.json", {"x": float("nan")})
-    assert names(tmp_path) == []
-
-
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_pictures_survive(tmp_path: Path, kind: type) -> None:
     grey = np.random.default_rng(0).integers(0, np.iinfo(kind).max, (5, 7), dtype=kind, endpoint=True)

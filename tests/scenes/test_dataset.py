@@ -26,7 +26,6 @@ def nested(a_from_b: frames.Array) -> tuple[tuple[float, ...], ...]:
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Dataset:
-    """Two tiny pictures on the disk, with poses."""
     made = []
     for k in range(2):
         path = tmp_path / "images" / f"{k}.png"

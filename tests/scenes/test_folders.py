@@ -31,14 +31,6 @@ def made(folder: Path, **files: str) -> Path:
     return folder
 
 
-def test_folder_appears_when_done(tmp_path: Path) -> None:
-    with folders.new_folder(tmp_path / "deep" / "out") as building:
-        made(building, pictures_in_a_png="x", b="x")
-        assert folders.contents(tmp_path / "deep" / "out") == []
-    assert names(tmp_path / "deep") == ["out"]
-    assert names(tmp_path / "deep" / "out") == ["b", "pictures"]
-
-
 FAILURES = {
     "interrupt": (KeyboardInterrupt(), KeyboardInterrupt, "^$"),
     "bug": (RuntimeError(), RuntimeError, "^$"),
@@ -198,7 +190,6 @@ def test_a_kill_at_any_file_operation_leaves_the_old_or_the_new(scenario: str, t
 
 
 def test_two_processes_on_one_output(tmp_path: Path) -> None:
-    """Many processes at once make one folder: one does, the others are told, and what is there is whole and of one of them."""
     words = [sys.executable, str(KILL_POINTS), "race", str(tmp_path)]
     running = [subprocess.Popen([*words, str(k)], stdout=subprocess.PIPE, text=True) for k in range(4)]
     said = "".join(process.communicate(timeout=120)[0] for process in running)

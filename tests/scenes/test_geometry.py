@@ -30,12 +30,6 @@ def test_a_corner_is_as_long_as_its_legs() -> None:
     assert np.allclose(found, [[0.0, 0.0, 0.0], [1.5, 2.0, 0.0], [3.0, 4.0, 1.0], [3.0, 4.0, 2.0]])
 
 
-@pytest.mark.parametrize(("step_mm", "expected"), [(0.9, [0.5, 1.5, 2.5]), (100.0, [1.5])])
-def test_middles_are_of_equal_pieces(step_mm: float, expected: list[float]) -> None:
-    way = polyline.arc_length_mm(np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))
-    assert polyline.middles(way, step_mm) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize(
     ("distortion", "expected"),
     [

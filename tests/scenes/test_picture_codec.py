@@ -117,7 +117,6 @@ def test_half_a_jpeg_with_an_end_marker() -> None:
 
 
 def png_of(header: bytes, pixels: bytes) -> bytes:
-    """Return a PNG whose checksums are all right."""
     chunks = [(b"IHDR", header), (b"tEXt", b"Comment\0x" * 20), (b"iCCP", b"nonsense"), (b"IDAT", pixels), (b"IEND", b"")]
     coded = [struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(c, zlib.crc32(k))) for k, c in chunks]
     return b"\x89PNG\r\n\x1a\n" + b"".join(coded)

@@ -24,7 +24,6 @@ Write = Callable[..., Path]
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    """Write a file of one plant around some XML."""
 
     def file(roots: str, metadata: str = MM, *, plant: str = "<plant>{}</plant>") -> Path:
         path = tmp_path / "wild.rsml"
@@ -152,13 +151,6 @@ def test_roots_without_a_line_are_left_out(write: Write) -> None:
     assert (root.order, root.parent) == (0, -1)
 
 
-def test_several_plants_and_ids_of_any_case(write: Write) -> None:
-    root = f'<root id="x">{LINE}{THICK}</root>'
-    roots = read_rsml(write("", plant=f'<plant ID="1">{root}{{}}</plant><plant id="2">{root}</plant>'))
-    assert [(r.order, r.parent) for r in roots] == [(0, -1), (0, -1)]
-    assert len(read_rsml(write(root, plant="{}"))) == 1  # roots straight in the scene
-
-
 def test_two_dimensions_hang_down_at_depth_0(write: Write) -> None:
     np.testing.assert_array_equal(one(write(f"<root>{FLAT}{THICK}</root>")).points_mm, [[3, 0, -1], [4, 0, -2], [5, 0, -7]])
 
@@ -205,7 +197,6 @@ def root_of(points: list[list[float]], diameters: list[float], *, order: int = 0
 
 
 def test_written_file_is_valid_by_the_schema(tmp_path: Path) -> None:
-    """A taproot, a lateral of it and one of that, with numbers that tempt to exponents; the schema refuses what is wrong."""
     tap = root_of([[0.0, 1e-7, -1.0], [0.0, 0.0, -2.0], [1.5e-16, 123456789.25, -40.0]], [0.5, 1e-5, 0.0], label='tap <&">ß')
     lateral = root_of([[0.0, 0.1, -2.0], [5.0, 0.0, -2.0]], [0.2, 0.1], order=1, parent=0)
     second = root_of([[1.0, 1.1, -1.0], [6.0, 1.0, -1.0]], [0.2, 0.1], order=2, parent=1, tip_seen=False)

@@ -78,11 +78,3 @@ def test_a_scene_file_holds_it_and_the_command_line_reads_it(tmp_path: Path) -> 
     assert read_solution(f"{tmp_path / 's.toml'},K=0.25") == own
     assert {scene: 1}[files.load_scene(tmp_path / "a.toml")] == 1, "scenes with solutions can be keys"
     assert scene != files.scene_from_dict({"solution": {"recipe": "kliman_2022"}}, where="x")
-
-
-@pytest.mark.parametrize(
-    ("text", "said"), [("kliman_2022,K", "not a factor"), ("kliman", "did you mean"), ("kliman_2022,K=-1", "between 0 and 100")]
-)
-def test_wrong_words_of_the_command_line(text: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        read_solution(text)

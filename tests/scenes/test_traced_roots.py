@@ -17,7 +17,6 @@ FILE = """<rsml><metadata><unit>mm</unit></metadata><scene><plant><root><geometr
 
 
 def line(*points: tuple[float, float, float], parent: int = -1, diameter_mm: float = 1.0) -> Root:
-    """Return a root through some points, 1 mm between its nodes."""
     corners = np.array(points, dtype=np.float64)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], int(np.ceil(along[-1])) + 1)

@@ -15,7 +15,6 @@ from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.sim import dirt, solids
 from rhizotwin.sim.dirt import Bubble, Fibre, Patch
 from rhizotwin.sim.exposure import expose
-from rhizotwin.sim.hanging import HangingObject
 from rhizotwin.sim.render import Image, Renderer
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 from rhizotwin.sim.world import World, draw_world, scene_for_reconstruction
@@ -32,27 +31,11 @@ def picture(wrong: Disturbances, *, view: int = 0, empty: bool = False) -> tuple
     return Renderer(scene, draw_world(scene, seed=1), solid).view(view)
 
 
-def test_an_oval_that_is_hardly_one_looks_as_a_cylinder() -> None:
-    round_, _ = picture(Disturbances())
-    oval, _ = picture(Disturbances(canister_out_of_round_mm=1e-6))
-    assert np.quantile(np.abs(oval - round_), 0.99) < 0.01
-
-
 def test_a_larger_canister_is_seen_wider_by_as_much() -> None:
     px_a_mm = SMALL.camera.focal_px[0] / np.sqrt(400.0**2 - 76.2**2)
     nominal, larger = (picture(Disturbances(canister_radius_error_mm=wrong), empty=True)[0][80] for wrong in (0.0, 2.0))
     first, then = (np.flatnonzero(row < 0.4) for row in (nominal, larger))
     assert np.ptp(then) - np.ptp(first) == pytest.approx(2.0 * 2.0 * px_a_mm, abs=1.5)
-
-
-def test_what_hangs_sways_in_proportion_to_its_depth() -> None:
-    solid = build_specimen(SMALL)
-    hanging = HangingObject.of("specimen", solid.vertices, solid)
-    moved = hanging.at((0.6, -0.2), 0.0) - solid.vertices
-    top, middle, tip = (np.argmin(np.abs(solid.vertices[:, 2] - z)) for z in (-50.0, -60.0, -70.0))
-    np.testing.assert_allclose(moved[[top, middle, tip]], np.outer([0.0, 0.5, 1.0], [0.6, -0.2, 0.0]), atol=1e-9)
-    turned = hanging.at((0.0, 0.0), 30.0)
-    assert np.arctan2(*turned[middle, 1::-1]) - np.arctan2(*solid.vertices[middle, 1::-1]) == pytest.approx(np.deg2rad(15.0))
 
 
 def test_a_swaying_ball_is_seen_where_it_hangs() -> None:
@@ -86,8 +69,7 @@ def test_specks_scratches_and_seam_are_painted_where_they_are() -> None:
     assert opacity[500, round(1.0 / (2.0 * np.pi) * columns)] == 1.0
     assert np.count_nonzero(opacity == 1.0) * 0.01 == pytest.approx(np.pi * 0.25, rel=0.2)
     assert opacity[10, round(3.0 / (2.0 * np.pi) * columns)] == pytest.approx(0.3)
-    assert opacity[198:203, 20].max() == pytest.approx(0.5, abs=0.15)  # beyond a whole turn it goes on at the beginning
-    assert opacity[198:203, columns - 20].max() == pytest.approx(0.5, abs=0.15)
+    assert opacity[198:203, [20, -20]].max(axis=0) == pytest.approx(0.5, abs=0.15)  # beyond a whole turn it goes on at the beginning
 
 
 def test_a_camera_has_a_curve_steps_and_dark_corners() -> None:
@@ -100,17 +82,6 @@ def test_a_camera_has_a_curve_steps_and_dark_corners() -> None:
     assert vignetted[15, 20] / 65535.0 == pytest.approx(0.8, abs=2e-3)
 
 
-def test_exposure_and_white_balance_wander_within_their_limits() -> None:
-    light = np.full((8, 8), 0.5, np.float32)
-    wrong = Disturbances(exposure_wander=0.1, white_balance_wander=0.03)
-    found = np.array([expose(light, Camera(bits=16), wrong, rng=np.random.default_rng(k))[0, 0] for k in range(300)]) / 65535.0
-    green = found[:, 1] / 0.5
-    assert 0.9 <= green.min() < 0.91 < 1.09 < green.max() <= 1.1
-    ratio = found[:, ::2] / found[:, 1:2]
-    assert np.all((ratio.min(axis=0) >= 0.969) & (ratio.min(axis=0) < 0.975))
-    assert np.all((ratio.max(axis=0) > 1.025) & (ratio.max(axis=0) <= 1.031))
-
-
 def test_the_reconstruction_knows_the_curve_and_nothing_else() -> None:
     wrong = Disturbances(transfer="srgb", stored_bits=8, wall_error=0.1, canister_radius_error_mm=0.3)
     given = scene_for_reconstruction(replace(SMALL, disturbances=wrong))
@@ -119,21 +90,11 @@ def test_the_reconstruction_knows_the_curve_and_nothing_else() -> None:
 
 
 CENTRE = np.s_[14:16, 19:21]
-
-
-def scene_with(wrong: Disturbances) -> Scene:
-    scene = Scene(plan=CapturePlan(rings=(Ring(views=1, height_mm=-60.0),)), disturbances=wrong)
-    return replace(scene, camera=scene.camera.resized((40, 30)))
-
-
-def box(thickness_mm: float) -> SpecimenSolid:
-    mesh = trimesh.creation.box((thickness_mm, 20.0, 20.0))
-    vertices = np.asarray(mesh.vertices) + np.array([0.0, 0.0, -60.0])
-    return SpecimenSolid(vertices=vertices, faces=np.asarray(mesh.faces, dtype=np.int32), volume_mm3=float(mesh.volume))
+SMALLER = replace(SMALL, camera=Scene().camera.resized((40, 30)), plan=CapturePlan(rings=(Ring(views=1, height_mm=-60.0),)), specimen=None)
 
 
 def centre_light(wrong: Disturbances, solid: SpecimenSolid | None = None, **changed: object) -> tuple[float, Image]:
-    scene = scene_with(wrong)
+    scene = replace(SMALLER, disturbances=wrong)
     world: World = replace(draw_world(scene, seed=0), **changed)
     image, coverage = Renderer(scene, world, solid).view(0)
     return float(image[CENTRE].mean()), coverage
@@ -141,15 +102,16 @@ def centre_light(wrong: Disturbances, solid: SpecimenSolid | None = None, **chan
 
 @pytest.fixture(scope="module")
 def clear() -> float:
-    """Return the light through clean water."""
     return centre_light(Disturbances())[0]
 
 
 def test_turbid_water_and_roots_weaken_light_by_beer_and_lambert(clear: float) -> None:
     turbid = centre_light(Disturbances(turbidity_per_mm=0.004))[0]
     assert turbid / clear == pytest.approx(np.exp(-0.004 * 2.0 * (76.2 - 3.175)), rel=2e-3)
+    mesh = trimesh.creation.box((4.0, 20.0, 20.0), transform=trimesh.transformations.translation_matrix((0.0, 0.0, -60.0)))
+    plate = SpecimenSolid(vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces, dtype=np.int32), volume_mm3=1600.0)
     for free, wrong in ((clear, Disturbances(root_mu_per_mm=0.3)), (turbid, Disturbances(root_mu_per_mm=0.3, turbidity_per_mm=0.004))):
-        behind, coverage = centre_light(wrong, box(4.0))
+        behind, coverage = centre_light(wrong, plate)
         assert behind / free == pytest.approx(np.exp(-(0.3 - wrong.turbidity_per_mm) * 4.0), rel=3e-3)
         np.testing.assert_array_equal(coverage[CENTRE], 1.0)
 
@@ -173,12 +135,12 @@ def test_bubbles_pass_fresnel_s_share_fibres_shade_none_is_root(clear: float) ->
 
 def test_parallel_rays_along_an_axis_miss_no_surface() -> None:
     """A hairy vertical root looks the same at every height."""
-    scene = scene_with(Disturbances(root_hair_mm=0.5, root_hair_mu_per_mm=0.2, root_mu_per_mm=0.5))
+    hairs = Disturbances(root_hair_mm=0.5, root_hair_mu_per_mm=0.2, root_mu_per_mm=0.5)
     camera = Camera(kind="telecentric", mm_per_px=0.05, image_wh=(80, 160), principal_px=(39.5, 79.5))
     z = np.linspace(-40.0, -80.0, 41)
     root = Root(points_mm=np.stack([0.0 * z, 0.0 * z, z], axis=1), diameters_mm=np.full(41, 2.0), order=0, parent=-1)
     vertices, faces = solids.to_surface(solids.unite_roots([root]))
     solid = SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=40.0 * np.pi, roots=(root,))
-    scene = replace(scene, camera=camera)
+    scene = replace(SMALLER, camera=camera, disturbances=hairs)
     image, _ = Renderer(scene, draw_world(scene, seed=0), solid).view(0)
     assert np.abs(image / np.median(image, axis=0) - 1.0).max() < 0.02

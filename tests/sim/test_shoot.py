@@ -1,9 +1,6 @@
 """The twin's shoot: one closed solid with the leaf area and volume that its description says."""
 
-import re
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,17 +44,3 @@ def test_a_flat_blade_has_its_outline_s_area_times_its_thickness() -> None:
 def test_leaves_in_the_pot_are_refused() -> None:
     with pytest.raises(UserError, match=r"below the top of the net pot .* Increase shoot\.elevation_deg"):
         build(elevation_deg=-40.0)
-
-
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "shoots.md"
-HABITS = re.findall(r"```toml\n# ([^,\n]+), ([\d.]+) g\n(\[shoot\]\n.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-"""Name, grams at 1 g/ml, and keys. The first two have the least and the largest shoot mass of the thesis's table A.1."""
-
-
-def test_shoots_of_the_page_have_their_mass() -> None:
-    assert [habit[0] for habit in HABITS] == ["seedling", "radish of 30 days", "lettuce", "bean"]
-    for name, grams, keys in HABITS:
-        changes = tomllib.loads(keys)["shoot"]
-        solid = build(**changes)
-        assert solid.volume_mm3 / 1000.0 == pytest.approx(float(grams), rel=0.06), name
-        assert solid.leaves == changes["leaves"], name

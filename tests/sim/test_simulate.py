@@ -23,7 +23,6 @@ from rhizotwin.scenes.truth import load_truth
 from rhizotwin.sim.bands import scene_in_band
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.simulate import CannotContinueError, simulate
-from rhizotwin.sim.specimen import build_specimen
 from rhizotwin.sim.world import draw_world
 
 pytestmark = pytest.mark.usefixtures("coarse_ball")
@@ -45,7 +44,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a finished set, to be left as it is."""
     folder = tmp_path_factory.mktemp("whole") / "set"
     make(folder, tiny())
     return folder
@@ -53,11 +51,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(whole: Path, tmp_path: Path) -> Path:
-    """Return a copy of it, to be spoilt."""
     return Path(shutil.copytree(whole, tmp_path / "set"))
 
 
-def test_a_set_holds_pictures_and_truth_but_no_leak(whole: Path) -> None:
+def test_a_set_holds_pictures_and_truth(whole: Path) -> None:
     scene, read, truth = tiny(), load_dataset(whole), load_truth(whole)
     assert read.scene.disturbances == Disturbances()
     assert read_image(read, read.frames[1]).shape == (48, 64)
@@ -67,13 +64,9 @@ def test_a_set_holds_pictures_and_truth_but_no_leak(whole: Path) -> None:
     mask = cv2.imread(str(whole / "truth" / "masks" / "view_001.png"), cv2.IMREAD_UNCHANGED)
     assert mask.dtype == np.uint16
     assert mask.max() == 65535
-    text = (whole / "dataset.json").read_text()
-    assert "table_from_canister" not in text
-    assert f"{truth.volume_mm3:.1f}" not in text
 
 
 def test_the_manifest_tells_nothing_of_the_specimen(tmp_path: Path) -> None:
-    """Neither its volume, nor what it is, nor the notes on it, nor what the scene's author says about it."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=9.0)
     ball.apply_translation((0.0, 0.0, -14.5))
     ball.invert()
@@ -87,22 +80,10 @@ def test_the_manifest_tells_nothing_of_the_specimen(tmp_path: Path) -> None:
     assert truth.drawn["specimen"]["file"] == scene.specimen.file
     # A checksum may hold any four digits in a row by chance.
     text = re.sub(r'"[0-9a-f]{40,64}"', '""', (tmp_path / "set" / "dataset.json").read_text())
-    for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", *notes, "pointed inwards"):
+    for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", "table_from_canister", *notes):
         assert secret not in text
     assert made.scene.specimen is None
     assert not made.scene.description
-
-
-def test_a_frame_alone_equals_the_frame_in_a_set() -> None:
-    scene = tiny(views=2)
-    world, solid = draw_world(scene, seed=5), build_specimen(scene)
-    for fidelity in ("backlit", "path"):
-        in_a_set = Renderer(scene, world, solid, fidelity=fidelity, samples=4)
-        in_a_set.view(0)
-        image, mask = in_a_set.view(1)
-        alone = Renderer(scene, draw_world(scene, seed=5), solid, fidelity=fidelity, samples=4).view(1)
-        np.testing.assert_array_equal(image, alone[0])
-        np.testing.assert_array_equal(mask, alone[1])
 
 
 def test_an_interrupted_set_resumes_to_the_same_bytes(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,8 +114,6 @@ def test_a_damaged_frame_is_rendered_anew(whole: Path, copy: Path) -> None:
 def test_another_setting_or_a_foreign_folder_is_refused(copy: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="seed"):
         make(copy, tiny(), seed=1)
-    with pytest.raises(UserError, match="scene"):
-        make(copy, tiny(views=2))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("important")
     with pytest.raises(UserError, match="contains files that are not"):
@@ -142,50 +121,30 @@ def test_another_setting_or_a_foreign_folder_is_refused(copy: Path, tmp_path: Pa
     (copy / rhizotwin.sim.simulate.PROGRESS_FILE).write_text("{")
     with pytest.raises(UserError, match="damaged"):
         make(copy, tiny())
-    with pytest.raises(UserError, match="square"):
-        simulate(tiny(), tmp_path / "new", profile_name="test", seed=0, samples=5)
-    assert not (tmp_path / "new").exists()
 
 
 def test_a_set_begun_with_another_program_is_refused(whole: Path, copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(rhizotwin.sim.simulate, "versions", lambda names: {"rhizotwin": "8.8"} | dict.fromkeys(names, "9.9"))
-        with pytest.raises(CannotContinueError, match=r"with different settings \(rhizotwin \(.*, now 8\.8\), mitsuba \(3.*, now 9\.9\)"):
-            make(copy, tiny())
-    assert contents(copy) == contents(whole)
-    record = copy / rhizotwin.sim.simulate.PROGRESS_FILE
-    record.write_text(record.read_text().replace("_ad_mono", "_mono"))
-    with pytest.raises(CannotContinueError, match=r"variant \(.*_mono, now .*_ad_mono\)"):
+    monkeypatch.setattr(rhizotwin.sim.simulate, "versions", lambda names: {"rhizotwin": "8.8"} | dict.fromkeys(names, "9.9"))
+    with pytest.raises(CannotContinueError, match=r"with different settings \(rhizotwin \(.*, now 8\.8\), mitsuba \(3.*, now 9\.9\)"):
         make(copy, tiny())
+    assert contents(copy) == contents(whole)
 
 
-BANDS = (
-    Band(name="white"),
-    Band(name="red", wavelength_nm=675.0, panel_level=0.0, front_level=0.4),
-    Band(name="nir", wavelength_nm=850.0, panel_level=0.5),
-)
-RINGS = (
-    Ring(views=2, bands=("white", "nir")),
-    Ring(views=1, height_mm=120.0, distance_mm=420.0, tilt_deg=10.0, kind="shoot"),
-)
+RED = Band(name="red", wavelength_nm=675.0, panel_level=0.0, front_level=0.4)
+BANDS = (Band(name="white"), RED, Band(name="nir", wavelength_nm=850.0, panel_level=0.5))
+RINGS = (Ring(views=2, bands=("white", "nir")), Ring(views=1, height_mm=120.0, distance_mm=420.0, tilt_deg=10.0, kind="shoot"))
 SCENE = Scene(
-    camera=replace(Camera().resized((80, 60)), bands=BANDS),
-    plan=CapturePlan(rings=RINGS),
-    specimen=SphereSpecimen(diameter_mm=20.0),
-    shoot=Shoot(),
-    disturbances=Disturbances(root_mu_per_mm=0.4),
-)
+    camera=replace(Camera().resized((80, 60)), bands=BANDS), plan=CapturePlan(rings=RINGS),
+    specimen=SphereSpecimen(diameter_mm=20.0), shoot=Shoot(), disturbances=Disturbances(root_mu_per_mm=0.4),
+)  # fmt: skip
 
 
 def test_a_band_has_its_own_light_leaves_roots_and_water() -> None:
     red, nir = scene_in_band(SCENE, "red"), scene_in_band(SCENE, "nir")
-    assert scene_in_band(SCENE, "") is SCENE
     assert (red.lights.backlight_level, red.lights.front_level) == (0.0, 0.4)
-    assert nir.lights.front_level == SCENE.lights.front_level
     assert (red.shoot.reflectance, nir.shoot.reflectance) == (0.05, pytest.approx(0.475))
     assert red.disturbances.root_mu_per_mm == pytest.approx(0.4 * 550.0 / 675.0), "scattering falls with the wavelength"
     assert nir.water.absorption_per_mm == pytest.approx(0.0043)
-    assert nir.water.absorption_per_mm > 8.0 * red.water.absorption_per_mm
 
 
 def test_a_set_has_a_picture_a_band_and_its_truth_the_indices(tmp_path: Path) -> None:

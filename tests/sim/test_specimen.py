@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,25 +9,23 @@ import pytest
 import trimesh
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
-from rhizotwin.sim import growth, placement
+from rhizotwin.sim import placement
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
 SCENE = Scene()
 GRID_MM = SCENE.net_pot.grid_z_mm - placement.FREE_MM
 
 
-def rsml(path: Path, points: list[tuple[float, ...]], *, unit: str = "mm", resolution: str = "1", diameter: float = 1.0) -> str:
-    """Write a root through points, in the file's own steps, and return the file's name."""
+def rsml(path: Path, points: list[tuple[float, ...]], *, unit: str = "mm", diameter: float = 1.0) -> str:
     axes = "xyz"[: len(points[0])]
     nodes = "".join("<point " + " ".join(f'{a}="{v}"' for a, v in zip(axes, point, strict=True)) + "/>" for point in points)
     samples = "".join(f'<sample value="{diameter}"/>' for _ in points)
     thick = f'<functions><function name="diameter" domain="polyline">{samples}</function></functions>'
     root = f"<root><geometry><polyline>{nodes}</polyline></geometry>{thick}</root>"
-    metadata = f"<metadata><unit>{unit}</unit><resolution>{resolution}</resolution></metadata>"
+    metadata = f"<metadata><unit>{unit}</unit><resolution>1</resolution></metadata>"
     path.write_text(f"<rsml>{metadata}<scene><plant>{root}</plant></scene></rsml>")
     return str(path)
 
@@ -65,11 +62,9 @@ def test_a_sphere_has_the_ball_s_volume_and_place() -> None:
     assert closed(solid)
 
 
-@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "STL"])
-def test_meshes_of_every_format(tmp_path: Path, suffix: str) -> None:
-    box().export(tmp_path / f"box.{suffix.lower()}")
-    (tmp_path / f"box.{suffix.lower()}").rename(tmp_path / f"box.{suffix}")
-    solid = build(MeshSpecimen(file=f"box.{suffix}"), tmp_path)
+@pytest.mark.parametrize("name", ["box.ply", "box.STL", "box.obj"])
+def test_meshes_of_every_format(tmp_path: Path, name: str) -> None:
+    solid = through_file(box(), tmp_path, name)
     assert solid.volume_mm3 == pytest.approx(1000.0, rel=1e-6)
     assert solid.notes == ()
     assert closed(solid)
@@ -93,36 +88,24 @@ def test_overlapping_shells_count_once_and_cavities_are_kept(tmp_path: Path) -> 
     assert any("cavit" in note for note in solid.notes)
 
 
-BALL = trimesh.creation.icosphere(subdivisions=2, radius=9.0).apply_translation([0, 0, -50])
+NO_MESH = {
+    "truncated.ply": (box().export(file_type="ply")[:-70], "truncated"),
+    "thing.docx": (b"x", r"\.ply, \.stl, \.obj"),
+    "nan.obj": (b"v nan 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n", "could not be read|not finite|empty"),
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "match"),
-    [
-        ("truncated.ply", BALL.export(file_type="ply")[:-700], "truncated"),
-        ("truncated.stl", BALL.export(file_type="stl")[:-700], "truncated"),
-        ("no.ply", None, "does not exist"),
-        ("thing.docx", b"x", r"\.ply, \.stl, \.obj"),
-        ("empty.stl", b"", "could not be read|empty"),
-        ("cut.ply", b"ply\nformat ascii 1.0\nelement vertex 8\n", "could not be read|empty"),
-        ("nan.obj", b"v nan 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n", "could not be read|not finite|empty"),
-    ],
-)
-def test_files_that_are_no_mesh_are_refused_by_name(tmp_path: Path, name: str, content: bytes | None, match: str) -> None:
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
+@pytest.mark.parametrize(("name", "content", "match"), [(name, *case) for name, case in NO_MESH.items()], ids=NO_MESH)
+def test_files_that_are_no_mesh_are_refused_by_name(tmp_path: Path, name: str, content: bytes, match: str) -> None:
+    (tmp_path / name).write_bytes(content)
     with pytest.raises(UserError, match=match) as caught:
         build(MeshSpecimen(file=name), tmp_path)
     assert name in str(caught.value)
 
 
 MISFITS = {
-    "open": (
-        lambda: trimesh.Trimesh(box().vertices, box().faces[:-1], process=False),
-        r"box\.ply: .* not closed at 3 edges; close the holes",
-    ),
+    "open": (lambda: trimesh.Trimesh(box().vertices, box().faces[:-1], process=False), r"box\.ply: .* not closed at 3 edges"),
     "in metres": (lambda: box(0.01), "must be in millimetres"),
-    "flat": (lambda: trimesh.Trimesh(box().vertices * [1, 1, 0] - [0, 0, 50], box().faces, process=False), r"box\.ply"),
     "in the wall": (lambda: box(at_mm=(70.0, 0.0, -50.0)), r"2\.1\d mm past the inner wall .* at \(75\.0, [-\d.]+, -[45]5\.0\)"),
     "above the surface": (lambda: box(at_mm=(0.0, 0.0, -6.0)), r"3\.00 mm above the water's surface"),
 }
@@ -140,32 +123,11 @@ def test_rsml_becomes_tubes(tmp_path: Path) -> None:
     assert solid.volume_mm3 == pytest.approx(np.pi * 50.0 + 4.0 / 3.0 * np.pi, rel=0.01)
     assert solid.traits["total_length_mm"] == pytest.approx(50.0)
     assert closed(solid)
-    file = rsml(tmp_path / "deep.rsml", [(0, 0, -2), (0, 0, -20)], unit="cm", diameter=0.2)
-    with pytest.raises(UserError, match=r"deep\.rsml extends 54\.60 mm below the floor"):
-        build(RsmlSpecimen(file=file))
-
-
-def test_a_radish_weighs_what_the_thesis_weighed() -> None:
-    scene = load_scene("radish_day05b")
-    solid = build_specimen(scene)
-    assert solid.volume_mm3 == pytest.approx(58.5, rel=1e-6)
-    assert closed(solid)
-    assert solid.extents_max_mm[2] < scene.net_pot.grid_z_mm
-    assert 0.15 < solid.traits["mean_diameter_mm"] < 0.5
-
-
-def test_the_fallen_plant_lies_on_the_wall() -> None:
-    scene = load_scene("fallen_plant")
-    roots = growth.grow(scene.specimen, canister=scene.canister, net_pot=scene.net_pot)
-    points_mm = np.concatenate([root.points_mm for root in roots])
-    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
-    assert np.mean(radius_mm > scene.canister.outer_radius_mm / scene.water.n_water) > 0.4
 
 
 def test_a_volume_out_of_reach_is_refused() -> None:
-    specimen = GrownSpecimen(volume_ml=400.0)
     with pytest.raises(UserError, match=r"mm (past|below|above) the|was not reached"):
-        build(replace(specimen, age_days=3.0))
+        build(GrownSpecimen(volume_ml=400.0, age_days=3.0))
 
 
 def test_two_plants_are_one_solid_and_each_is_known() -> None:
@@ -191,14 +153,9 @@ def test_a_root_with_its_collar_at_zero_is_hung_below_the_grid(tmp_path: Path) -
     assert solid.extents_max_mm[2] == pytest.approx(GRID_MM, abs=0.01)
     assert root.points_mm[:, 0] == pytest.approx([-10.0, -10.0, 10.0], abs=0.4)
     assert root.points_mm[0, 2] - root.points_mm[-1, 2] == pytest.approx(80.0)
-    assert "81 mm (x, y, z), 1 to 1 mm thick" in solid.notes[0]
 
 
-@pytest.mark.parametrize(
-    "points",
-    [[(0, 0, 0), (0, 5, 40), (3, 0, 80)], [(0, 0, 0), (5, 40, 0), (0, 80, 0)], [(0, 0), (5, 40), (0, 80)]],
-    ids=["z down", "flat with z = 0", "2-D"],
-)
+@pytest.mark.parametrize("points", [[(0, 0, 0), (0, 5, 40), (3, 0, 80)], [(0, 0), (5, 40), (0, 80)]], ids=["z down", "2-D"])
 def test_whatever_way_it_is_drawn_the_base_is_above(tmp_path: Path, points: list[tuple[float, ...]]) -> None:
     (root,) = build(RsmlSpecimen(file=rsml(tmp_path / "a.rsml", points), place="auto")).roots
     assert root.points_mm[0, 2] == pytest.approx(GRID_MM - 0.5, abs=0.1)  # its radius below
@@ -212,22 +169,12 @@ def test_flip_scale_and_shift_in_this_order(tmp_path: Path) -> None:
     assert root.diameters_mm == pytest.approx(0.5)
 
 
-def test_a_mesh_is_hung_and_scaled_as_one(tmp_path: Path) -> None:
-    trimesh.creation.box((10.0, 20.0, 30.0)).export(tmp_path / "box.stl")
-    solid = build(MeshSpecimen(file=str(tmp_path / "box.stl"), place="auto", scale=2.0))
-    assert solid.volume_mm3 == pytest.approx(8.0 * 6000.0, rel=1e-6)
-    assert solid.extents_max_mm == pytest.approx([10.0, 20.0, GRID_MM], abs=0.01)
-    assert any("20 x 40 x 60 mm" in note for note in solid.notes)
-
-
 @pytest.mark.parametrize("size", [300.0, 20.0], ids=["too large", "in the wrong place"])
 def test_what_a_refusal_advises_is_accepted(tmp_path: Path, size: float) -> None:
     file = rsml(tmp_path / "a.rsml", [(0, 0, 0), (size, 0, -size), (0, 0, -2 * size)])
     with pytest.raises(UserError) as refused:
         build(RsmlSpecimen(file=file))
     text = str(refused.value)
-    for limit in ("radius 73.025", "z -146.4 to -4", f"x {2 * size + 1:.3g} mm"):
-        assert limit in text
     scale = float((re.search(r"--scale (\S+)", text) or ["", "1"])[1])
     shift = re.search(r"--shift-mm=(\S+?),(\S+?),(\S+?)[ ;]", text)
     assert shift is not None
@@ -235,11 +182,3 @@ def test_what_a_refusal_advises_is_accepted(tmp_path: Path, size: float) -> None
     for told in ({"place": "auto"}, {"shift_mm": tuple(map(float, shift.groups()))}):
         placed = build(RsmlSpecimen(file=file, scale=scale, **told))
         assert placed.extents_max_mm[2] == pytest.approx(GRID_MM, abs=0.1)
-
-
-def test_centimetres_that_look_like_dots_per_inch_are_told(tmp_path: Path) -> None:
-    file = rsml(tmp_path / "a.rsml", [(0, 0), (0, 3000)], unit="cm", resolution="300", diameter=20)
-    notes = build(RsmlSpecimen(file=file, place="auto")).notes
-    assert "one unit of the coordinates in the file is 0.03333 mm" in notes[0]
-    assert "'0.08467 mm'" in notes[1]
-    assert len(build(RsmlSpecimen(file=file, place="auto", unit="0.03 mm")).notes) == 1

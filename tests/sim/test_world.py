@@ -29,20 +29,12 @@ def test_a_perfect_rig_is_where_the_plan_says() -> None:
     assert not world.algae + world.fibres + world.bubbles
 
 
-def test_a_seed_repeats_and_another_differs() -> None:
-    a, b, c = world_of(0), world_of(0), world_of(1)
-    np.testing.assert_array_equal(a.cameras[3].cam_from_canister, b.cameras[3].cam_from_canister)
-    assert a.bubbles == b.bubbles
-    assert np.abs(a.cameras[3].cam_from_canister - c.cameras[3].cam_from_canister).max() > 1e-3
-    assert a.bubbles != c.bubbles
-
-
 def test_the_arm_errs_once_a_ring_and_the_table_in_every_view() -> None:
     world = world_of(2)
     first, second = world.cameras[:6], world.cameras[6:]
     for camera in first:
         np.testing.assert_array_equal(camera.cam_from_rig, first[0].cam_from_rig)
-    nominal = [frames.level_camera(distance_mm=400.0, height_mm=z, tilt_deg=0.0) for z in (-42.0, 90.0)]
+    nominal = (frames.level_camera(distance_mm=400.0, height_mm=z, tilt_deg=0.0) for z in (-42.0, 90.0))
     errors = [camera.cam_from_rig @ frames.invert(n) for camera, n in zip((first[0], second[0]), nominal, strict=True)]
     assert np.abs(errors[0] - errors[1]).max() > 1e-3
     offsets = [camera.table_deg - 60.0 * k for k, camera in enumerate(first)]

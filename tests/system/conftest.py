@@ -1,11 +1,9 @@
 """Faults that are injected into commands, and copies of the shared scan to be spoilt."""
 
 import errno
-import json
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,45 +13,30 @@ from rhizotwin.scenes.files import save_scene
 from tests.conftest import Reconstructed
 
 
-@dataclass
-class FailingAt:
-    """Stands before a function and raises an error at one of its calls; from there on at each, where the error stays."""
-
-    function: Callable[..., Any]
-    at: int
-    error: BaseException
-    stays: bool = False
-    calls: int = field(default=0)
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        """Count, then raise or call."""
-        self.calls += 1
-        if self.calls == self.at or (self.stays and self.calls > self.at):
-            raise self.error
-        return self.function(*arguments, **options)
-
-
 class Fault:
-    """Makes functions fail until `mend`."""
+    """Makes functions fail until `mend`, and counts their calls."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
-        self.patch = patch
+        self.patch, self.mend = patch, patch.undo
 
-    def full_disk(self, target: Any, name: str, *, at: int) -> FailingAt:
+    def full_disk(self, target: Any, name: str, *, at: int) -> SimpleNamespace:
         """Let nothing fit on the disk from a call on."""
-        return self._set(target, name, FailingAt(getattr(target, name), at, OSError(errno.ENOSPC, "No space left on device"), stays=True))
+        return self._set(target, name, at, OSError(errno.ENOSPC, "No space left on device"))
 
-    def stop(self, target: Any, name: str, *, at: int = 1) -> FailingAt:
+    def stop(self, target: Any, name: str, *, at: int = 1) -> SimpleNamespace:
         """Press Ctrl-C at a call."""
-        return self._set(target, name, FailingAt(getattr(target, name), at, KeyboardInterrupt()))
+        return self._set(target, name, at, KeyboardInterrupt())
 
-    def mend(self) -> None:
-        """Undo all."""
-        self.patch.undo()
+    def _set(self, target: Any, name: str, at: int, error: BaseException) -> SimpleNamespace:
+        function, fault = getattr(target, name), SimpleNamespace(calls=0)
 
-    def _set(self, target: Any, name: str, fault: FailingAt) -> FailingAt:
-        # a plain function, so that it is bound where it stands for a method
-        self.patch.setattr(target, name, lambda *arguments, **options: fault(*arguments, **options))
+        def failing(*arguments: Any, **options: Any) -> Any:
+            fault.calls += 1
+            if fault.calls == at or (fault.calls > at and isinstance(error, OSError)):
+                raise error
+            return function(*arguments, **options)
+
+        self.patch.setattr(target, name, failing)
         return fault
 
 
@@ -83,18 +66,3 @@ def rig(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     save_scene(load_dataset(made).scene, path)
     return path
-
-
-@pytest.fixture
-def change_manifest() -> Callable[[Path, Callable[[dict[str, Any]], object]], None]:
-    """Return what changes a dataset.json; pictures may differ from the recorded ones then."""
-
-    def change(dataset: Path, edit: Callable[[dict[str, Any]], object]) -> None:
-        path = dataset / "dataset.json"
-        content = json.loads(path.read_text(encoding="utf-8"))
-        for frame in content["frames"]:
-            frame["sha256"] = ""
-        edit(content)
-        path.write_text(json.dumps(content), encoding="utf-8")
-
-    return change

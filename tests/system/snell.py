@@ -38,39 +38,20 @@ class Capsule:
         s = np.clip((origin + t[:, None] * direction - a) @ axis / for_axis, 0.0, 1.0)
         return np.linalg.norm(origin + t[:, None] * direction - a - s[:, None] * axis, axis=1) - self.radius_mm
 
-    def points(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw points (count, 3) evenly from the inside."""
-        a, b = np.array(self.start_mm), np.array(self.end_mm)
-        drawn: list[Array] = []
-        while sum(map(len, drawn)) < count:
-            box = rng.uniform(np.minimum(a, b) - self.radius_mm, np.maximum(a, b) + self.radius_mm, (4 * count, 3))
-            drawn.append(box[self.holds(box)])
-        return np.concatenate(drawn)[:count]
-
     def holds(self, points: Array) -> NDArray[np.bool_]:
         """Tell which points (N, 3) are inside."""
         a, axis = np.array(self.start_mm), np.array(self.end_mm) - np.array(self.start_mm)
         s = np.clip((points - a) @ axis / (axis @ axis), 0.0, 1.0)
         return np.linalg.norm(points - a - s[:, None] * axis, axis=1) <= self.radius_mm
 
-    @property
-    def length_mm(self) -> float:
-        """Return the length of the axis."""
-        return float(np.linalg.norm(np.array(self.end_mm) - np.array(self.start_mm)))
 
-    @property
-    def volume_mm3(self) -> float:
-        """Return the volume, half balls at both ends."""
-        return float(np.pi * self.radius_mm**2 * (self.length_mm + 4.0 / 3.0 * self.radius_mm))
-
-
-def union_mm3(capsules: list[Capsule], *, rng: np.random.Generator, count: int = 20_000) -> float:
-    """Return the volume of the union: each point counts by one over the number of capsules that hold it."""
-    total = 0.0
-    for capsule in capsules:
-        points = capsule.points(rng, count)
-        total += capsule.volume_mm3 * float(np.mean(1.0 / sum(other.holds(points).astype(float) for other in capsules)))
-    return total
+def union_mm3(capsules: list[Capsule], *, rng: np.random.Generator, count: int = 4_000_000) -> float:
+    """Return the volume of the union, by points drawn evenly from a box around it: a share of one in fifty is known to half a percent."""
+    ends = np.array([(one.start_mm, one.end_mm) for one in capsules]).reshape(-1, 3)
+    reach = max(one.radius_mm for one in capsules)
+    low, high = ends.min(axis=0) - reach, ends.max(axis=0) + reach
+    points = rng.uniform(low, high, (count, 3))
+    return float(np.prod(high - low) * np.mean(np.any([one.holds(points) for one in capsules], axis=0)))
 
 
 def pose(azimuth_deg: float, *, distance_mm: float, height_mm: float, down_deg: float = 0.0) -> Array:

@@ -30,7 +30,6 @@ ROOT = [
 
 @pytest.fixture
 def result(tmp_path: Path) -> Result:
-    """Reconstruct pictures that the other renderer drew."""
     folder, rng = tmp_path / "scan", np.random.default_rng(7)
     frames = []
     for k in range(VIEWS):

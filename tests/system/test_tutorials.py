@@ -46,8 +46,3 @@ def test_the_tutorials_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, comm
     assert (tmp_path / "my_corrected" / "corrected.json").is_file()
     assert (tmp_path / "my_scan_result" / "report.html").is_file()
     assert (tmp_path / "my_traits.csv").is_file()
-
-
-def test_what_it_cannot_do_is_said() -> None:
-    text = (ROOT / "docs" / "limits.md").read_text(encoding="utf-8")
-    assert [word for word in ("Soil", "Dark field", "Square tanks") if f"**{word}" not in text] == []
