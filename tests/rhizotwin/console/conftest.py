@@ -37,10 +37,10 @@ def until(found: Callable[[], Any]) -> Any:
 
 
 @contextmanager
-def console_process(*words: object, port: int) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+def console_process(*words: object, port: int, stderr: int | None = None) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
     """Run `rhizotwin console` in a process of its own, killed at the end; return it and the lines it printed, the last its address."""
     command = [sys.executable, "-m", "rhizotwin", "console", *map(str, words), "--no-browser", "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True, cwd=ROOT) as process:
         try:
             assert process.stdout is not None
             printed = [""]

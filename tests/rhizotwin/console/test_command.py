@@ -1,6 +1,7 @@
 """`rhizotwin console` as it is typed: mistakes, the password, and the end by Ctrl-C."""
 
 import signal
+import subprocess
 import urllib.request
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def test_mistakes(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPa
 def test_ctrl_c_leaves_the_rig_safe(tmp_path: Path, scene_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PASSWORD_VARIABLE, "long enough")
     words = ("--rig", "twin", "--scene", scene_file, "-o", tmp_path / "lab", "--fidelity", "sketch", "--host", "0.0.0.0")
-    with console_process(*words, port=8795) as (process, printed):
+    with console_process(*words, port=8795, stderr=subprocess.STDOUT) as (process, printed):
         text, address = "\n".join(printed), printed[-1]
         assert "with the password" in text
         assert "not encrypted" in text
