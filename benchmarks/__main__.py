@@ -102,7 +102,7 @@ def _check(given: argparse.Namespace, *, is_part: bool) -> None:
     """Raise UserError if the run cannot become the baseline."""
     if (given.change, given.fault) != (reconstructions.UNCHANGED, tree_faults.NONE) and given.update_baseline:
         raise UserError("changed pictures or roots cannot become the baseline; omit --change, --fault or --update-baseline.")
-    if is_part and given.quick and given.update_baseline:
+    if (is_part or given.kept) and given.quick and given.update_baseline:
         raise UserError("a part of the quick set is incomplete, so it cannot become the baseline.")
 
 
@@ -115,6 +115,11 @@ def _run(given: argparse.Namespace) -> int:
             say("\n".join(case.name for case in chosen))
             return 0
         _check(given, is_part=is_part)
+        if given.kept:
+            from benchmarks import accuracy
+
+            is_part = True
+            chosen = [case for case in chosen if accuracy.load_record(case, device=given.device, change=given.change, fault=given.fault)]
     is_ladder = given.what == "accuracy" and not given.quick
     baseline_path = ladder.PATH if is_ladder else HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
     # a missing baseline is reported before an hour of measuring

@@ -245,6 +245,9 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
         help="deliberate fault of the found roots, at which the gate must shut (default: %(default)s)",
     )
     one.add_argument("--list", action="store_true", help="list the cases and exit")
+    one.add_argument(
+        "--kept", action="store_true", help="only cases that an earlier run with the same code measured; the others are skipped"
+    )
     one.add_argument("--afresh", action="store_true", help="repeat measurements of an earlier run with the same code")
 
 

@@ -198,7 +198,7 @@ def ladder(
             for count in (one for one in possible if one in rings):
                 pictures = Pictures(scene=name, profile=profile, rings=count, seed=seed)
                 measured = [method for method in methods if method == "coverage" or is_phantom or profile == "clean"]
-                sizes = CAMERA_SIZES.get(name, ()) if (count, profile, seed) == (1, "clean", 0) and "coverage" in methods else ()
+                sizes = CAMERA_SIZES.get(name, ()) if (count, profile, seed) == (2, "clean", 0) and "coverage" in methods else ()
                 cases += [Case(pictures=pictures, method=method) for method in measured]
                 cases += [Case(pictures=replace(pictures, image_wh=size)) for size in sizes]
     return _some(cases, scenes, profiles)
