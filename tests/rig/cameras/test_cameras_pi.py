@@ -11,27 +11,23 @@ import pytest
 from numpy.typing import NDArray
 
 from rhizotwin.rig.cameras import open_camera
-from rhizotwin.rig.cameras import pi as pi_module
 from rhizotwin.rig.cameras.bayer import grey_from_bayer
 from rhizotwin.rig.cameras.pi import TRIES, PiCamera
-from rhizotwin.rig.cameras.pi_frames import choose_mode, metadata_faults
+from rhizotwin.rig.cameras.pi_frames import choose_mode
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart
 
 FRAME_NS = 100_000_000
-BLACK, WHITE = 256, 4095
-"""Of the 12-bit sensor."""
+BLACK, WHITE = 256, 4095  # of the 12-bit sensor
 AUTOMATIC = {"ExposureTime": 20000, "AnalogueGain": 4.0, "ColourGains": (1.3, 1.6)}
 IMX477 = [
-    {"format": "SRGGB10_CSI2P", "unpacked": "SRGGB10", "bit_depth": 10, "size": (1332, 990)},
     {"format": "SRGGB12_CSI2P", "unpacked": "SRGGB12", "bit_depth": 12, "size": (2028, 1080)},
     {"format": "SRGGB12_CSI2P", "unpacked": "SRGGB12", "bit_depth": 12, "size": (2028, 1520)},
     {"format": "SRGGB12_CSI2P", "unpacked": "SRGGB12", "bit_depth": 12, "size": (4056, 3040)},
 ]
 SETTINGS = CameraSettings(image_wh=(32, 24), bits=12, exposure_s=0.01, gain=2.0, colour_gains=(2.0, 1.6))
-PART = CameraPart(exposure_s=0.01, gain=2.0, colour_gains=(2.0, 1.6))
 
 
 @dataclass
@@ -40,15 +36,12 @@ class _Sensor:
 
     stream_format: str = "SRGGB12"
     """What the stream is after configuring."""
-    late: int = 0
-    """Frames after the start that still have the automatic's settings."""
-    metadata: dict[str, Any] = field(default_factory=dict)
-    """Overrides of every frame's metadata."""
+    late: int = 0  # frames after the start that still have the automatic's settings
+    metadata: dict[str, Any] = field(default_factory=dict)  # overrides of every frame's metadata
     silent: bool = False
     cameras: int = 1
     now_ns: int = 0
-    light: list[tuple[int, float]] = field(default_factory=lambda: [(0, 0.25)])
-    """(from when, fraction of full scale)"""
+    light: list[tuple[int, float]] = field(default_factory=lambda: [(0, 0.25)])  # (from when, fraction of full scale)
     opened: list["_FakePicamera2"] = field(default_factory=list)
     requests: int = 0
     released: int = 0
@@ -56,18 +49,18 @@ class _Sensor:
     def set_light(self, level: float) -> None:
         self.light.append((self.now_ns, level))
 
-    def light_at(self, time_ns: int) -> float:
-        return [level for since, level in self.light if since <= time_ns][-1]
 
-
+@dataclass
 class _FakeRequest:
-    def __init__(self, sensor: _Sensor, config: Mapping[str, Any], start_ns: int, controls: Mapping[str, Any]) -> None:
-        self.sensor, self.config, self.start_ns, self.controls = sensor, config, start_ns, controls
+    sensor: _Sensor
+    config: Mapping[str, Any]
+    start_ns: int
+    controls: Mapping[str, Any]
 
     def make_array(self, name: str) -> NDArray[np.uint8]:
         assert name == "raw"
         (width, height), pixels = self.config["size"], self.config["format"]
-        number = self.sensor.light_at(self.start_ns) * (WHITE - BLACK)
+        number = [level for since, level in self.sensor.light if since <= self.start_ns][-1] * (WHITE - BLACK)
         red, blue = SETTINGS.colour_gains
         colours = {"R": number / red, "G": number, "B": number / blue}
         bits = int(pixels[5:7]) if pixels[5:7].isdigit() else 16
@@ -161,7 +154,7 @@ def opened(settings: CameraSettings = SETTINGS) -> PiCamera:
     return camera
 
 
-@pytest.mark.parametrize("stream_format", ["SRGGB12", "SBGGR12", "SGRBG12", "SGBRG12", "SRGGB16"])
+@pytest.mark.parametrize("stream_format", ["SRGGB12", "SGBRG12", "SRGGB16"])
 def test_grey_is_linear_and_left_aligned_in_every_format(sensor: _Sensor, stream_format: str) -> None:
     sensor.stream_format = stream_format
     camera, images = opened(), []
@@ -205,8 +198,6 @@ def test_frames_with_old_settings_are_passed_over_a_while(sensor: _Sensor) -> No
 
 WRONG_METADATA = [
     ("DigitalGain", 1.3, "DigitalGain is 1.3 instead of 1"),
-    ("ExposureTime", 10300, "ExposureTime is 10300 instead of 10000"),
-    ("ColourGains", (2.0, 1.7), "ColourGains blue is 1.7 instead of 1.6"),
     ("ColourGains", None, "ColourGains red is missing"),
     ("SensorBlackLevels", None, "does not report its black level"),
     ("SensorTimestamp", 1000 * 10000, "the frame is the same as before"),  # that of the first frame
@@ -221,15 +212,8 @@ def test_wrong_metadata_refuse_a_picture(sensor: _Sensor, key: str, value: objec
         camera.capture()
 
 
-def test_short_exposures_may_miss_by_a_row() -> None:
-    said = {"AnalogueGain": 1.0, "ColourGains": (2.0, 2.0), "ExposureTime": 994, "DigitalGain": 1.0052}
-    assert metadata_faults(said, CameraSettings(exposure_s=0.001)) == []
-    assert metadata_faults(said | {"ExposureTime": 900}, CameraSettings(exposure_s=0.001)) == ["ExposureTime is 900 instead of 1000"]
-
-
 def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: _Sensor) -> None:
     camera = opened()
-    assert "imx477), 32x24 of 64x48 raw pixels of 12 bits, 10 ms, gain 2" in camera.describe()
     sensor.silent = True
     with pytest.raises(RigError, match="camera 0: the camera no longer delivers frames"):
         camera.capture()
@@ -255,7 +239,6 @@ def test_no_camera_and_compressed_pixels_are_refused(sensor: _Sensor) -> None:
 
 IMPOSSIBLE = [
     (CameraSettings(image_wh=(32, 24), exposure_s=1e-5), "ExposureTime 10 us is outside the sensor's range, 114 to 6.74192e"),
-    (CameraSettings(image_wh=(32, 24), gain=0.5), "AnalogueGain 0.5 is outside the sensor's range, 1 to 22.26"),
     (CameraSettings(image_wh=(30, 24)), "cannot take pictures of 30x24 pixels; available sizes: 32x24, 16x12"),
 ]
 
@@ -269,28 +252,14 @@ def test_what_the_sensor_cannot_is_refused_before_the_start(sensor: _Sensor, set
 
 
 def test_the_finest_mode_of_the_hq_camera_is_taken() -> None:
-    for image_wh, size, block in (((2028, 1520), (4056, 3040), 2), ((1014, 760), (4056, 3040), 4), ((1014, 540), (2028, 1080), 2)):
-        mode = choose_mode(IMX477, image_wh, name="camera 0")
-        assert (mode.size, mode.block) == (size, block)
-    with pytest.raises(RigError, match="cannot take pictures of 800x600 pixels; available sizes: 2028x1520, 1014x760, 1014x540, 666x495 "):
-        choose_mode(IMX477, (800, 600), name="camera 0")
-    with pytest.raises(RigError, match="none, because the camera has no Bayer colour sensor"):
-        choose_mode([{"unpacked": "R10", "bit_depth": 10, "size": (1456, 1088)}], (728, 544), name="camera 0")
+    modes = [choose_mode(IMX477, image_wh, name="camera 0") for image_wh in ((2028, 1520), (1014, 760), (1014, 540))]
+    assert [(mode.size, mode.block) for mode in modes] == [((4056, 3040), 2), ((4056, 3040), 4), ((2028, 1080), 2)]
 
 
-def test_without_number_or_picamera2_or_its_numpy(monkeypatch: pytest.MonkeyPatch, sensor: _Sensor) -> None:
-    def fail(name: str) -> ModuleType:
-        raise ValueError(f"{name}: numpy.dtype size changed")
-
-    with pytest.raises(RigError, match="is not a camera number"):
-        PiCamera("/dev/video0", SETTINGS)
-    assert not sensor.opened
+def test_without_picamera2(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "picamera2", None)
     with pytest.raises(RigError, match="sudo apt install python3-picamera2"):
-        open_camera(PART, image_wh=(32, 24), bits=12, clock=SystemClock())
-    monkeypatch.setattr(pi_module.importlib, "import_module", fail)
-    with pytest.raises(RigError, match="is incompatible with the installed numpy"):
-        PiCamera("0", SETTINGS)
+        open_camera(CameraPart(), image_wh=(32, 24), bits=12, clock=SystemClock())
 
 
 def grey(raw: list[list[int]], **changes: Any) -> list[list[int]]:
@@ -305,7 +274,6 @@ def test_blocks_by_hand() -> None:
     # white 4096: gains 1; R 110-100, Gr 230-200, Gb 340-300, B 480-400, each of its own range
     light = (10 / 3996 + 30 / 3896 + 40 / 3796 + 80 / 3696) / 4
     options = {"black": (100.0, 200.0, 300.0, 400.0), "white": 4096.0, "colour_gains": (1.0, 1.0), "bits": 16}
-    assert grey([[110, 230], [340, 480]], **options) == [[round(light * 65535)]]
     assert grey([[480, 340], [230, 110]], order="BGGR", **options) == [[round(light * 65535)]]
     assert grey([[200, 250, 256, 4095], [256, 255, 256, 256]]) == [[0, 65520]]  # below black is black, a full pixel fills its block
     raw = np.full((4, 4), 256)
