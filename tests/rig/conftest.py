@@ -29,16 +29,13 @@ class _Board(LatePort):
     """A board behind a port: the methods of `rig.serial_line.port.Port`, answers after Marlin 2.1."""
 
     greets: bool = False
-    unknown: tuple[str, ...] = ()
-    """Commands that this firmware does not have."""
+    unknown: tuple[str, ...] = ()  # commands that this firmware does not have
     ok_after_resend: bool = True
     advanced_ok: bool = False
     keeps_alive: bool = True
-    reply_faults: dict[int, Fault] = field(default_factory=dict)
-    """By the number of the line that the board prints, from 0."""
+    reply_faults: dict[int, Fault] = field(default_factory=dict)  # by the number of the line that the board prints, from 0
     request_faults: dict[int, Fault] = field(default_factory=dict)
-    resets: dict[int, str] = field(default_factory=dict)
-    """At which request (from 0) the board starts anew first, and what it prints then."""
+    resets: dict[int, str] = field(default_factory=dict)  # at which request (from 0) the board starts anew first, and what it prints then
     x_deg: float = 0.0
     clock: Time = field(default_factory=Time)
 
@@ -50,8 +47,7 @@ class _Board(LatePort):
         self.energised = False
         self.strips: dict[int, dict[str, int]] = {0: {}, 1: {}}
         self.outputs: dict[int, int] = {}
-        self.done: list[str] = []
-        """Commands that were carried out."""
+        self.done: list[str] = []  # commands that were carried out
         self.sent: list[bytes] = []
         self.waiting: list[Piece] = []
         self.partial = b""
@@ -77,7 +73,6 @@ class _Board(LatePort):
         self.closed += 1
 
     def reset(self, banner: str) -> None:
-        """Start anew, saying so or not."""
         self.last, self.x_deg, self.energised, self.partial = 0, 0.0, False, b""
         self.done_s = self.free_s = self.clock.at_s
         self.strips = {0: {}, 1: {}}
@@ -85,7 +80,6 @@ class _Board(LatePort):
         self.put(banner, 0.3)
 
     def put(self, text: str, delay_s: float = 0.001) -> None:
-        """Print lines, with their faults."""
         for text_line in text.splitlines(keepends=True):
             fault = self.reply_faults.get(self.printed, lambda data: [(0.0, data)])
             self.printed += 1

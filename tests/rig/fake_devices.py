@@ -4,12 +4,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 
-from rhizotwin.rig.arm import kinematics
 from rhizotwin.rig.devices import LEAST_DEG, Shot
 from rhizotwin.rig.errors import LostError
 from rhizotwin.rig.open import Devices, open_devices
@@ -25,19 +26,13 @@ from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from tests.rig.fake_time import Time
 
 LENS = Camera(image_wh=(400, 300), focal_px=(650.0, 650.0), principal_px=(199.5, 149.5))
-STRIP = MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0)
-"""Fewer markers, which are read sooner."""
-CLEAN = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))
-"""For the emulated rig."""
+STRIP = MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0)  # fewer markers, which are read sooner
+CLEAN = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))  # for the emulated rig
 SCENE = Scene(camera=LENS, strip=STRIP, plan=CapturePlan(rings=(Ring(views=4),)))
-BLIND = replace(SCENE, strip=replace(SCENE.strip, bottom_mm=400.0))
-"""Its strip is out of the picture."""
-
-
-ARM_ERROR_DEG = (0.0, 1.5, -2.0, 1.0, 1.5)
-"""By which the arm goes beside every place."""
+BLIND = replace(SCENE, strip=replace(SCENE.strip, bottom_mm=400.0))  # the strip is out of the picture
 
 
 @dataclass
@@ -46,22 +41,15 @@ class World:
 
     scene: Scene = SCENE
     table_true_deg: float = 77.0
-    counter_deg: float | None = None
-    """What the board believes; None after power-up."""
+    counter_deg: float | None = None  # what the board believes; None after power-up
     panel: float = 0.0
     front: float = 0.0
-    now_s: float = 0.0
+    clock: Time = field(default_factory=Time)
     band: str = ""
     motor: bool = False
     acceleration_deg_per_s2: float = 60.0
-    joints_deg: tuple[float, ...] | None = None
-    """Where the arm really is; None: the camera stands on a tripod where the first ring wants it."""
-    torque: bool = False
-    moved_s: float = 0.0
-    rested_s: float = 1e9
-    """Shortest rest of the arm before a picture."""
-    reset: bool = False
-    """Whether the board was reset since it was connected, which the driver notices at the next call."""
+    with_arm: bool = False
+    reset: bool = False  # whether the board was reset since it was connected, which the driver notices at the next call
     calls: list[str] = field(default_factory=list)
     on_call: Callable[[str], None] = lambda _: None
 
@@ -79,9 +67,7 @@ class World:
 
     @property
     def cam_from_rig(self) -> np.ndarray:
-        """Where the camera really stands."""
-        if self.joints_deg is not None:
-            return kinematics.cam_from_rig(ArmPart(), self.joints_deg)
+        """Where the camera stands."""
         ring = self.scene.plan.rings[0]
         return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
 
@@ -95,17 +81,6 @@ class World:
         self.counter_deg = None
         self.lamps_out()
         self.table_true_deg += 2.6
-
-
-@dataclass
-class _FakeClock:
-    world: World
-
-    def now_s(self) -> float:
-        return self.world.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.world.now_s += max(0.0, seconds)
 
 
 @dataclass
@@ -141,7 +116,7 @@ class _FakeBoard:
             return angle_deg - 360.0
         self.world.table_true_deg += angle_deg - self.world.counter_deg
         self.world.counter_deg = angle_deg
-        self.world.now_s += 0.3
+        self.world.clock.at_s += 0.3
         return angle_deg
 
     def accelerate(self, deg_per_s2: float) -> None:
@@ -176,9 +151,8 @@ class _FakeCamera:
 
     def capture(self) -> Shot:
         self.world.call("camera.capture")
-        self.world.now_s += 0.01
         world = self.world
-        world.rested_s = min(world.rested_s, world.now_s - world.moved_s)
+        world.clock.at_s += 0.01
         return Shot(
             image=drawn(world.scene, world.cam_from_rig.tobytes(), round(world.table_true_deg % 360.0, 6), world.panel, world.front),
             exposure_s=0.01,
@@ -187,47 +161,6 @@ class _FakeCamera:
 
     def close(self) -> None:
         self.world.call("camera.close")
-
-
-@dataclass
-class _FakeArm:
-    """Goes beside every place by the same error."""
-
-    world: World
-    error_deg: tuple[float, ...] = ARM_ERROR_DEG
-
-    def describe(self) -> str:
-        return "a fake arm"
-
-    def prepare(self) -> None:
-        self.world.call("arm.prepare")
-        self.world.torque = True
-
-    def read_joints(self) -> tuple[float, ...]:
-        self.world.call("arm.read")
-        return tuple(a - b for a, b in zip(self.world.joints_deg, self.error_deg, strict=True))
-
-    def holds(self) -> bool:
-        self.world.call("arm.holds")
-        return self.world.torque
-
-    def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        self.world.call("arm.move")
-        assert self.world.torque
-        self.world.joints_deg = tuple(round(a / 0.24) * 0.24 + b for a, b in zip(joints_deg, self.error_deg, strict=True))
-        self.world.now_s += 2.0
-        self.world.moved_s = self.world.now_s
-        return self.read_joints()
-
-    def health(self) -> None:
-        self.world.call("arm.health")
-
-    def relax(self) -> None:
-        self.world.call("arm.relax")
-        self.world.torque = False
-
-    def close(self) -> None:
-        self.world.call("arm.close")
 
 
 @cache
@@ -243,14 +176,14 @@ def drawn(scene: Scene, camera: bytes, table_deg: float, panel: float, front: fl
 
 
 def devices(world: World) -> Devices:
-    with_arm, board = world.joints_deg is not None, _FakeBoard(world)
+    board = _FakeBoard(world)
     return Devices(
-        rig=RigFile(arm=ArmPart() if with_arm else None),
-        clock=_FakeClock(world),
+        rig=RigFile(arm=ArmPart() if world.with_arm else None),
+        clock=world.clock,
         table=board,
         lights=board,
         camera=_FakeCamera(world),
-        arm=_FakeArm(world) if with_arm else None,
+        arm=Mock() if world.with_arm else None,
         open_board=lambda: (_FakeBoard(world), _FakeBoard(world)),
     )
 
@@ -289,34 +222,21 @@ def with_rings(*rings: Ring) -> Scene:
 
 def stop_at(number: int) -> Callable[[str], None]:
     """Return what presses Ctrl-C at a call."""
-    left = [number]
+    calls = count(1)
 
-    def count(_: str) -> None:
-        left[0] -= 1
-        if left[0] == 0:
+    def press(_: str) -> None:
+        if next(calls) == number:
             raise KeyboardInterrupt
 
-    return count
+    return press
 
 
-@dataclass(frozen=True)
-class Trouble:
-    """Something that goes wrong once, at a call of a device."""
+def at_call(world: World, call: str, at: int, happens: Callable[[World], None]) -> None:
+    """Let something happen once, at one of the calls of that name."""
+    calls = count(1)
 
-    name: str
-    call: str
-    at: int
-    """Which of these calls."""
-    happens: Callable[[World], None]
+    def on_call(name: str) -> None:
+        if name == call and next(calls) == at:
+            happens(world)
 
-    def arm(self, world: World) -> None:
-        """Let it happen in a world."""
-        left = [self.at]
-
-        def on_call(name: str) -> None:
-            if name == self.call:
-                left[0] -= 1
-                if left[0] == 0:
-                    self.happens(world)
-
-        world.on_call = on_call
+    world.on_call = on_call

@@ -1,7 +1,6 @@
 """What is on the disk at every moment of a scan, and what is taken up."""
 
 import json
-import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,10 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.rig_file import ArmPart, RigFile
-from rhizotwin.rig.scanning import session as session_module
 from rhizotwin.rig.scanning.session import Session, open_session, picture_file
 from rhizotwin.scenes import plan
-from rhizotwin.scenes.dataset import Frame, load_dataset, read_image, save_dataset
+from rhizotwin.scenes.dataset import Frame, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import LOCK, lock_folder
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.picture_codec import encode_png
 
@@ -60,31 +57,6 @@ def test_frames_are_listed_with_the_hash_of_what_is_on_the_disk(tmp_path: Path) 
         begin(tmp_path / "d", resume=True)
 
 
-def test_the_list_is_written_before_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    order: list[str] = []
-    monkeypatch.setattr(session_module, "write_bytes", lambda path, _: order.append(path.name))
-    monkeypatch.setattr(session_module, "save_dataset", lambda dataset: order.append(f"list of {len(dataset.frames)}"))
-    made = begin(tmp_path / "d")
-    made.record(frame(0), picture(0))
-    made.record(frame(1), picture(1))
-    made.close()
-    assert order == ["list of 1", "view_000.png", "list of 2", "view_001.png"]
-
-
-def test_a_picture_being_written_counts_for_the_placement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, asked = encode_png, threading.Event()
-
-    def slowly(image: np.ndarray) -> bytes:
-        asked.wait(0.2)
-        return write(image)
-
-    monkeypatch.setattr(session_module, "encode_png", slowly)
-    made = begin(tmp_path / "d")
-    made.record(frame(0, placement=2), picture(0))
-    assert made.next_placement(0) == 3
-    made.close()
-
-
 def test_a_listed_frame_without_its_picture_is_taken_again(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0, 1, 2)
     (tmp_path / "d" / "images" / "view_001.png").unlink()
@@ -100,9 +72,7 @@ def test_a_listed_frame_without_its_picture_is_taken_again(tmp_path: Path) -> No
 
 DIFFERENCES = {
     "scene.plan.rings.1.views": {"scene": replace(SCENE, plan=CapturePlan(rings=(Ring(views=5),)))},
-    "scene.camera.distortion.1": {"scene": replace(SCENE, camera=replace(SCENE.camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0)))},
     "rig.camera.exposure_s": {"rig": replace(RIG, camera=replace(RIG.camera, exposure_s=0.02))},
-    "rig.arm": {"rig": replace(RIG, arm=None)},
     "twin": {"settings": {"twin": {"profile": "bench"}}},
     "seed": {"seed": 3},
 }
@@ -116,16 +86,12 @@ def test_differences_are_refused_by_name_but_not_ports(tmp_path: Path) -> None:
             begin(tmp_path / "d", resume=True, **changes)
     with pytest.raises(UserError, match="interrupted after 1 picture; add --resume"):
         begin(tmp_path / "d")
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "notes.txt").write_text("x")
-    with pytest.raises(UserError, match="not empty and contains no interrupted scan"):
-        begin(tmp_path / "other", resume=True)
     moved = replace(RIG, turntable=replace(RIG.turntable, port="/dev/ttyUSB7"), arm=replace(RIG.arm, port="/dev/ttyACM3"), name="renamed")
     made = begin(tmp_path / "d", resume=True, rig=moved)
     assert len(made.remaining()) == 3
     made.close()
-    save_dataset(replace(load_dataset(tmp_path / "d"), origin={"program": "rhizotwin simulate"}))
-    with pytest.raises(UserError, match="was not created by a scan"):
+    (tmp_path / "d" / "dataset.json").unlink()
+    with pytest.raises(UserError, match="not empty and contains no interrupted scan"):
         begin(tmp_path / "d", resume=True)
 
 
@@ -142,17 +108,6 @@ def test_a_scan_is_resumed_after_an_update_of_the_rig_file(tmp_path: Path) -> No
         begin(tmp_path / "d", resume=True)
 
 
-def test_what_a_killed_scan_left_half_written_is_removed(tmp_path: Path) -> None:
-    taken(tmp_path / "d", 0)
-    left = [tmp_path / "d" / ".dataset.json.77-ab12cd34.tmp", tmp_path / "d" / "images" / ".view_001.png.77-ab12cd34.tmp"]
-    for path in left:
-        path.write_bytes(b"half")
-    (tmp_path / "d" / LOCK).write_text('{"pid": 77, "host": "bench", "since": "yesterday"}')
-    with lock_folder(tmp_path / "d"):
-        begin(tmp_path / "d", resume=True).close()
-        assert not any(path.exists() for path in left)
-
-
 def test_pictures_that_turned_out_wrong_are_taken_out(tmp_path: Path) -> None:
     made = begin(tmp_path / "d", scene=replace(SCENE, description="a secret root"))
     for index in (0, 1):
@@ -160,9 +115,7 @@ def test_pictures_that_turned_out_wrong_are_taken_out(tmp_path: Path) -> None:
     made.drop(["images/view_001.png"])
     assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png"]
     assert not (tmp_path / "d" / "images" / "view_001.png").exists()
-    written = (tmp_path / "d" / "dataset.json").read_text()
-    assert "secret" not in written  # what stands in the canister
-    assert json.loads(written)["scene"]["specimen"] is None
+    assert "secret" not in (tmp_path / "d" / "dataset.json").read_text()  # what stands in the canister
     made.drop(["images/view_000.png"])
     assert not (tmp_path / "d" / "dataset.json").exists()
     assert len(made.remaining()) == 4
