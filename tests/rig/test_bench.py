@@ -4,22 +4,18 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import rhizotwin.rig.align_camera
-from rhizotwin.rig.arm.arm import ServoArm
-from rhizotwin.rig.arm.placement import compute_joints, planned_camera_pose
 from rhizotwin.rig.bench import check
-from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
-from rhizotwin.rig.prepared_devices import PreparedDevices
 from rhizotwin.rig.rig_file import ArmPart, Pose, RigFile, load_rig
 from rhizotwin.rig.scanning import alignment
-from rhizotwin.rig.scanning.markers import Sighting
-from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
+from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -48,20 +44,16 @@ def test_a_sound_rig_is_all_ok(tmp_path: Path) -> None:
     assert all(line.split()[1] == "ok" for line in lines)
     assert twin.world.panel.level == twin.world.front.level == 0.0
     assert not any(servo.torque_on for servo in twin.world.servos.values()), "the arm was at rest"
-    wrong, lines = looked(twin_of(rig=RigFile(arm=None)), tmp_path)
-    assert wrong == 0, lines
-    assert any(line.startswith("markers    ok    ") and "reprojection error" in line for line in lines)
 
 
 BROKEN = [
     ("turntable", Fault(kind="unplugged", device="table", at_s=0.0, amount=0.0), "unplugged|does not exist"),
     ("arm", Fault(kind="overheated", device="arm", at_s=0.0, amount=80.0), "°C, above 65 °C"),
-    ("arm", Fault(kind="reply_dropped", device="arm", at_message=1, count=FOR_GOOD), "does not reply"),
     ("camera", Fault(kind="camera_stopped", device="camera", at_message=1, amount=0.0), "no picture"),
 ]
 
 
-@pytest.mark.parametrize(("device", "fault", "named"), BROKEN, ids=["unplugged", "too warm", "silent arm", "no camera"])
+@pytest.mark.parametrize(("device", "fault", "named"), BROKEN, ids=["unplugged", "too warm", "no camera"])
 def test_what_is_wrong_is_said_and_the_rest_is_looked_at(device: str, fault: Fault, named: str, tmp_path: Path) -> None:
     wrong, lines = looked(twin_of(fault), tmp_path)
     bad = [line for line in lines if line.split()[1] == "WRONG"]
@@ -85,9 +77,7 @@ class Bench:
         self.twin = twin_of(rig=rig, profile=profile)
         self.said: list[str] = []
 
-    def types(
-        self, *lines: str | Callable[[], object], stop_at_mistake: bool = False, before_leaving: Callable[[], object] = lambda: None
-    ) -> list[str]:
+    def types(self, *lines: str | Callable[[], object]) -> list[str]:
         """Type lines at the twin's bench, with what happens in between; return what was said."""
 
         def typed() -> Iterator[str]:
@@ -96,10 +86,9 @@ class Bench:
                     yield line
                 else:
                     line()
-            before_leaving()
 
         with opened(self.twin) as devices:
-            Jog(devices, self.twin.calibrated_scene(), say=self.said.append).run(typed(), stop_at_mistake=stop_at_mistake)
+            Jog(devices, self.twin.calibrated_scene(), say=self.said.append).run(typed())
         return self.said
 
     def is_safe(self) -> bool:
@@ -110,11 +99,9 @@ class Bench:
 def test_table_is_turned_by_hand_once_its_angle_is_known() -> None:
     bench = Bench()
     start_deg = bench.twin.world.table_deg
-    said = bench.types("table +9", "home 40", "table +9", "table 30  # back", "table -130", "table 9000", "help", "quit", "table 0")
+    said = bench.types("table +9", "home 40", "table +9", "table 30  # back", "table -130", "table 9000", "quit", "table 0")
     assert "turntable: the table's angle is unknown; enter home, or home 0 if the seam of the marker strip faces the camera" in said
     assert "table at 49.000 deg" in said
-    assert {"home", "lights", "go", "park", "relax", "pose", "markers", "picture", "quit"} <= {line.split()[0] for line in said if line}
-    assert "table at 30.000 deg" in said
     assert any("the table would turn by 8970 deg, but at most 720 deg" in line for line in said)
     assert any("the angle is -100 deg but must be finite and at least -90 deg" in line for line in said)
     assert bench.twin.world.table_deg - start_deg == pytest.approx(-10.0, abs=0.06)  # a microstep
@@ -123,45 +110,12 @@ def test_table_is_turned_by_hand_once_its_angle_is_known() -> None:
 
 def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Although its servos stop anywhere within 0.3 degrees (sigma) of where they are sent."""
-    bench, found = Bench(profile="bench"), list[alignment.Misalignment]()
-
-    def misalignment(pose: Array) -> alignment.Misalignment:
-        found.append(alignment.misalignment(pose))
-        return found[-1]
-
-    monkeypatch.setattr(rhizotwin.rig.align_camera, "misalignment", misalignment)
-    said = bench.types("lights 1 1", "align 400 -42")
+    bench, found, misalignment = Bench(profile="bench"), list[alignment.Misalignment](), alignment.misalignment
+    monkeypatch.setattr(rhizotwin.rig.align_camera, "misalignment", lambda pose: found.append(misalignment(pose)) or found[-1])
+    bench.types("lights 1 1", "align 400 -42")
     assert found[0].size > 5.0
     assert found[-1].is_aligned
-    assert any(re.fullmatch(r"after \d+ moves: axis .* mm, tilt .* deg, roll .* deg", line) for line in said)
     assert bench.is_safe()
-
-
-def test_an_arm_that_cannot_be_aligned_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rhizotwin.rig.align_camera, "MOST_MOVES", 1)  # its first move stops up to a degree away
-    bench = Bench(profile="harsh")
-    with pytest.raises(UserError, match="not aligned after 1 moves"):
-        bench.types("lights 1 1", "align 400 -42", stop_at_mistake=True)
-    assert bench.is_safe()
-
-
-def test_the_search_for_the_strip_omits_tilts_beyond_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The default arm at the ring, with a wrist that can only raise the camera, which sees the strip once it is raised by 10 degrees."""
-    arm = ArmPart()
-    wrist_deg = compute_joints(RigFile(arm=arm), planned_camera_pose(SCENE.plan.rings[0]))[3]
-    joints = (*arm.joints[:3], replace(arm.joints[3], max_deg=wrist_deg + 2.0), arm.joints[4])
-    park_deg = (*arm.park_deg[:3], wrist_deg, 0.0)
-    bench = Bench(rig=replace(twin_of().rig, arm=replace(arm, joints=joints, park_deg=park_deg)))
-    read = PreparedDevices.read_markers
-
-    def hidden(devices: PreparedDevices) -> tuple[Sighting | None, str]:
-        raised = devices.commanded_deg is not None and devices.commanded_deg[3] < wrist_deg - 7.0
-        return read(devices) if raised else (None, "no markers were found")
-
-    monkeypatch.setattr(PreparedDevices, "read_markers", hidden)
-    ring = SCENE.plan.rings[0]
-    said = bench.types("lights 1 1", f"align {ring.distance_mm} {ring.height_mm}")
-    assert any(line.startswith("before: axis") for line in said), said
 
 
 def test_a_named_pose_is_gone_to() -> None:
@@ -174,7 +128,6 @@ def test_a_named_pose_is_gone_to() -> None:
 
 LEVEL = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)
 MISALIGNED = {
-    "level": (LEVEL, (0.0, 0.0, 0.0)),
     "at any azimuth": (LEVEL @ frames.rotation_z(2.0), (0.0, 0.0, 0.0)),
     "tilted": (frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=1.5), (0.0, 1.5, 0.0)),
     "rolled": (frames.rotation_z(np.deg2rad(2.0)) @ LEVEL, (0.0, 0.0, 2.0)),
@@ -191,7 +144,7 @@ def test_misalignment_is_that_of_the_optical_axis(pose: Array, expected: tuple[f
 def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> None:
     bench, seen, file = Bench(), list[tuple[float, ...]](), tmp_path / "look.png"
     lines = ("lights 1 1", "go 400 -20", "markers", "home", "pose", f"picture {file}", "joint 1 +3")
-    said = bench.types(*lines, f"picture {file}", before_leaving=lambda: seen.append(bench.twin.world.joints_deg))
+    said = bench.types(*lines, f"picture {file}", lambda: seen.append(bench.twin.world.joints_deg))
     assert f"{file} already exists; choose another name" in said
     assert any("markers, " in line and "reprojection error" in line for line in said), said
     assert any("from the markers, the camera is 4" in line or "from the markers, the camera is 39" in line for line in said)
@@ -203,12 +156,7 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
 
 REFUSED = {
     "dance": "there is no command 'dance'; available commands are table, home",
-    "table fast": "'table fast' is invalid; usage: table +9 | table 90",
-    "lights 2": "'lights 2' is invalid; usage: lights",
     "lights nan": "'lights nan' is invalid; usage: lights",
-    "go -5 0": "'go -5 0' is invalid; usage: go",
-    "park now": "'park now' is invalid; usage: park",
-    "joint 6 +5": "'joint 6 +5' is invalid; usage: joint",
     "joint 2 +400": "limits",
     "joint 2 89": "the floor",
     "go 60 -42": "arm: ",
@@ -222,7 +170,7 @@ REFUSED = {
 def test_refused_with_the_reason_and_nothing_moves() -> None:
     bench = Bench(rig=replace(twin_of().rig, arm=ArmPart(position_mm=(650.0, 0.0, -100.0))))
     before, moved = bench.twin.world.joints_deg, list[tuple[float, ...]]()
-    said = bench.types(*REFUSED, before_leaving=lambda: moved.append(bench.twin.world.joints_deg))
+    said = bench.types(*REFUSED, lambda: moved.append(bench.twin.world.joints_deg))
     assert [line for line, named in REFUSED.items() if not any(named in one for one in said)] == []
     assert moved[0] == pytest.approx(before, abs=0.5)
 
@@ -231,47 +179,24 @@ def test_a_rig_without_an_arm_says_so() -> None:
     assert Bench(rig=RigFile(arm=None)).types("park", "relax", "joint 1 +3", "go 400 0").count("this rig has no arm") == 4
 
 
-def test_an_arm_without_torque_is_prepared_again_or_left(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_arm_without_torque_is_prepared_again() -> None:
     bench = Bench()
     said = bench.types("joint 1 +3", lambda: bench.twin.world.brown_out(0.0), "joint 1 +3", "joint 1 +3")
     assert sum("has lost its torque" in line for line in said) == 1
     assert sum(line.startswith("joints at") for line in said) == 2
     assert bench.is_safe()
-    bench = Bench()
-    prepare = ServoArm.prepare
-
-    def fail(arm: ServoArm) -> None:
-        prepare(arm)
-        raise UnsafeError("arm: the base moved while its torque was switched on")
-
-    monkeypatch.setattr(ServoArm, "prepare", fail)
-    assert "arm: the base moved while its torque was switched on" in bench.types("joint 1 +3")
-    assert bench.is_safe()
 
 
 def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
     bench = Bench()
-
-    def press() -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        bench.types("lights 1 1", "joint 1 +3", before_leaving=press)
+        bench.types("lights 1 1", "joint 1 +3", Mock(side_effect=KeyboardInterrupt))
     assert bench.is_safe()
 
 
-WRONG_FILES = [
-    ("/dev/ttyUSB1", "/dev/ttyUSB0", r"port.*must differ from the port of"),
-    ("tolerance_deg = 0.02", "tolerance_deg = 0.004", r"tolerance_deg = 0.004"),  # less than the rounding of a reported angle
-]
-
-
-@pytest.mark.parametrize(("right", "wrong", "says"), WRONG_FILES)
-def test_rig_files_that_cannot_work_are_refused(right: str, wrong: str, says: str, tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(EXAMPLE.replace(right, wrong))
-    with pytest.raises(UserError, match=says):
+def test_rig_files_that_cannot_work_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(EXAMPLE.replace("/dev/ttyUSB1", "/dev/ttyUSB0"))
+    with pytest.raises(UserError, match=r"port.*must differ from the port of"):
         load_rig(tmp_path / "rig.toml")
 
 

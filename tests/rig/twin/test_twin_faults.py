@@ -2,12 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from rhizotwin.rig.twin.adapter import Reply
-from rhizotwin.rig.twin.faults import KIND_NAMES, MENU, Fault, Pending, draw_faults, parse_fault
-from rhizotwin.rig.twin.line import Line, corrupt
+from rhizotwin.rig.twin.faults import Fault, Pending, parse_fault
+from rhizotwin.rig.twin.line import Line
 from rhizotwin.scenes.errors import UserError
 
 BAUD = 10_000  # a byte takes a millisecond
@@ -69,9 +68,7 @@ def test_bytes_take_their_time_both_ways() -> None:
 
 CASES = [
     (table("reply_dropped"), b"ok\n", b"B\nok\n"),
-    (table("reply_dropped", count=2), b"", b"B\nok\n"),
     (table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
-    (table("reply_doubled"), b"A\nA\nok\n", b"B\nok\n"),
     (table("reply_truncated", at_message=2, amount=0.4), b"A\no", b"B\nok\n"),
     (table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n", b"B\nok\n"),
     (table("request_dropped"), b"", b"B\nok\n"),
@@ -100,43 +97,18 @@ def test_a_late_reply_comes_late_and_busy_lines_before_it() -> None:
     assert talk.listen(4.0) == b"echo:busy: processing\nA\nok\n"
 
 
-def test_a_device_breaks_at_its_message_or_is_unplugged() -> None:
+def test_a_device_breaks_at_its_message() -> None:
     talk = _Talk(table("reset", at_message=3))
-    for data, broken in ((b"A\n", []), (b"B\n", ["reset"])):
-        talk.ask(data)
-        assert talk.broken == broken
-    talk.line.write(b"A\n", talk.now_s)
-    talk.line.unplug()
-    assert talk.listen(1.0) == b""
-    talk.line.plug()
-    assert talk.ask(b"B\n") == b"B\nok\n"
-
-
-@pytest.mark.parametrize("amount", [0.0, 0.31, 1.0])
-def test_one_bit_is_turned(amount: float) -> None:
-    data = bytes(range(1, 12))
-    assert (int.from_bytes(data) ^ int.from_bytes(corrupt(data, amount))).bit_count() == 1
-    assert corrupt(b"", amount) == b""
-
-
-def test_every_kind_is_drawn_within_its_menu() -> None:
-    rng = np.random.default_rng(0)
-    faults = draw_faults(rng, KIND_NAMES, messages=50, duration_s=60.0)
-    assert [fault.kind for fault in faults] == list(KIND_NAMES)
-    for fault, kind in zip(faults, MENU, strict=True):
-        assert fault.device in kind.devices
-        assert fault.amount in kind.amounts
-        assert fault.count in kind.counts
-        assert (fault.at_message is None) != (fault.at_s is None)
-        assert fault.at_message is None or 1 <= fault.at_message <= 50
-        assert fault.at_s is None or 0.0 <= fault.at_s <= 60.0
+    talk.ask(b"A\n")
+    assert talk.broken == []
+    talk.ask(b"B\n")
+    assert talk.broken == ["reset"]
 
 
 def test_faults_are_read_from_words() -> None:
     assert parse_fault("reset") == Fault(kind="reset", device="table", amount=0.1)
     assert parse_fault("reply_late arm amount=3 at_s=20 count=2") == Fault(kind="reply_late", device="arm", at_s=20.0, amount=3.0, count=2)
     assert [parse_fault(f"stalled joint={number}").joint for number in (1, 5)] == [0, 4]
-    words = [("stalled joint=6", "from 1 to 5"), ("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')]
-    for text, named in (*words, ("reset at_s=nan", "at_s"), ("reset amount=inf", "amount")):
+    for text, named in (("stalled joint=6", "from 1 to 5"), ("rest", '"reset"'), ("reset arm", "'arm'"), ("reset at_s=nan", "at_s")):
         with pytest.raises(UserError, match=named):
             parse_fault(text)
