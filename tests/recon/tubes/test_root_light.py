@@ -1,6 +1,7 @@
 """Attenuation, blur and hairs, fitted together with the tubes."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,8 +18,17 @@ from tests.recon.strings import drawn
 from tests.recon.tubes.test_translucent_tubes import ORGAN, SLANTED, STAR, dark, pictured, straight
 
 STEPS = np.array([0.02, 0.01, 0.05, 0.004])
-BALD = np.array([True, True, False, False])
-"""Attenuation and blur alone."""
+
+
+def bald(seen: Evidence) -> Prior:
+    """Return the prior of attenuation and blur alone."""
+    return replace(Prior.from_evidence(seen), free=np.array([True, True, False, False]))
+
+
+def blurred(noise: float, seed: int = 0) -> Evidence:
+    """Return pictures of the star with an attenuation of 2 / mm and a blur of 0.4 px, both of which are known."""
+    true = {"mu_per_mm": 2.0, "blur_px": 0.4}
+    return replace(drawn(STAR, replace(dark(), **true), noise=noise, opacity=True, seed=seed).with_opacity(), **true)
 
 
 @pytest.mark.parametrize("column", range(4), ids=tube_profiles.LIGHT)
@@ -36,50 +46,53 @@ def test_columns_are_derivatives_of_the_picture(column: int, hairs: float) -> No
     assert ratio == pytest.approx(STEPS[column], rel=0.15)  # the slope is that of a Gaussian pixel
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_fit_goes_down_the_valley_of_attenuation_and_blur(seed: int) -> None:
+def test_the_fit_goes_down_the_valley_of_attenuation_and_blur() -> None:
     """From twice the attenuation and half the blur, which look alike within some per cent."""
-    true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
-    seen = replace(drawn(STAR, true, noise=0.005, opacity=True, seed=seed).with_opacity(), mu_per_mm=4.0, blur_px=0.2)
-    start = root_light.match_absorption(STAR, ORGAN, true, seen)
-    bald = replace(Prior.from_evidence(seen), free=BALD)
-    fit = tube_fit.fit(seen, start, ORGAN, steps=14, light=bald)
+    seen = replace(blurred(0.005), mu_per_mm=4.0, blur_px=0.2)
+    start = root_light.match_absorption(STAR, ORGAN, replace(dark(), mu_per_mm=2.0, blur_px=0.4), seen)
+    fit = tube_fit.fit(seen, start, ORGAN, steps=14, light=bald(seen))
     assert fit.evidence.mu_per_mm == pytest.approx(2.0, rel=0.05)
     assert fit.evidence.blur_px == pytest.approx(0.4, abs=0.02)
     assert np.median(fit.tubes.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.03)
 
 
+@cache
+def begun(mu: float | None) -> tuple[Evidence, Tubes]:
+    """Return pictures of the star, and opaque tubes that absorb as much light."""
+    pictures = pictured(STAR, mu)
+    return pictures.with_opacity(), root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=mu), pictures)
+
+
 @pytest.mark.parametrize(("mu", "translucent"), [(None, False), (2.0, True)])
 def test_pictures_tell_opaque_roots_from_translucent_ones(mu: float | None, translucent: bool) -> None:
-    pictures = pictured(STAR, mu).with_opacity()
-    start = root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=mu), pictures)
-    attenuation, fit = tube_attenuation.find(pictures, start, ORGAN)
+    attenuation, fit = tube_attenuation.find(*begun(mu), ORGAN)
     assert (attenuation.mu_per_mm is not None) == translucent
     assert np.median(fit.tubes.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.08 if translucent else 0.02)
+
+
+@cache
+def profiles_of_all() -> int:
+    return tube_attenuation.find(*begun(2.0), ORGAN, 2.0)[0].profiles
 
 
 @pytest.mark.parametrize(("views", "sufficient"), [(12, True), (1, False)])
 def test_some_of_the_views_tell_the_light_of_all(views: int, sufficient: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """All views are used if some of them show too few lone roots."""
-    pictures = pictured(STAR, 2.0)
-    start = root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=2.0), pictures)
+    pictures, (_, start) = pictured(STAR, 2.0), begun(2.0)
     monkeypatch.setattr(rooting, "_LIGHT_PROFILES", views * len(STAR.radius_mm))
     monkeypatch.setattr(rooting, "_LIGHT_VIEWS", 1)
     attenuation, lit, _ = rooting._fit_light(pictures, start, ORGAN, 2.0, None)
     assert attenuation.light == pytest.approx(root_light.light_vector(lit))
     assert lit.mu_per_mm == pytest.approx(2.0, rel=0.1)
     assert lit.bank.count == pictures.bank.count == 16
-    of_all = tube_attenuation.find(pictures.with_opacity(), start, ORGAN, 2.0)[0].profiles
-    assert (attenuation.profiles < of_all) == sufficient
+    assert (attenuation.profiles < profiles_of_all()) == sufficient
 
 
 def test_where_tubes_are_few_wide_roots_tell_the_attenuation(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (tube_attenuation, tube_fit):
         monkeypatch.setattr(module, "LEAST_LONE", 10**9)
-    pictures = pictured(STAR, 2.0).with_opacity()
-    start = root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=2.0), pictures)
-    assert tube_attenuation.find(pictures, start, ORGAN)[0].mu_per_mm is None
-    attenuation, _ = tube_attenuation.find(pictures, start, ORGAN, 2.0)
+    assert tube_attenuation.find(*begun(2.0), ORGAN)[0].mu_per_mm is None
+    attenuation, _ = tube_attenuation.find(*begun(2.0), ORGAN, 2.0)
     assert attenuation.mu_per_mm == pytest.approx(2.0, rel=0.1)
     assert attenuation.sigma == root_light.LEARNED_SIGMA
 
@@ -98,29 +111,22 @@ def test_what_only_scatters_is_not_told_apart(shared: bool, expected: float) -> 
 def test_the_covariance_is_the_scatter_over_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the step from the true light, for a model without error: five roots are few clusters, so that it is known to a third."""
     monkeypatch.setattr(root_light, "LEAST_VARIANCE", 1e-9)
-    true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
     steps, sigmas = [], []
     for seed in range(8):
-        seen = replace(drawn(STAR, true, noise=0.02, opacity=True, seed=seed).with_opacity(), mu_per_mm=2.0, blur_px=0.4)
-        bald = replace(Prior.from_evidence(seen), free=BALD)
-        fit = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald)
+        seen = blurred(0.02, seed)
+        fit = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald(seen))
         steps.append(root_light.light_vector(fit.evidence)[:2] - root_light.light_vector(seen)[:2])
-        assert fit.light is not None
-        sigmas.append(np.sqrt(np.diag(fit.light.covariance(root_light.light_vector(seen), bald)))[:2])
+        sigmas.append(np.sqrt(np.diag(fit.light.covariance(root_light.light_vector(seen), bald(seen))))[:2])
     assert np.abs(np.mean(steps, axis=0)).max() < 0.03
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(sigmas), axis=0)), np.std(steps, axis=0), rtol=0.6)
 
 
 def test_an_error_of_the_model_does_not_average_out() -> None:
     """The covariance is that of the light parameters if the error of the coverage is the same in all profiles."""
-    true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
-    seen = replace(drawn(STAR, true, noise=1e-4, opacity=True).with_opacity(), mu_per_mm=2.0, blur_px=0.4)
-    prior = replace(Prior.from_evidence(seen), free=BALD)
-    system = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=prior).light
-    assert system is not None
-    worst = np.sqrt(np.diag(system.covariance(root_light.light_vector(seen), prior)))[:2]
-    free = np.flatnonzero(BALD)
-    per_profile = system.reduced[np.ix_(free, free)] / system.lone
+    seen = blurred(1e-4)
+    system = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald(seen)).light
+    worst = np.sqrt(np.diag(system.covariance(root_light.light_vector(seen), bald(seen))))[:2]
+    per_profile = system.reduced[:2, :2] / system.lone
     np.testing.assert_allclose(worst, np.sqrt(root_light.LEAST_VARIANCE * np.diag(np.linalg.inv(per_profile))), rtol=0.1)
 
 
