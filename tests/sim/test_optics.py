@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -12,7 +13,7 @@ import rhizotwin.sim.render
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Camera, CapturePlan, NetPot, Ring, Scene
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, NetPot, Ring, Scene, Water
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.solids import to_surface, unite_roots
@@ -161,3 +162,22 @@ def test_smooth_pixels_are_what_all_rays_give(monkeypatch: pytest.MonkeyPatch) -
     all_light, all_coverage = renderer.view(1)
     np.testing.assert_array_equal(coverage, all_coverage)
     assert 0.0 < np.abs(light - all_light).max() < 2e-4
+
+
+def test_without_refraction_a_ball_is_where_opencv_projects_it() -> None:
+    distortion = (-0.12, 0.05, 0.002, -0.001, 0.01)
+    scene = Scene(
+        canister=Canister(n_wall=1.0),
+        water=Water(n_water=1.0),
+        camera=replace(Camera().resized((400, 300)), distortion=distortion),
+        plan=CapturePlan(rings=(Ring(views=3),)),
+    )
+    centres = [(0.0, 0.0, -50.0), (10.0, 55.0, -110.0), (-30.0, -50.0, -20.0)]
+    for k, centre in enumerate(centres):
+        cam_from_canister = draw_world(scene, seed=0).cameras[k].cam_from_canister
+        camera = scene.camera
+        matrix = np.array([[camera.focal_px[0], 0, camera.principal_px[0]], [0, camera.focal_px[1], camera.principal_px[1]], [0, 0, 1]])
+        rotvec, shift_mm = frames.to_rotvec(cam_from_canister), cam_from_canister[:3, 3]
+        expected = cv2.projectPoints(np.array([centre]), rotvec, shift_mm, matrix, np.array(distortion))[0].ravel()
+        _, coverage = Renderer(scene, draw_world(scene, seed=0), ball(centre, 3.0), samples=16).view(k)
+        np.testing.assert_allclose(centroid(coverage), expected, atol=0.03)

@@ -71,3 +71,14 @@ def test_photons_are_poisson_quantiles(mean: float) -> None:
     assert np.abs(found - exact).max() <= (1.0 if mean >= 25.0 else 0.0)
     weight = np.exp(-0.5 * chance**2)
     assert weight @ (found != exact) < 0.01 * weight.sum()
+
+
+def test_a_last_bit_that_differs_leaves_the_noise_of_others() -> None:
+    light = np.full((100, 100), 0.3, dtype=np.float32)
+    pictures = []
+    for last in (0.3, 0.3 * (1.0 + 1e-6)):
+        light[::7, ::5] = last
+        pictures.append(expose(light, Camera(bits=12), Disturbances(full_well_e=8000.0), rng=np.random.default_rng(2)).astype(int) >> 4)
+    changed = pictures[0] != pictures[1]
+    assert changed.sum() <= 3
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
