@@ -58,41 +58,32 @@ def with_volume(error: float, low: float, high: float) -> dict[str, Any]:
     return {"traits": {"volume": {"error": error, "holds": holds, "interval": [low, high], "interval_score": high - low}}}
 
 
-def test_every_named_benchmark_can_be_rendered() -> None:
-    for benchmark in benchmarks.BENCHMARKS.values():
-        assert re.fullmatch(r"[a-z]+-\d+", benchmark.name)
-        assert len({case.name for case in benchmark.cases}) == len(benchmark.cases)
-        for case in benchmark.cases:
-            assert case.seed >= benchmarks.HELD_BACK
-            assert len(case.rendered_scene().plan.rings) == case.rings
-    with pytest.raises(UserError, match="did you mean quick-1"):
-        benchmarks.find("quik-1")
+@pytest.mark.parametrize("benchmark", benchmarks.BENCHMARKS.values(), ids=lambda benchmark: benchmark.name)
+def test_every_named_benchmark_can_be_rendered(benchmark: Benchmark) -> None:
+    assert re.fullmatch(r"[a-z]+-\d+", benchmark.name)
+    assert len({case.name for case in benchmark.cases}) == len(benchmark.cases)
+    assert min(case.seed for case in benchmark.cases) >= benchmarks.HELD_BACK
+    assert [len(case.rendered_scene().plan.rings) for case in benchmark.cases] == [case.rings for case in benchmark.cases]
+    reference = fingerprints.reference(benchmark)
+    if benchmark.name in ("quick-1", "hard-1"):
+        views = {case.name: case.views * case.rings for case in benchmark.cases}
+        assert {name: len(reference[name]["pixels"]) for name in views} == views
 
 
-def test_a_case_is_chosen_once() -> None:
+def test_a_case_is_chosen_once_and_other_seeds_grow_other_plants() -> None:
     chosen = benchmarks.find("quick-1").chosen(("bean", "ball", "bean"))
     assert [case.name for case in chosen.cases] == ["bean", "ball"]
-
-
-def test_other_seeds_grow_other_plants() -> None:
     case = benchmarks.find("roots-1").chosen(("bean",)).cases[0]
     assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
-
-
-@pytest.mark.parametrize("name", ["quick-1", "hard-1"])
-def test_sets_have_fingerprints(name: str) -> None:
-    benchmark = benchmarks.find(name)
-    reference = fingerprints.reference(benchmark)
-    for case in benchmark.cases:
-        assert len(reference[case.name]["pixels"]) == case.views * case.rings
+    with pytest.raises(UserError, match="did you mean quick-1"):
+        benchmarks.find("quik-1")
 
 
 def test_pictures_equal_up_to_rounding_are_the_same_data(made: Path) -> None:
     known = fingerprints.take(made)
     assert fingerprints.compare(made, "ball", {"ball": known}).same
-    for step, same in ((40, True), (200, False)):  # of 65535
-        other = {**known, "pixels": [[value + step for value in view] for view in known["pixels"]]}
-        assert fingerprints.compare(made, "ball", {"ball": other}).same is same
+    brighter = [{**known, "pixels": [[value + step for value in view] for view in known["pixels"]]} for step in (40, 200)]  # of 65535
+    assert [fingerprints.compare(made, "ball", {"ball": other}).same for other in brighter] == [True, False]
     assert not fingerprints.compare(made, "ball", {}).same
 
 
@@ -108,14 +99,8 @@ def test_another_number_of_pictures_is_other_data(command: Command, made: Path, 
 
 
 def test_what_is_offered_holds_no_truth(offered: Path) -> None:
-    assert sorted(path.name for path in offered.iterdir()) == [
-        "colmap",
-        "dataset.json",
-        "images",
-        "masks",
-        "transforms.json",
-        "undistorted",
-    ]
+    names = {"colmap", "dataset.json", "images", "masks", "transforms.json", "undistorted"}
+    assert {path.name for path in offered.iterdir()} == names
     cameras = json.loads((offered / "undistorted" / "transforms.json").read_text())
     assert len(cameras["frames"]) == len(list((offered / "undistorted" / "masks").iterdir())) == 10
     assert not any("truth" in path.name for path in offered.rglob("*"))
@@ -127,11 +112,12 @@ def test_true_cameras_have_the_focal_length_of_the_pictures(made: Path, tmp_path
     save_truth(tmp_path / "made", replace(truth, drawn={**truth.drawn, "focal_error": 0.003}))
     offers.offer(tmp_path / "made", tmp_path / "offered", cameras="true")
     focal_px = load_dataset(made).scene.camera.focal_px[0]
-    for cameras in ("transforms.json", "undistorted/transforms.json"):
-        assert json.loads((tmp_path / "offered" / cameras).read_text())["fl_x"] == pytest.approx(1.003 * focal_px)
+    written = [json.loads((tmp_path / "offered" / folder / "transforms.json").read_text()) for folder in ("", "undistorted")]
+    assert [cameras["fl_x"] for cameras in written] == pytest.approx([1.003 * focal_px] * 2)
 
 
 def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) -> None:
+    assert EXAMPLE.read_text(encoding="utf-8") in (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
     method = f"{sys.executable} {EXAMPLE} {{dataset}} {{output}}"
     words = ["bench", "run", "tiny-1", tiny, "--method", method, "--label", "voxel centres"]
     said = command.works(*words, "-o", tmp_path / "mine.json", "--keep", tmp_path / "kept").out
@@ -196,19 +182,14 @@ def test_a_scan_without_cameras_is_a_row(command: Command, tiny: Path, tmp_path:
     monkeypatch.setattr(run_method, "offer", fail)
     command.works("bench", "run", "tiny-1", tiny, "--method", "a {output}", "-o", tmp_path / "rows.json")
     (found,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
-    assert (found["state"], found["sentence"]) == (
-        "failed",
-        "the method was not run, because its input could not be written: no picture has a camera",
-    )
+    why = "the method was not run, because its input could not be written: no picture has a camera"
+    assert (found["state"], found["sentence"]) == ("failed", why)
 
 
-def test_numbers_that_no_float_holds_are_left_out() -> None:
+def test_hostile_numbers_and_cases_of_a_foreign_file(command: Command, tmp_path: Path) -> None:
     iou = next(one for one in results.QUANTITIES if one.name == "iou")
-    for hostile in (10**400, -(10**400), float("nan"), float("inf"), True, "1"):
-        assert results.value(row(mesh={"iou": hostile}), iou) is None
-
-
-def test_a_case_of_a_foreign_file_is_a_text_and_occurs_once(command: Command, tmp_path: Path) -> None:
+    hostile = (10**400, -(10**400), float("nan"), float("inf"), True, "1")
+    assert [results.value(row(mesh={"iou": number}), iou) for number in hostile] == [None] * len(hostile)
     stored = {"schema_version": 1, "benchmark": "tiny-1", "method": "mine", "rows": [row(mesh={"iou": 0.9}) | {"case": 5}]}
     (tmp_path / "rows.json").write_text(json.dumps(stored))
     assert "| 5 | mine |" in command.works("bench", "table", tmp_path / "rows.json").out
@@ -225,16 +206,7 @@ def test_tables_name_cameras_and_files_without_scores() -> None:
     assert "| roots.rsml is damaged; volume marked as not reliable |" in text
 
 
-@pytest.mark.parametrize("other", [{"image_wh": (640, 480)}, {"views": 20}, {"seed": 1000}])
-def test_a_case_of_the_same_name_in_another_benchmark_is_refused(
-    command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: dict[str, Any]
-) -> None:
-    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, replace(TINY, cases=(replace(TINY.cases[0], **other),)))
-    words = ("bench", "score", "tiny-1", tiny, tmp_path, "--label", "mine", "-o", tmp_path / "rows.json")
-    command.fails(*words, named=["was rendered for another benchmark than tiny-1"])
-
-
-def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path) -> None:
+def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["-o", tmp_path / "rows.json"]
     command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])
     command.fails("bench", "run", "tiny-1", tiny, "--method", "python 'my method.py {output}", *words, named=["quotation"])
@@ -243,17 +215,22 @@ def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path:
     command.fails("bench", "run", "tiny-1", tiny, "--cases", "bean", "--method", "ours", *words, named=["bean", "ball"])
     (tmp_path / "bad.json").write_text('{"schema_version": 1, "rows": [{}]}')
     command.fails("bench", "table", tmp_path / "bad.json", named=["bad.json"])
+    for other in ({"image_wh": (640, 480)}, {"views": 20}, {"seed": 1000}):
+        monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, replace(TINY, cases=(replace(TINY.cases[0], **other),)))
+        score = ("bench", "score", "tiny-1", tiny, tmp_path, "--label", "mine")
+        command.fails(*score, *words, named=["was rendered for another benchmark than tiny-1"])
 
 
-def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path) -> None:
-    for method in ("hull", "thesis", "regularised"):
-        said = command.works("reconstruct", made, "-o", tmp_path / method, "--method", method, "--quiet").out
-        assert "not reliable" in said
-        assert json.loads((tmp_path / method / "result.json").read_text())["settings"]["method"] == method
-    found = json.loads(command.works("score", tmp_path / "hull", made, "--json").out)
-    assert found["volume_trusted"] is False
-    assert abs(found["volume_error"]) < 0.06  # a ball is its own hull
-    command.fails("reconstruct", made, "-o", tmp_path / "no", "--method", "hull", "--mass-g", "2", named=["--mass-g"])
+@pytest.mark.parametrize("method", ["hull", "thesis", "regularised"])
+def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path, method: str) -> None:
+    out = tmp_path / method
+    assert "not reliable" in command.works("reconstruct", made, "-o", out, "--method", method, "--quiet").out
+    assert json.loads((out / "result.json").read_text())["settings"]["method"] == method
+    if method == "hull":
+        found = json.loads(command.works("score", out, made, "--json").out)
+        assert found["volume_trusted"] is False
+        assert abs(found["volume_error"]) < 0.06  # a ball is its own hull
+        command.fails("reconstruct", made, "-o", tmp_path / "no", "--method", method, "--mass-g", "2", named=["--mass-g"])
 
 
 def test_the_gate_sees_what_gets_worse(command: Command, tmp_path: Path) -> None:
@@ -285,9 +262,10 @@ def test_the_gate_sees_what_gets_worse(command: Command, tmp_path: Path) -> None
 
 def test_the_gate_refuses_to_compare_nothing() -> None:
     done = of_rows(row(mesh={"iou": 0.9}))
-    for empty in (of_rows(), of_rows({**row(), "state": "failed"})):
-        with pytest.raises(UserError, match="no case in the baseline was completed"):
-            results.compare(done, empty)
+    with pytest.raises(UserError, match="no case in the baseline was completed"):
+        results.compare(done, of_rows())
+    with pytest.raises(UserError, match="no case in the baseline was completed"):
+        results.compare(done, of_rows({**row(), "state": "failed"}))
     with pytest.raises(UserError, match="--cameras estimated"):
         results.compare(done, replace(done, cameras="estimated"))
     assert results.compare(done, replace(done, cameras=None))  # output from another computer
@@ -305,7 +283,3 @@ def test_a_click_sorts_the_page(browser: Any, tmp_path: Path) -> None:
     assert [cell.inner_text() for cell in cells] == ["+5.00", "+10.00", "-20.00"]  # by size
     assert "<b>one</b>" in shown.query_selector("tbody tr:last-child").inner_text()
     shown.close()
-
-
-def test_the_page_on_benchmarks_shows_the_example() -> None:
-    assert EXAMPLE.read_text(encoding="utf-8") in (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
