@@ -1,8 +1,6 @@
-"""A servo bus of a few lines for the tests of the arm, and a scripted line for those of its protocols."""
+"""A servo bus of a few lines for the tests of the arm."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Collection, Mapping
 
 import pytest
 
@@ -131,42 +129,3 @@ def arm_and_bus(*, tells: bool = True, prepared: bool = True, part: ArmPart = PA
 
 
 BOTH = pytest.mark.parametrize("tells", [True, False], ids=["tells torque", "cannot tell"])
-
-
-SILENT = ""
-
-
-class ScriptedLine:
-    """A line that demands these writes in this order, and answers each with its bytes; time passes only in reads and sleeps."""
-
-    def __init__(self, *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> None:
-        self.script = [(bytes.fromhex(sent), bytes.fromhex(answer)) for sent, answer in script]
-        self.clock = Time()
-        self._echo = echo
-        self._piece = piece
-        self._input = b""
-
-    def write(self, data: bytes) -> None:
-        """Demand the next write of the script."""
-        sent, answer = self.script.pop(0)
-        assert data.hex(" ") == sent.hex(" ")
-        self._input += (data if self._echo else b"") + answer
-
-    def read(self, timeout_s: float) -> bytes:
-        """Hand out a piece."""
-        assert timeout_s > 0.0
-        chunk, self._input = self._input[: self._piece], self._input[self._piece :]
-        self.clock.sleep(1e-4 if chunk else timeout_s)
-        return chunk
-
-    def discard_input(self) -> None:
-        """Drop what is there."""
-        self._input = b""
-
-
-@contextmanager
-def scripted(bus: Callable[[ScriptedLine], Any], *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> Iterator[Any]:
-    """Give a bus on a scripted line, all of which must be used."""
-    line = ScriptedLine(*script, echo=echo, piece=piece)
-    yield bus(line)
-    assert not line.script

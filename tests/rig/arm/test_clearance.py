@@ -1,8 +1,6 @@
 """Paths of the arm against canister, table, floor and bars: distances by brute force, and that nothing is missed between samples."""
 
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,25 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
-from rhizotwin.rig.arm.kinematics import arm_from_cam, rig_from_arm
+from rhizotwin.rig.arm.kinematics import arm_from_cam, cam_from_rig, rig_from_arm
 from rhizotwin.rig.arm.placement import Joints, compute_joints, planned_camera_pose
-from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, minimum_distance, point_to_segment
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, minimum_distance, point_to_segment
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Bar, Clearance, RigFile
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Ring, Scene, Tank
 
-ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
-"""On a stand so low that it reaches the floor."""
+ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))  # on a stand so low that it reaches the floor
 RIG = RigFile(arm=ARM)
 SCENE = Scene()
 RING = compute_joints(RIG, planned_camera_pose(Ring()))
-SOLIDS: tuple[Solid, ...] = (
-    Cylinder("can", 76.2, -152.4, 0.0),
-    Box("bar", (-30.0, -20.0, 5.0), (40.0, 60.0, 25.0)),
-    Floor("floor", -195.0),
-)
+SOLIDS = (Cylinder("can", 76.2, -152.4, 0.0), Box("bar", (-30.0, -20.0, 5.0), (40.0, 60.0, 25.0)), Floor("floor", -195.0))
 point = st.lists(st.floats(-250.0, 250.0), min_size=3, max_size=3).map(np.array)
 
 
@@ -45,14 +38,6 @@ def camera_mm(rig: RigFile, joints_deg: Joints) -> Array:
 def distance_of(rig: RigFile, piece: str, other: str, joints_deg: Joints) -> float:
     found = pairs(rig, SCENE, np.array([joints_deg]))
     return float(found.distance_mm[0, found.names.index((piece, other))])
-
-
-def test_distances_of_points_by_hand() -> None:
-    cylinder, box, floor = SOLIDS
-    spots = np.array([(100.0, 0.0, -50.0), (0.0, 0.0, 12.0), (0.0, 79.2, 4.0), (70.2, 0.0, -50.0), (0.0, 0.0, -150.4)])
-    assert cylinder.distance_mm(spots) == pytest.approx([23.8, 12.0, 5.0, -6.0, -2.0])
-    assert box.distance_mm(np.array([(43.0, 64.0, 15.0), (0.0, 0.0, 8.0)])) == pytest.approx([5.0, -3.0])
-    assert floor.distance_mm(np.array([5.0, 5.0, -180.0])) == pytest.approx(15.0)
 
 
 @given(at=point, begin=point, end=point)
@@ -87,44 +72,22 @@ def test_default_arm_is_clear_at_rest_and_to_the_rings() -> None:
     at_rest = pairs(rig, SCENE, np.array([arm.park_deg]))
     assert (at_rest.distance_mm > at_rest.margin_mm + 20.0).all()
     at: Joints = arm.park_deg
-    page = (Path(__file__).parents[3] / "docs" / "scanning.md").read_text(encoding="utf-8")
-    shoots = tomllib.loads(page[page.index("[[plan.rings]]") :].partition("```")[0])["plan"]["rings"][1]  # of the thesis's 80 pictures
-    for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), Ring(**shoots), Ring(height_mm=-65.0)):
+    for ring in (Ring(), Ring(height_mm=120.0, distance_mm=420.0, tilt_deg=10.0, kind="shoot"), Ring(height_mm=-65.0)):
         goal = compute_joints(rig, planned_camera_pose(ring))
+        assert max(frames.pose_error(cam_from_rig(arm, goal), planned_camera_pose(ring))) < 1e-6
         assert plan_path(rig, SCENE, at, goal) == [goal]
         at = goal
     assert plan_path(rig, SCENE, at, arm.park_deg) == [arm.park_deg]
 
 
-def test_base_near_floor_or_in_table_and_a_margin_that_is_named() -> None:
-    way = [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)]
-    check_path(replace(RIG, arm=replace(ARM, position_mm=(650.0, 0.0, -194.0))), SCENE, way)
-    with pytest.raises(UnsafeError, match="arm: the base would"):
-        check_path(near(100.0), SCENE, way)
-    rig = near(380.0, margin_mm=0.0)
-    way = [(0.0,) * 5, (0.0, 30.0, 60.0, 0.0, 0.0)]  # comes nearer all the way
-    spare = pairs(rig, SCENE, np.array(way[1:])).distance_mm.min()
-    assert 5.0 < spare < 40.0
-    check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, way)
-    says = rf"within {spare:.1f} mm of the \w+.* \(minimum {spare + 0.6:.0f} mm\) at the end of the path"
-    with pytest.raises(UnsafeError, match=says):
-        check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, way)
-
-
-BAR_BEFORE = Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0))
+BAR = Clearance(bars=(Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0)),))
 CRASHES = {
     "canister": (near(), ((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)), r"^arm: the (camera|last link) would touch the canister at the end"),
-    "past the canister": (near(), ((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"the camera would touch the net pot 50 % along the path"),
     "second leg": (near(), ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"touch the net pot 75 % along the path"),
-    "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the path"),
-    "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the path"),
-    "bar": (replace(RIG, clearance=Clearance(bars=(BAR_BEFORE,))), ((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)), r"the bar 1"),
+    "bar": (replace(RIG, clearance=BAR), ((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)), r"the bar 1"),
+    "base": (near(100.0), (ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)), r"^arm: the base would"),
     "its own upper arm": (RIG, ((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)), r"the camera would touch the arm's own upper arm"),
-    "touches": (
-        near(),
-        ((0, 90, 0, 0, 0), ARM.park_deg),
-        r"the canister in its present position; move it away by hand with the torque off",
-    ),
+    "touches": (near(), ((0, 90, 0, 0, 0), ARM.park_deg), r"the canister in its present position; move it away by hand"),
 }
 
 
@@ -135,7 +98,7 @@ def test_crash_is_refused_with_what_where_and_how_near(rig: RigFile, path: tuple
 
 
 def past_cube(part: float, low_mm: float) -> None:
-    """Check half a turn of a thin arm past a cube of 1 mm, whose lower side is at a height above a place of the camera."""
+    """Check half a turn of a thin arm past a cube of 1 mm at a height above a place of the camera."""
     begin, end = (-90.0, 90.0, 0.0, 0.0, 0.0), (90.0, 90.0, 0.0, 0.0, 0.0)
     at = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
     cube = Bar(low_mm=tuple(np.add(at, (-0.5, -0.5, low_mm))), high_mm=tuple(np.add(at, (0.5, 0.5, low_mm + 1.0))))
@@ -143,7 +106,7 @@ def past_cube(part: float, low_mm: float) -> None:
     check_path(replace(RIG, clearance=thin), SCENE, [begin, end])
 
 
-@pytest.mark.parametrize("part", np.linspace(0.03, 0.97, 7))
+@pytest.mark.parametrize("part", [0.03, 0.4, 0.97])
 def test_thin_bar_between_samples_is_not_missed(part: float) -> None:
     with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the path"):
         past_cube(part, -0.5)
@@ -174,17 +137,6 @@ def test_verdicts_agree_with_dense_samples() -> None:
     assert 8 < sum(verdicts) < len(verdicts) - 8
 
 
-ANGLES = st.lists(st.floats(-120.0, 120.0), min_size=5, max_size=5).map(np.array)
-
-
-@given(a=ANGLES, b=ANGLES)
-@settings(max_examples=60)
-def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> None:
-    both = pairs(near(), SCENE, np.stack([a, b]))
-    bound = both.travel_mm @ np.abs(np.deg2rad(b - a))
-    assert (np.abs(np.diff(both.distance_mm, axis=0)[0]) <= bound + 1e-6).all()
-
-
 def test_arm_within_a_margin_may_move_away_but_not_nearer() -> None:
     sagged = (0.0, 84.0, 30.0, 0.0, 0.0)
     floor = distance_of(RIG, "camera", "the floor", sagged)
@@ -208,22 +160,6 @@ def test_way_round_goes_through_a_drawn_in_arm() -> None:
         plan_path(near(), SCENE, ARM.park_deg, (0.0, 90.0, 0.0, 0.0, 0.0))
 
 
-DETOURS = {
-    "post behind": (Bar(low_mm=(736.0, -2.0, -50.0), high_mm=(740.0, 2.0, 50.0)), ARM.park_deg[1:4]),
-    "wall behind": (Bar(low_mm=(705.0, -300.0, -50.0), high_mm=(720.0, 300.0, 150.0)), (0.0, 0.0, 0.0)),
-}
-"""What else is in the way, and the shape in which the arm gets past."""
-
-
-@pytest.mark.parametrize(("bar", "shape"), DETOURS.values(), ids=DETOURS)
-def test_way_round_turns_the_base_with_the_arm_drawn_in(bar: Bar, shape: tuple[float, ...]) -> None:
-    begin, end = (45.0, 80.0, 0.0, 0.0, 10.0), (88.0, 80.0, 0.0, 0.0, 0.0)
-    middle = camera_mm(RIG, (67.0, 80.0, 0.0, 0.0, 0.0))
-    between = Bar(low_mm=tuple(middle - 2.0), high_mm=tuple(middle + 2.0))
-    rig = replace(RIG, clearance=Clearance(bars=(between, bar)))
-    assert plan_path(rig, SCENE, begin, end) == [(45.0, *shape, 10.0), (88.0, *shape, 0.0), end]
-
-
 def test_a_tank_is_kept_clear_of_however_it_is_turned() -> None:
     scene = replace(Scene(), tank=Tank(front_mm=100.0, half_width_mm=130.0, level_mm=-8.0, turn_deg=5.0))
     box = next(solid for solid in solids(RIG, scene) if solid.name == "tank")
@@ -232,4 +168,3 @@ def test_a_tank_is_kept_clear_of_however_it_is_turned() -> None:
     turned = flat @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     assert np.all(box.distance_mm(np.insert(turned, 2, -50.0, axis=1)) <= 1e-9)
     assert box.distance_mm(np.array([0.0, 0.0, 10.0])) == pytest.approx(18.0)
-    assert not [solid for solid in solids(RIG, Scene()) if solid.name == "tank"]

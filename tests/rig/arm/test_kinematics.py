@@ -1,4 +1,4 @@
-"""The arm's chain against elementary matrices, poses found by hand and finite differences; its inverse; the correction by markers."""
+"""The arm's chain against elementary matrices; its inverse; the correction by markers."""
 
 from dataclasses import replace
 
@@ -10,21 +10,18 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from rhizotwin.rig.arm.inverse import MOST_STEPS, inverse, newton, three_link
-from rhizotwin.rig.arm.kinematics import arm_from_cam, body_jacobian, cam_from_rig, forward, log_se3, places, rig_from_arm
-from rhizotwin.rig.arm.tangency import azimuth_rad, correct, rotate_to_azimuth, tangent_pose
+from rhizotwin.rig.arm.kinematics import cam_from_rig, forward, log_se3, places, rig_from_arm
+from rhizotwin.rig.arm.tangency import correct, rotate_to_azimuth, tangent_pose
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 PART = ArmPart()
-L0, L1, L2, L3 = LINKS = PART.links_mm
+LINKS = PART.links_mm
 
 
 def vectors(size: int, most: float) -> st.SearchStrategy[Array]:
     return st.lists(st.floats(-most, most), min_size=size, max_size=size).map(np.array)
-
-
-joint_angles = vectors(5, 3.0)
 
 
 def turn(axis: str, angle_rad: float) -> Array:
@@ -34,12 +31,11 @@ def turn(axis: str, angle_rad: float) -> Array:
 
 
 def hat(twist: Array) -> Array:
-    """Return the 4x4 matrix of a twist: velocity, rotation."""
     vx, vy, vz, x, y, z = twist
     return np.array([[0, -z, y, vx], [z, 0, -x, vy], [-y, x, 0, vz], [0, 0, 0, 0]])
 
 
-@given(q=joint_angles)
+@given(q=vectors(5, 3.0))
 def test_chain_is_product_of_its_joints(q: Array) -> None:
     up = [frames.translation(0.0, 0.0, length) for length in LINKS]
     mount = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -49,52 +45,14 @@ def test_chain_is_product_of_its_joints(q: Array) -> None:
     np.testing.assert_allclose(places(LINKS, q)[3], wrist[:3, 3], atol=1e-10)
 
 
-REACH = L1 + L2 + L3
-POSES = {
-    "turned left": ((90, 90, 0, 0, 0), (0, REACH, L0), (1, 0, 0), (0, 1, 0)),
-    "gallows": ((0, 0, 90, 0, 0), (L2 + L3, 0, L0 + L1), (0, -1, 0), (1, 0, 0)),
-    "looks down": ((0, 0, 90, 90, 0), (L2, 0, L0 + L1 - L3), (0, -1, 0), (0, 0, -1)),
-    "rolled right": ((0, 90, 0, 0, 90), (REACH, 0, L0), (0, 0, -1), (1, 0, 0)),
-}
-"""Poses found without calculating: joints in degrees, the camera's centre, what is right and ahead of it."""
-
-
-@pytest.mark.parametrize(("joints_deg", "centre_mm", "right", "ahead"), POSES.values(), ids=POSES)
-def test_poses_by_hand(joints_deg: tuple[float, ...], centre_mm: tuple[float, ...], right: Array, ahead: Array) -> None:
-    camera = arm_from_cam(PART, joints_deg)
-    np.testing.assert_allclose(camera[:3, 3], centre_mm, atol=1e-9)
-    np.testing.assert_allclose(camera[:3, :3].T, [right, np.cross(ahead, right), ahead], atol=1e-12)
-
-
-@given(q=joint_angles)
+@given(rotation=vectors(3, 1.8), scale=st.sampled_from((1.0, 1e-4, 1e-9)), v=vectors(3, 300.0))
 @settings(max_examples=50)
-def test_body_jacobian_is_that_of_finite_differences(q: Array) -> None:
-    step = 1e-5
-    for j, column in enumerate(body_jacobian(PART, q).T):
-        ahead, behind = (forward(LINKS, q + sign * step * np.eye(5)[j]) for sign in (1.0, -1.0))
-        v_b = np.linalg.inv(forward(LINKS, q)) @ (ahead - behind) / (2.0 * step)  # V_b^ = g^-1 g_dot
-        np.testing.assert_allclose(hat(column), v_b, atol=1e-5)
-
-
-@given(
-    direction=vectors(3, 1.0).filter(lambda v: np.linalg.norm(v) > 0.1),
-    angle=st.one_of(st.floats(0.0, 1e-8), st.floats(1e-5, 1e-2), st.floats(0.0, np.pi - 1e-3)),
-    v=vectors(3, 300.0),
-)
-@settings(max_examples=50)
-def test_logarithm_undoes_the_exponential(direction: Array, angle: float, v: Array) -> None:
-    twist = np.concatenate([v, angle * direction / np.linalg.norm(direction)])
+def test_logarithm_undoes_the_exponential(rotation: Array, scale: float, v: Array) -> None:
+    twist = np.concatenate([v, scale * rotation])
     np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, atol=1e-7)
 
 
-@pytest.mark.parametrize("angle_rad", [1e-6, 9.9e-4, 1.01e-3])
-def test_logarithm_of_small_turns_keeps_its_second_order(angle_rad: float) -> None:
-    twist = np.array([300.0, -200.0, 400.0, angle_rad, 0.0, 0.0])
-    np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, rtol=0.0, atol=1e-8)
-
-
 START = np.deg2rad([0.0, 30.0, 30.0, 30.0, 0.0])
-"""One start for every target, whatever it is: leaning forward, bent a little."""
 TARGETS = 10_000
 
 
@@ -115,7 +73,7 @@ def test_closed_form_is_exact_on_random_reachable_targets() -> None:
 
 
 SINGULAR = ((20, 0, 0, 0, 30), (20, 0, 0, 180, 30), (10, 50, 0, 70, -20), (10, 50, 180, 70, -20), (10, 40, 60, -100, 15))
-"""Joints in degrees: straight up, then looking down, stretched, folded, looking along the base's axis."""
+"""Straight up, then looking down, stretched, folded, looking along the base's axis."""
 
 
 def test_closed_form_at_singular_poses() -> None:
@@ -144,16 +102,6 @@ def test_the_nearest_orientation_and_what_is_left(rotvec: Array, seed: int) -> N
     assert Rotation.from_matrix(target[:3, :3].T @ others).magnitude().min() > found.left_over_rad - 1e-9
 
 
-def test_out_of_reach_is_nan_but_finite_by_newton() -> None:
-    target = frames.from_rotvec(np.array([0.0, np.pi / 2, 0.0]), np.array([900.0, 0.0, 61.0]))
-    found = inverse(PART, target)
-    assert np.isnan(found.joints_rad).all()
-    assert found.wrist_mm == pytest.approx(900.0 - 95.0)
-    near = newton(PART, target, START)
-    assert np.isfinite(near.joints_rad).all()
-    assert np.linalg.norm(near.left_over[:3]) > 500.0
-
-
 def test_newton_converges_from_one_start() -> None:
     targets = forward(LINKS, within_limits(TARGETS, 0))
     found = newton(PART, targets, START)
@@ -165,27 +113,10 @@ def test_newton_converges_from_one_start() -> None:
     assert np.median(found.steps) <= 8
 
 
-def test_newton_with_a_free_axis_meets_what_five_joints_cannot() -> None:
-    part = ArmPart(position_mm=(650.0, 30.0, -100.0))
-    arm_from_axis = frames.invert(frames.from_rotvec(np.deg2rad([0.0, 0.0, 180.0]), np.array(part.position_mm)))
-    target = arm_from_axis @ frames.invert(frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=5.0))
-    held = newton(part, target, START)
-    free = newton(part, target, START, arm_from_axis=arm_from_axis)
-    assert np.linalg.norm(held.left_over[3:]) > 0.01
-    assert free.converged
-    assert np.linalg.norm(free.left_over) < 1e-6
-    turned = arm_from_axis @ frames.rotation_z(float(free.turned_rad)) @ frames.invert(arm_from_axis) @ target
-    np.testing.assert_allclose(forward(LINKS, free.joints_rad), turned, atol=1e-6)
-    assert np.rad2deg(free.turned_rad) == pytest.approx(np.rad2deg(np.arctan2(30.0, 650.0)), abs=1e-6)
-
-
 RING = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)
-cameras = st.tuples(
-    vectors(3, 1.0),
-    st.floats(100.0, 600.0),
-    st.floats(-np.pi, np.pi),
-    st.floats(-200.0, 200.0),
-).map(lambda c: frames.invert(frames.from_rotvec(c[0], np.array([c[1] * np.cos(c[2]), c[1] * np.sin(c[2]), c[3]]))))
+cameras = st.tuples(vectors(3, 1.0), st.floats(100.0, 600.0), st.floats(-np.pi, np.pi), st.floats(-200.0, 200.0)).map(
+    lambda c: frames.invert(frames.from_rotvec(c[0], np.array([c[1] * np.cos(c[2]), c[1] * np.sin(c[2]), c[3]])))
+)
 
 
 def printed_desired(camera: Array) -> Array:
@@ -206,24 +137,9 @@ def test_tangent_pose_is_that_of_appendix_c2(camera: Array) -> None:
     np.testing.assert_allclose(frames.invert(tangent_pose(camera)), printed_desired(camera), atol=1e-9)
 
 
-def test_tangent_pose_in_front_is_the_plans_level_camera() -> None:
-    tilted = frames.from_rotvec(np.array([0.1, -0.2, 0.3]), np.zeros(3)) @ RING
-    np.testing.assert_allclose(tangent_pose(tilted), RING, atol=1e-9)
-    behind = frames.invert(frames.from_rotvec(np.zeros(3), np.array([-300.0, 200.0, 0.0])))
-    assert azimuth_rad(behind) == pytest.approx(np.pi - np.arctan(200.0 / 300.0))
-
-
-@given(camera=cameras, like=cameras)
-def test_turning_round_the_axis_changes_the_azimuth_only(camera: Array, like: Array) -> None:
-    turned = rotate_to_azimuth(camera, like)
-    assert np.cos(azimuth_rad(turned) - azimuth_rad(like)) == pytest.approx(1.0)
-    np.testing.assert_allclose(tangent_pose(turned) @ frames.invert(turned), tangent_pose(camera) @ frames.invert(camera), atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_correction_brings_a_badly_known_arm_to_its_place(seed: int) -> None:
+def test_correction_brings_a_badly_known_arm_to_its_place() -> None:
     """Zero errors of 2 degrees, scales of 1 %, links, mount and azimuth of the table that nobody knows: two corrections suffice."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     tilted = frames.from_rotvec(np.deg2rad(rng.normal(0.0, 1.0, 3)), np.zeros(3)) @ rig_from_arm(PART)
     real = replace(
         PART,

@@ -1,4 +1,4 @@
-"""Joint angles for the plan's rings: what the default arm reaches, what is refused with which numbers, the correction by markers."""
+"""Joint angles for the plan's rings: what is refused with which numbers, the correction by markers."""
 
 from dataclasses import replace
 
@@ -6,85 +6,35 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.arm.kinematics import cam_from_rig
-from rhizotwin.rig.arm.placement import (
-    camera_pose_from_direction,
-    compute_joints,
-    compute_joints_from_direction,
-    correct_joints,
-    planned_camera_pose,
-)
+from rhizotwin.rig.arm.placement import compute_joints, compute_joints_from_direction, correct_joints, planned_camera_pose
 from rhizotwin.rig.arm.tangency import azimuth_rad, rotate_to_azimuth
-from rhizotwin.rig.errors import RigError, UnsafeError
-from rhizotwin.rig.rig_file import ArmPart, Joint, RigFile
+from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Ring
 
 ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
-"""On a low stand."""
 RIG = RigFile(arm=ARM)
-DEFAULT = RigFile(arm=ArmPart())
 
 
 def with_arm(**changes: object) -> RigFile:
     return replace(RIG, arm=replace(ARM, **changes))
 
 
-def limited(k: int, low: float, high: float) -> tuple[Joint, ...]:
-    return tuple(replace(joint, min_deg=low, max_deg=high) if i == k else joint for i, joint in enumerate(ARM.joints))
-
-
-REACHED = (
-    Ring(),
-    Ring(height_mm=130.0),
-    Ring(height_mm=120.0, distance_mm=420.0, tilt_deg=10.0, kind="shoot"),
-    Ring(height_mm=-50.0, tilt_deg=-10.0),
-    Ring(distance_mm=375.0),
-)
-
-
-@pytest.mark.parametrize("ring", REACHED, ids=lambda ring: f"{ring.height_mm:g} {ring.distance_mm:g} {ring.tilt_deg:g}")
-def test_default_arm_reaches_the_rings_that_the_page_promises(ring: Ring) -> None:
-    joints_deg = compute_joints(DEFAULT, planned_camera_pose(ring))
-    camera = cam_from_rig(ArmPart(), joints_deg)
-    assert max(frames.pose_error(camera, planned_camera_pose(ring))) < 1e-6
-    room_deg = 10.0 if ring == Ring() else 0.0  # for corrections of the default ring
-    for joint, angle in zip(ArmPart().joints, joints_deg, strict=True):
-        assert joint.min_deg + room_deg <= angle <= joint.max_deg - room_deg
-    rig_from_cam = frames.invert(camera)
-    assert max(rig_from_cam[2, 1], rig_from_cam[0, 2]) < -0.9  # upright picture, optical axis toward the table
-
-
 def test_elbow_is_up() -> None:
     pose = planned_camera_pose(Ring(height_mm=60.0))
     joints_deg = compute_joints(RIG, pose)
-    forced = compute_joints(with_arm(joints=limited(2, -88.0, -1.0), park_deg=(0.0, 0.0, -10.0, 0.0, 0.0)), pose)
+    below = tuple(replace(joint, max_deg=-1.0) if i == 2 else joint for i, joint in enumerate(ARM.joints))
+    forced = compute_joints(with_arm(joints=below, park_deg=(0.0, 0.0, -10.0, 0.0, 0.0)), pose)
     assert joints_deg[2] > 0.0 > forced[2]
     np.testing.assert_allclose(cam_from_rig(ARM, forced), cam_from_rig(ARM, joints_deg), atol=1e-6)
 
 
-def test_whole_turns_are_chosen_to_fit_the_limits() -> None:
-    plain = compute_joints(RIG, planned_camera_pose(Ring()))
-    turned = compute_joints(with_arm(joints=limited(4, 300.0, 360.0)), planned_camera_pose(Ring()))
-    assert turned[4] == pytest.approx(plain[4] + 360.0)
-
-
+ASIDE = with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0))
 REFUSED = {
-    "too far": (
-        RIG,
-        Ring(distance_mm=350.0),
-        r"distance 350 mm, height -42 mm, tilt 0 deg is out of reach: .* 205 mm from the shoulder, but the links permit 5 to 198 mm; move",
-    ),
-    "too near": (
-        with_arm(links_mm=(61.0, 150.0, 50.0, 95.0)),
-        Ring(distance_mm=530.0),
-        r"would have to be 25 mm from the shoulder, but the links permit 100 to 200 mm",
-    ),
+    "too far": (RIG, Ring(distance_mm=350.0), r"is out of reach: .* 205 mm from the shoulder, but the links permit 5 to 198 mm; move"),
     "elbow": (RIG, Ring(distance_mm=450.0), r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"),
-    "far aside": (
-        with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0)),
-        Ring(),
-        r"would be 16\.7 deg from the rig's x axis, but at more than 15 deg it does not face the backlight; move .* nearer to y = 0",
-    ),
+    "far aside": (ASIDE, Ring(), r"16\.7 deg from the rig's x axis, but at more than 15 deg it does not face the backlight"),
 }
 
 
@@ -104,24 +54,15 @@ def test_an_askew_arm_turns_the_camera_round_the_table() -> None:
 
 def test_corrections_that_cannot_be_are_refused() -> None:
     wanted = planned_camera_pose(Ring())
-    elbow = compute_joints(RIG, wanted)[2]
-    rig = with_arm(joints=limited(2, -88.0, elbow + 1.0), park_deg=(0.0, 0.0, 0.0, 0.0, 0.0))
-    joints_deg = compute_joints(rig, wanted)
-    with pytest.raises(UnsafeError, match=r"cannot be corrected within the joints' limits: elbow 81\.0 deg \(limits -88 to 77\.96"):
-        correct_joints(rig, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, -4, 0, 0))), wanted)
+    joints_deg = compute_joints(RIG, wanted)
     with pytest.raises(UnsafeError, match=r"the markers require the .* more than the maximum correction of 25 deg; check joints, links_mm"):
         correct_joints(RIG, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, 0, 0, 40))), wanted)
     with pytest.raises(UnsafeError, match=r"distance 300 mm, .* cannot be reached; the nearest position is \d+\.\d mm away"):
         correct_joints(RIG, joints_deg, cam_from_rig(ARM, joints_deg), planned_camera_pose(Ring(distance_mm=300.0)))
-    with pytest.raises(RigError, match=r"has no \[arm\]"):
-        compute_joints(RigFile(), wanted)
 
 
-@pytest.mark.parametrize(
-    ("position", "direction"), [((400.0, 0.0, -42.0), (-1.0, 0.0, 0.0)), ((420.0, 30.0, -20.0), (-230.0, 30.0, -40.0))]
-)
-def test_a_pose_by_position_and_direction_is_held(position: tuple[float, ...], direction: tuple[float, ...]) -> None:
-    """Also beside the plan's rings: the base's axis stands at x = 650, so that directions through it can be had."""
+def test_a_pose_by_position_and_direction_is_held() -> None:
+    position, direction = (420.0, 30.0, -20.0), (-230.0, 30.0, -40.0)  # through the base's axis at x = 650
     found = frames.invert(cam_from_rig(ARM, compute_joints_from_direction(RIG, position, direction)))
     np.testing.assert_allclose(found[:3, 3], position, atol=1e-6)
     np.testing.assert_allclose(found[:3, 2], np.array(direction) / np.linalg.norm(direction), atol=1e-6)
@@ -133,9 +74,7 @@ def test_what_five_joints_cannot_hold_is_said_with_the_nearest() -> None:
         compute_joints_from_direction(RIG, (400.0, 30.0, -42.0), (-1.0, 0.5, 0.0))
     nearest = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(")").split(","))
     compute_joints_from_direction(RIG, (400.0, 30.0, -42.0), nearest)  # which can be had
-    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest reachable position is \((.*)\) mm") as refused:
+    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest reachable position is \((.*)\) mm"):
         compute_joints_from_direction(RIG, (100.0, 0.0, -42.0), (-1.0, 0.0, 0.0))
-    place = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(") m").split(","))
-    assert 100.0 < place[0] < 450.0
     with pytest.raises(UnsafeError, match="straight up or down"):
-        camera_pose_from_direction((400.0, 0.0, -42.0), (0.0, 0.0, -1.0))
+        compute_joints_from_direction(RIG, (400.0, 0.0, -42.0), (0.0, 0.0, -1.0))

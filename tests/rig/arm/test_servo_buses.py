@@ -1,14 +1,52 @@
 """The two servo protocols against frames written out by hand from the manuals."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
 
 from rhizotwin.rig.arm.lsc_board import LscBoard
 from rhizotwin.rig.arm.lx_bus import LxBus, find_reply
 from rhizotwin.rig.arm.servo_bus import check_move
 from rhizotwin.rig.errors import NoAnswerError, UnsafeError
-from tests.rig.arm.fake_bus import SILENT, ScriptedLine, scripted
+from tests.rig.fake_time import Time
+
+SILENT = ""
+
+
+class _Line:
+    """A line that demands these writes in this order, and answers each with its bytes; time passes only in reads and sleeps."""
+
+    def __init__(self, *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> None:
+        self.script = [(bytes.fromhex(sent), bytes.fromhex(answer)) for sent, answer in script]
+        self.clock = Time()
+        self._echo = echo
+        self._piece = piece
+        self._input = b""
+
+    def write(self, data: bytes) -> None:
+        sent, answer = self.script.pop(0)
+        assert data.hex(" ") == sent.hex(" ")
+        self._input += (data if self._echo else b"") + answer
+
+    def read(self, timeout_s: float) -> bytes:
+        assert timeout_s > 0.0
+        chunk, self._input = self._input[: self._piece], self._input[self._piece :]
+        self.clock.sleep(1e-4 if chunk else timeout_s)
+        return chunk
+
+    def discard_input(self) -> None:
+        self._input = b""
+
+
+@contextmanager
+def scripted(bus: Callable[[_Line], Any], *script: tuple[str, str], echo: bool = False, piece: int = 1000) -> Iterator[Any]:
+    """Give a bus on a scripted line, all of which must be used."""
+    line = _Line(*script, echo=echo, piece=piece)
+    yield bus(line)
+    assert not line.script
+
 
 REST = "00 " * 100
 ASK_12, BOTH_500 = "55 55 05 15 02 01 02", "55 55 09 15 02 01 f4 01 02 f4 01"
@@ -24,7 +62,7 @@ def test_a_move_is_one_frame() -> None:
     with scripted(LscBoard, ("55 55 0b 03 02 30 75 06 00 00 05 e8 03", SILENT)) as board:
         board.move({6: 0, 5: 1000}, 30.0)
     with pytest.raises(UnsafeError, match="position 1001 of servo 2"):
-        LscBoard(ScriptedLine()).move({1: 500, 2: 1001}, 1.0)
+        LscBoard(_Line()).move({1: 500, 2: 1001}, 1.0)
 
 
 @pytest.mark.parametrize("piece", [1, 1000])
@@ -41,7 +79,7 @@ def test_a_reading_counts_when_the_next_agrees(answers: list[str], expected: int
     with scripted(LscBoard, *[(ASK_12, answer) for answer in answers]) as board:
         assert board.positions([1, 2]) == {1: expected, 2: expected}
     with pytest.raises(NoAnswerError, match="repeated readings of the positions differ"):
-        LscBoard(ScriptedLine(*[(ASK_12, BOTH_500), (ASK_12, FAR_OFF)] * 5)).positions([1, 2])
+        LscBoard(_Line(*[(ASK_12, BOTH_500), (ASK_12, FAR_OFF)] * 5)).positions([1, 2])
 
 
 def test_what_arrived_before_the_question_is_no_answer() -> None:
@@ -52,9 +90,6 @@ def test_what_arrived_before_the_question_is_no_answer() -> None:
 NO_ANSWER = {
     "silent": (SILENT, "the board does not reply"),
     "one left out": ("55 55 06 15 01 01 f4 01", "no position for servo 2"),
-    "one twice": ("55 55 09 15 02 01 f4 01 01 f4 01", "replies of the board are invalid"),
-    "wrong number": ("55 55 09 15 03 01 f4 01 02 f4 01", "replies of the board are invalid"),
-    "unasked only": (DONE, "replies of the board are invalid"),
     "cut": (BOTH_500[:-3], "replies of the board are invalid"),
 }
 
@@ -72,10 +107,8 @@ def test_voltage() -> None:
     damaged = "55 55 04 0f 4c 3d"
     with scripted(LscBoard, (ASK_VOLTS, damaged), (ASK_VOLTS, DONE + VOLTS_7_5), (ASK_VOLTS, "55 55 04 0f 60 1d")) as board:
         assert board.voltage_v([1, 2]) == pytest.approx(7.52)
-    with pytest.raises(NoAnswerError, match="the board does not reply"):
-        LscBoard(ScriptedLine(*[(ASK_VOLTS, SILENT), (REST, SILENT)] * 4)).voltage_v([1])
     with pytest.raises(NoAnswerError, match="repeated readings of the voltage differ"):
-        LscBoard(ScriptedLine(*[(ASK_VOLTS, VOLTS_7_5), (ASK_VOLTS, "55 55 04 0f 4c 2d")] * 5)).voltage_v([1])
+        LscBoard(_Line(*[(ASK_VOLTS, VOLTS_7_5), (ASK_VOLTS, "55 55 04 0f 4c 2d")] * 5)).voltage_v([1])
 
 
 def test_torque_off_by_its_frame_and_on_by_a_move_in_place() -> None:
@@ -84,7 +117,7 @@ def test_torque_off_by_its_frame_and_on_by_a_move_in_place() -> None:
     with scripted(LscBoard, (ASK_12, BOTH_500), (ASK_12, BOTH_501), ("55 55 0b 03 02 e8 03 01 f5 01 02 f5 01", SILENT)) as board:
         board.load([1, 2], True)
     with pytest.raises(UnsafeError, match="position -3 of servo 2"):  # where it would jump
-        LscBoard(ScriptedLine(*[(ASK_12, "55 55 09 15 02 01 f4 01 02 fd ff")] * 2)).load([1, 2], True)
+        LscBoard(_Line(*[(ASK_12, "55 55 09 15 02 01 f4 01 02 fd ff")] * 2)).load([1, 2], True)
 
 
 def test_stop_holds_where_the_servos_are_despite_damage() -> None:
@@ -114,9 +147,7 @@ USELESS = {
     "silence": SILENT,
     "echo only": ASK_POS_1,
     "damaged": "55 55 01 05 1c f4 02 e8",
-    "cut": "55 55 01 05 1c f4 01",
     "another servo": POS_2_IS_500,
-    "another length": "55 55 01 04 1c f4 ea",
 }
 
 
@@ -124,7 +155,7 @@ USELESS = {
 def test_asks_again_and_then_gives_up(heard: str) -> None:
     with scripted(LxBus, (ASK_POS_1, heard), (ASK_POS_1, POS_1_IS_500)) as bus:
         assert bus.positions([1]) == {1: 500}
-    line = ScriptedLine(*[(ASK_POS_1, heard)] * 5)
+    line = _Line(*[(ASK_POS_1, heard)] * 5)
     with pytest.raises(NoAnswerError, match="servo 1 does not reply"):
         LxBus(line).positions([1])
     assert not line.script
@@ -134,9 +165,8 @@ def test_asks_again_and_then_gives_up(heard: str) -> None:
 def test_readings() -> None:
     with scripted(LxBus, (ASK_POS_1, POS_1_IS_500 * 2), (ASK_POS_1, POS_1_IS_MINUS_3), piece=8) as bus:
         assert [bus.positions([1]) for _ in range(2)] == [{1: 500}, {1: -3}]  # what arrived before the question is no answer
-    for piece in (1, 1000):
-        with scripted(LxBus, (ASK_POS_2, POS_2_IS_500), (ASK_POS_1, POS_1_IS_MINUS_3), piece=piece) as bus:
-            assert bus.positions([2, 1]) == {2: 500, 1: -3}
+    with scripted(LxBus, (ASK_POS_2, POS_2_IS_500), (ASK_POS_1, POS_1_IS_MINUS_3), piece=1) as bus:
+        assert bus.positions([2, 1]) == {2: 500, 1: -3}
     with scripted(LxBus, ("55 55 01 03 1b e0", "55 55 01 05 1b e8 1c da"), ("55 55 02 03 1b df", "55 55 02 05 1b 1c 1b a6")) as bus:
         assert bus.voltage_v([1, 2]) == pytest.approx(6.94)  # the lowest
     with scripted(LxBus, ("55 55 01 03 1a e1", "55 55 01 04 1a 1f c1"), ("55 55 02 03 1a e0", "55 55 02 04 1a 29 b6")) as bus:
@@ -184,8 +214,6 @@ def test_servos_that_never_report_a_start_are_left_alone() -> None:
 
 FORBIDDEN = [
     ({1: 500, 2: 1001}, 1.0, "position 1001 of servo 2"),
-    ({1: -1}, 1.0, "position -1 of servo 1"),
-    ({1: 500}, 30.001, "outside 0 to 30 s"),
     ({1: 500}, float("nan"), "outside 0 to 30 s"),
     ({254: 500}, 1.0, "servo number 254"),
 ]
@@ -194,7 +222,7 @@ FORBIDDEN = [
 @pytest.mark.parametrize(("targets", "duration_s", "says"), FORBIDDEN)
 def test_nothing_is_sent_that_must_not_be(targets: dict[int, int], duration_s: float, says: str) -> None:
     with pytest.raises(UnsafeError, match=says):
-        LxBus(ScriptedLine()).move(targets, duration_s)
+        LxBus(_Line()).move(targets, duration_s)
     check_move({0: 0, 253: 1000}, 30.0)
 
 
@@ -218,37 +246,15 @@ def test_stop_asks_nothing() -> None:
 def test_silence_of_the_adapter_or_of_a_servo() -> None:
     silence = [(ASK_POS_1, SILENT)] * 5
     with pytest.raises(NoAnswerError, match="the adapter sends no echo"):
-        LxBus(ScriptedLine(*silence), echo="yes").positions([1])
-    for bus in (LxBus(ScriptedLine(*silence, echo=True), echo="yes"), LxBus(ScriptedLine(*silence), echo="no")):
+        LxBus(_Line(*silence), echo="yes").positions([1])
+    for bus in (LxBus(_Line(*silence, echo=True), echo="yes"), LxBus(_Line(*silence), echo="no")):
         with pytest.raises(NoAnswerError, match="check the servos' supply"):
             bus.positions([1])
 
 
-def by_hand(counts: int) -> bytes:
-    """Return the answer of servo 1 about its position."""
-    low, high = counts & 0xFF, counts >> 8 & 0xFF
-    return bytes([0x55, 0x55, 0x01, 0x05, 0x1C, low, high, 255 - (0x01 + 0x05 + 0x1C + low + high) % 256])
-
-
-POSITIONS = st.integers(-32768, 32767)
-ECHO = bytes.fromhex(ASK_POS_1)
-RUBBISH = st.one_of(
-    st.binary(max_size=12),
-    st.sampled_from([bytes.fromhex(other) for other in [*USELESS.values(), "55 55 01 07 08 f4", "55 55 01 05 1b e8 1c da"]]),
-    st.lists(st.sampled_from([0x55, 0x01, 0x05, 0x1C]), max_size=12).map(bytes),
-    st.integers(0, 7).map(lambda size: bytes.fromhex(POS_1_IS_500)[:size]),
-)
-
-
-@given(before=st.lists(RUBBISH, max_size=4), counts=POSITIONS, times=st.integers(1, 3), behind=RUBBISH, cut=st.integers(0, 7))
-def test_finds_the_answer_in_any_rubbish(before: list[bytes], counts: int, times: int, behind: bytes, cut: int) -> None:
-    answer = by_hand(counts)
-    assume(answer[:5] not in behind)
-    assert find_reply(b"".join(before) + answer * times + behind + answer[:cut], 1, 28, 2) == answer[5:7]
-
-
-@given(counts=POSITIONS, at=st.integers(0, 7), flip=st.integers(1, 255), echoes=st.integers(0, 2))
-def test_never_believes_a_damaged_answer(counts: int, at: int, flip: int, echoes: int) -> None:
-    damaged = bytearray(by_hand(counts))
-    damaged[at] ^= flip
-    assert find_reply(ECHO * echoes + bytes(damaged), 1, 28, 2) is None
+def test_never_believes_a_damaged_answer() -> None:
+    whole = bytes.fromhex(POS_1_IS_500)
+    assert find_reply(whole, 1, 28, 2) == whole[5:7]
+    for echo in (b"", bytes.fromhex(ASK_POS_1)):
+        damaged = [echo + whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :] for at in range(8) for flip in range(1, 256)]
+        assert [heard for heard in damaged if find_reply(heard, 1, 28, 2) is not None] == []
