@@ -123,7 +123,22 @@ def write_lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
 
 def write_dithered(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
-    """Write a dataset with additional noise of half a grey level; the parameters are those of `write_rounded`."""
+    """Write a dataset with additional noise of half a grey level.
+
+    Parameters
+    ----------
+    dataset_folder : Path
+        Folder of the original dataset, which is not changed.
+    folder : Path
+        New folder.
+    seed : int
+        Random seed (1, 2, ...).
+
+    Returns
+    -------
+    Dataset
+        Written dataset.
+    """
 
     def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
         noise = np.random.default_rng([seed, number]).normal(0.0, DITHER, image.shape)
@@ -133,7 +148,22 @@ def write_dithered(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
 
 def write_shuffled(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
-    """Write a dataset with its pictures in random order; the parameters are those of `write_rounded`."""
+    """Write a dataset with its pictures in random order.
+
+    Parameters
+    ----------
+    dataset_folder : Path
+        Folder of the original dataset, which is not changed.
+    folder : Path
+        New folder.
+    seed : int
+        Random seed (1, 2, ...).
+
+    Returns
+    -------
+    Dataset
+        Written dataset.
+    """
     written = _write_dataset(dataset_folder, folder, lambda _number, frame, image: (frame, image))
     order = np.random.default_rng(seed).permutation(len(written.frames))
     shuffled = replace(written, frames=tuple(written.frames[k] for k in order))

@@ -62,7 +62,7 @@ def test_laterals_overlap_in_the_common_part_of_two_cylinders(apart_mm: float) -
     assert overlap_term(system, filled, filled).more_mm3 == 0.0
 
 
-def test_laterals_inside_their_parent_and_thin_roots_are_left_out() -> None:
+def test_laterals_in_their_parent_and_thin_roots_are_left_out() -> None:
     whorl = [line((0.0, 0.0, -40.0), (20.0 * np.cos(a), 20.0 * np.sin(a), -40.0)) for a in np.deg2rad([0, 90, 180, 270])]
     radii = [np.full(len(TRUNK), 2.0), *(np.full(len(path), 1.0) for path in whorl)]
     thin = strung(TRUNK, *(line((0.0, 0.0, z), (30.0, 0.0, z)) for z in (-30.0, -30.2)), radius_mm=0.2)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,10 +29,12 @@ def test_series_name_plants_days_and_treatments() -> None:
         series.vary(files.load_scene("sphere_20mm"), plants=2)
 
 
-def test_no_variation_replaces_another_of_the_same_name(tmp_path: Path, command: Command) -> None:
-    scene = files.load_scene("radish_day05a")
-    for same in ({"treatments": (("low N", 0.85, ()), ("low_N", 0.9, ()))}, {"days": (5.01, 5.04)}):
-        with pytest.raises(UserError, match="have the same name"):
-            series.vary(scene, **same)
+@pytest.mark.parametrize("same", [{"treatments": (("low N", 0.85, ()), ("low_N", 0.9, ()))}, {"days": (5.01, 5.04)}], ids=list)
+def test_no_variation_replaces_another_of_the_same_name(same: dict[str, Any]) -> None:
+    with pytest.raises(UserError, match="have the same name"):
+        series.vary(files.load_scene("radish_day05a"), **same)
+
+
+def test_a_scene_is_not_simulated_twice_into_one_folder(tmp_path: Path, command: Command) -> None:
     words = ("batch", "simulate", "radish_day05a", "radish_day05a", "--plants", 2, "-o", tmp_path / "scans")
     command.fails(*words, named=["two scenes have the same name"])

@@ -24,7 +24,7 @@ def ball(radius_mm: float, at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) 
     return Mesh.of(trimesh.creation.icosphere(subdivisions=4, radius=radius_mm).apply_translation(at_mm))
 
 
-def test_a_picture_of_a_ball_has_its_area_depth_normals_and_light():
+def test_a_picture_of_a_ball_has_its_area_depth_and_light():
     seen = shading.rasterise(ball(4.0, (1.0, 2.0, -30.0)), shading.FRONT, box_mm=(-5.0, 9.0, -40.0, -20.0), px_mm=0.05)
     assert seen.hit.shape == (400, 280)
     assert seen.hit.sum() * 0.05**2 == pytest.approx(np.pi * 16.0, rel=5e-3)

@@ -64,7 +64,7 @@ def test_a_mesh_that_equals_the_truth(made: Path, tmp_path: Path, suffix: str) -
     assert np.abs(found.extents_error).max() < 1e-4
 
 
-def test_a_mesh_elsewhere_is_laid_onto_the_truth_where_that_is_asked(made: Path, tmp_path: Path) -> None:
+def test_a_mesh_elsewhere_is_laid_onto_the_truth_if_asked(made: Path, tmp_path: Path) -> None:
     mesh = truth_of(made)
     mesh.apply_scale(1.05)
     mesh.apply_translation((40.0, -10.0, 3.0))

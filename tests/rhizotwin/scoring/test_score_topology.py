@@ -71,7 +71,7 @@ def test_exchanged_continuations_reduce_the_identity_only():
     assert score.identity == pytest.approx((100.0 + both / 2) / (100.0 + both), abs=0.01)
 
 
-def test_a_main_root_that_turns_off_is_wrong_in_order_and_main_length():
+def test_a_main_root_that_turns_off_is_wrong_in_its_order():
     """The found main root continues as the last lateral, and the lower part of the true one is a lateral of it."""
     turned = replace(MAIN, points_mm=np.concatenate([MAIN.points_mm[:73], LATERALS[2].points_mm]), diameters_mm=np.full(194, 1.0))
     rest = part(MAIN, 73, 121, parent=0, order=1)
@@ -81,8 +81,14 @@ def test_a_main_root_that_turns_off_is_wrong_in_order_and_main_length():
     assert score.missing_mm == 0.0
 
 
-def test_branch_points_match_within_a_millimetre_on_the_right_parent():
-    found = [MAIN, moved(LATERALS[0], (0, 0, -0.9)), moved(LATERALS[1], (0, 0, -1.2)), replace(LATERALS[2], parent=1), replace(FINE, parent=2)]
+def test_branch_points_match_nearby_on_the_right_parent():
+    found = [
+        MAIN,
+        moved(LATERALS[0], (0, 0, -0.9)),
+        moved(LATERALS[1], (0, 0, -1.2)),
+        replace(LATERALS[2], parent=1),
+        replace(FINE, parent=2),
+    ]
     score = compare_topology(found, TRUE)
     # the second lateral is too low, the third one is attached to the first one
     assert (score.branch_points, score.branch_points_true) == (4, 4)

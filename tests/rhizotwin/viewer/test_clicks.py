@@ -53,7 +53,7 @@ def test_a_click_finds_the_voxel_that_its_ray_enters_first():
     assert picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.6, 0.0]), np.array([-1.0, 0.0, 0.0]))) is None
 
 
-def test_what_is_clipped_cannot_be_clicked_and_has_both_its_sides(viewer: Viewer, plant: plants.Plant):
+def test_what_is_clipped_cannot_be_clicked_and_has_two_sides(viewer: Viewer, plant: plants.Plant):
     point = plant.roots[1].points_mm[30]
     viewer.clip(2, None, float(point[2]) - 2.0)
     viewer.clicked(ray_to(point))
