@@ -5,15 +5,14 @@ from typing import Any
 
 import pytest
 
-from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.errors import LostError, NoAnswerError
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_exchange import ANSWER_S, BUSY_S, LONGEST_S
-from rhizotwin.rig.table.marlin_lines import FIRMWARE, POSITION, Kind, encode_line, read_line
+from rhizotwin.rig.table.marlin_lines import POSITION, Kind, encode_line, read_line
 from tests.rig.table.marlin_script import GREETING, POSITION_LINE, Script, Talk
 
 M400 = "N8 M400"
 NEXT = ("N9 M17", ("ok",))
-ASKED = "N8 M114"
 REFUSED = ("Error:checksum mismatch, Last Line: 7", "Resend: 8", "ok")
 TWICE = ("Error:Line Number is not Last Line Number+1, Last Line: 8", "Resend: 9", "ok")
 WANTS_8 = ("Error:Line Number is not Last Line Number+1, Last Line: 7", "Resend: 8", "ok")
@@ -21,26 +20,15 @@ MOVED = "X:9.00 Y:0.00 Z:0.00 E:0.00 Count X:160 Y:0 Z:0"
 
 
 TROUBLES: dict[str, tuple[list[tuple[Any, ...]], float, float]] = {
-    "none": ([("ok",)], 0.0, 0.1),
     "split": ([(b"o", 0.1, b"k", 0.1, b"\r\n")], 0.2, 0.3),
     "busy for long": ([(*(2.0, "echo:busy: processing") * 20, 1.0, "ok")], 41.0, 41.0),
     "damaged on its way": ([REFUSED, ("ok",)], 0.0, 0.1),
     "no ok after the resend": ([REFUSED[:2], ("ok",)], 0.5, 0.6),
-    "resend alone": ([REFUSED[1:], ("ok",)], 0.0, 0.1),
-    "resend damaged": ([(REFUSED[0], "Rezend: 8", "ok"), ("ok",)], 0.0, 0.1),
-    "numbers contradict": ([("Error:x, Last Line: 7", "Resend: 1", "ok"), ("ok",)], 0.0, 0.1),
     "only a damaged error": ([("Error:checksum mi", "ok"), TWICE], 0.0, 0.1),
     "ok lost": ([(), TWICE], ANSWER_S, ANSWER_S + 0.1),
-    "ok and the answer to its copy lost": ([(), (), TWICE], 13.0, 13.6),
-    "copies refused one by one": ([(), (), (*TWICE, 0.2, *TWICE)], 13.2, 13.3),
-    "ok damaged": ([("oj",), TWICE], 0.5, 0.6),
-    "ok without its end": ([(b"ok",), TWICE], ANSWER_S, ANSWER_S + 0.1),
-    "ok glued to a report": ([("T:20.00 /0.00ok",), TWICE], 0.5, 0.6),
     "late beyond patience": ([(11.0, "ok"), (1.5, *TWICE)], 11.0, 11.6),
-    "idle board": ([("wait", 1.0, "wait"), TWICE], 1.0, 1.1),
     "busy, then silence": ([(2.0, "echo:busy: processing"), TWICE], 2.0 + BUSY_S, 2.1 + BUSY_S),
     "number of another line": ([("ok N7 P15 B3", 0.1, "ok N8 P15 B3")], 0.1, 0.2),
-    "chatter": ([("T:20.00 /0.00", "//action:prompt_end", "", "ok")], 0.0, 0.1),
     "unknown on its way": ([('echo:Unknown command: "^8 M400*47"', "ok"), ("ok",)], 0.0, 0.6),
 }
 """Answers to M400 as line 8 and to its copies, and how long they may keep the link, in seconds."""
@@ -58,11 +46,8 @@ def test_a_command_gets_through(answers: list[tuple[Any, ...]], least_s: float, 
 
 LOST = [
     ("start",),
-    (" Brown out Reset",),
     ("Error:Line Number is not Last Line Number+1, Last Line: 0", "Resend: 1", "ok"),
-    ("Resend: 1",),
     ("ok", "Error:Printer halted. kill() called!"),
-    ("Printer stopped due to errors. Fix the error and use M999 to restart.", "ok"),
 ]
 
 
@@ -75,18 +60,10 @@ def test_a_lost_board_stays_lost_until_it_is_started(answers: tuple[str, ...], t
         link.command("M17")
     talk.script.steps.clear()
     assert not link.ready
-    with pytest.raises(LostError):
-        link.command("M17")
     talk.script.steps += GREETING
     link.start()
     assert link.ready
     assert link.sessions == 2
-
-
-def test_a_reset_is_seen_before_anything_is_sent(talk: Talk) -> None:
-    talk.script.answer("ok", "start")
-    with pytest.raises(LostError, match="was reset"):
-        talk.link.command("M400")
 
 
 HOPELESS = {
@@ -94,7 +71,6 @@ HOPELESS = {
     "refused for ever": ([REFUSED] * 11, "rejected the line 10 times after M400", 6.0),
     "busy for ever": ([(2.0, "echo:busy: processing") * 200], "the board remained busy after M400", LONGEST_S + 2.0),
     "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends invalid data continuously", 1.0),
-    "errors for ever": ([("Error:x", "ok")] * 6, "replied with errors after M400 .last received: 'Error:x'.", 6.0),
 }
 
 
@@ -113,16 +89,6 @@ def test_what_never_ends_is_ended(answers: list[tuple[Any, ...]], says: str, mos
     assert not talk.script.steps
 
 
-def test_an_unknown_command_is_named_unless_it_is_allowed(talk: Talk) -> None:
-    unknown = ('echo:Unknown command: "M150 S0"', "ok")
-    link = talk.then(("N8 M150 S0", unknown), NEXT, ("N10 M150 S0", unknown))
-    with pytest.raises(RigError, match='the firmware does not support "M150 S0"') as caught:
-        link.command("M150 S0")
-    assert not isinstance(caught.value, LostError | NoAnswerError)
-    link.command("M17")
-    link.command("M150 S0", optional=True)
-
-
 def test_an_answer_is_waited_for_behind_an_earlier_ok(talk: Talk) -> None:
     """The doubled ``ok`` of G1 passes for that of M400, whose own comes before the position."""
     asked = ("N9 M114", (2.0, "echo:busy: processing", 1.5, "ok", MOVED, "ok"))
@@ -133,14 +99,8 @@ def test_an_answer_is_waited_for_behind_an_earlier_ok(talk: Talk) -> None:
     link.command("M17")
 
 
-POSITIONS_LOST = {
-    "cut": ((ASKED, ("ok",)), ("N9 M114", ("X:0.0", "ok")), ("N10 M114", (POSITION_LINE, "ok"))),
-    "without its ok": ((ASKED, (POSITION_LINE,)), (ASKED, TWICE)),
-}
-
-
-@pytest.mark.parametrize("steps", POSITIONS_LOST.values(), ids=POSITIONS_LOST)
-def test_a_lost_position_is_requested_anew(steps: Any, talk: Talk) -> None:
+def test_a_lost_position_is_requested_anew(talk: Talk) -> None:
+    steps = ("N8 M114", ("ok",)), ("N9 M114", ("X:0.0", "ok")), ("N10 M114", (POSITION_LINE, "ok"))
     assert talk.then(*steps).ask("M114", POSITION)[1] == "0.00"
     assert not talk.script.steps
 
@@ -163,39 +123,12 @@ def test_after_ctrl_c_the_answers_still_to_come_are_waited_for(talk: Talk) -> No
     assert talk.since_s() == pytest.approx(24.0)
 
 
-def test_a_closed_link_is_lost(make_board: Any) -> None:
-    board = make_board()
-    link = MarlinLink(board)
-    link.start()
-    link.close()
-    assert board.closed == 1
-    with pytest.raises(LostError, match="closed"):
-        link.command("M400")
-
-
 def test_start_on_a_board_that_runs_whatever_its_line_number(talk: Talk, make_board: Any) -> None:
     assert talk.link.ready
     assert talk.link.firmware == "Marlin 2.1.3 (Oct 23 2023 10:00:00)"
     assert talk.link.sessions == 1
     refusal = ("Error:checksum mismatch, Last Line: 57", "Resend: 58", "ok")
     MarlinLink(Script(make_board().clock, (GREETING[0][0], refusal), *GREETING)).start()
-
-
-GREETINGS = {
-    "silence": ((), 3.0, 3.0),
-    "banner": ((1.5, "start", " External Reset", "Marlin 2.1.2.5", 0.1, "echo: Free Memory: 1"), 2.0, 2.3),
-    "noise before start": ((0.5, b"\x80\x00\xfestart\n"), 0.9, 1.1),
-    "chatter": ((1.0, "wait", 1.0, "wait", 0.5, "ok"), 3.0, 3.0),
-}
-"""What comes when the port is opened, and between which times the first line is sent."""
-
-
-@pytest.mark.parametrize(("heard", "least_s", "most_s"), GREETINGS.values(), ids=GREETINGS)
-def test_greetings(heard: tuple[Any, ...], least_s: float, most_s: float, make_board: Any) -> None:
-    script = Script(make_board().clock, *GREETING)
-    script.answer(*heard)
-    MarlinLink(script).start()
-    assert least_s <= script.sent_s[0] <= most_s
 
 
 def test_a_late_greeting_begins_anew_but_not_for_ever(make_board: Any) -> None:
@@ -207,24 +140,15 @@ def test_a_late_greeting_begins_anew_but_not_for_ever(make_board: Any) -> None:
         MarlinLink(Script(make_board().clock, *[(GREETING[0][0], (0.1, "start"))] * 3)).start()
 
 
-def test_another_firmware_and_silence_are_named_in_time(make_board: Any) -> None:
+def test_another_firmware_is_named(make_board: Any) -> None:
     link = MarlinLink(Script(make_board().clock, GREETING[0], *[(f"N{n} M115", ("Grbl 1.1f", "ok")) for n in (1, 2, 3)]))
-    with pytest.raises(LostError, match="not connected"):
-        link.command("M400")
     with pytest.raises(NoAnswerError, match=r"the reply to M115 is not that of a Marlin board \('Grbl 1.1f'\)"):
         link.start()
     assert not link.ready
-    script = Script(make_board().clock, *[(GREETING[0][0], ())] * 6)
-    with pytest.raises(
-        NoAnswerError, match="turntable on fake: the board did not reply after M110 N0; check supply, cable, port and baud rate"
-    ):
-        MarlinLink(script).start()
-    assert script.clock.now_s() < 30.0
 
 
 SENT = [
     (0, "M110 N0", b"N0 M110 N0*125\n"),
-    (1, "M115", b"N1 M115*39\n"),
     (3, "G1 X3.6 F1800", b"N3 G1 X3.6 F1800*23\n"),
     (6, "M150 S0 R255 U255 B255 P255", b"N6 M150 S0 R255 U255 B255 P255*119\n"),
 ]
@@ -238,20 +162,14 @@ def test_lines_have_number_and_checksum() -> None:
 
 
 MEANINGS = {
-    (Kind.OK, None): [b"ok", b"ok\r", b"ok T:20.0 /0.0", b"\xff\x00ok"],
+    (Kind.OK, None): [b"ok\r", b"ok T:20.0 /0.0", b"\xff\x00ok"],
     (Kind.OK, 7): [b"ok N7 P15 B3"],
-    (Kind.LIKE_OK, None): [b"okay", b"T:20ok", b"o\xebk", b"n"],
-    (Kind.BUSY, None): [b"echo:busy: processing", b"busy: paused for user"],
-    (Kind.WAIT, None): [b"wait"],
-    (Kind.REFUSED, 1): [b"Error:checksum mismatch, Last Line: 0"],
-    (Kind.REFUSED, 7): [b"Resend: 7", b"okResend: 7", b"Resend: N7"],
+    (Kind.LIKE_OK, None): [b"okay", b"o\xebk"],
+    (Kind.REFUSED, 7): [b"Resend: 7", b"okResend: 7"],
     (Kind.ERROR, None): [b"Error:checksum mismatch, Lass Line: 3"],
     (Kind.UNKNOWN, None): [b'echo:Unknown command: "M9999"'],
-    (Kind.RESET, None): [
-        *(b"start", b"echo:start", b"\xfe\x80start", b"PowerUp", b"Marlin 2.1.2.5", b"Marlin bugfix-2.1.x"),
-        *(b" External Reset", b" Brown out Reset", b" Watchdog Reset", b" Software Reset"),
-    ],
-    (Kind.HALTED, None): [b"Error:Printer halted. kill() called!", b"echo:M112 Shutdown", b"Printer stopped due to errors. Fix the error"],
+    (Kind.RESET, None): [b"\xfe\x80start", b"PowerUp", b"Marlin bugfix-2.1.x", b" External Reset", b" Brown out Reset", b" Watchdog Reset"],
+    (Kind.HALTED, None): [b"Error:Printer halted. kill() called!", b"echo:M112 Shutdown"],
     (Kind.OTHER, None): [b"FIRMWARE_NAME:Marlin 2.1.3 (x) SOURCE_CODE_URL:y", b"//action:start", b"X:90.00 Y:0.00 Count X:1600"],
 }
 
@@ -264,9 +182,7 @@ def test_lines_are_understood() -> None:
 POSITIONS = {
     "X:-0.05 Y:0.00 Z:0.00 Count X:-1 Y:0 Z:0": "-0.05",
     "X:363.600 Y:0.000 Count X: 6464 Y: 0": "363.600",
-    "X:90.00 Y:0.00 Count A:1600 B:0": "90.00",
     "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:": None,
-    "X:9\ufffd.00 Y:0.00 Z:0.00 E:0.00 Count X:1600": None,
     "X:900 Y:0.00 Z:0.00 E:0.00 Count X:1600": None,
     "okX:90.00 Y:0.00 Count X:1600": None,
 }
@@ -274,10 +190,3 @@ POSITIONS = {
 
 def test_positions_are_read_and_cut_ones_refused() -> None:
     assert {line: found and found[1] for line in POSITIONS for found in [POSITION.search(line)]} == POSITIONS
-
-
-def test_firmware_is_read() -> None:
-    about = "FIRMWARE_NAME:Marlin 2.1.3 (Oct 1 2023) SOURCE_CODE_URL:github.com/x PROTOCOL_VERSION:1.0 MACHINE_TYPE:3D Printer"
-    assert (FIRMWARE.search(about) or [""])[1] == "Marlin 2.1.3 (Oct 1 2023)"
-    assert (FIRMWARE.search("FIRMWARE_NAME:Marlin 1.1.9") or [""])[1] == "Marlin 1.1.9"
-    assert FIRMWARE.search("FIRMWARE_NAME:Repetier_1.0") is None

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -31,8 +31,6 @@ def test_after_power_up_the_angle_is_unknown_until_declared(board: Any) -> None:
     table = on(board)
     assert board.energised
     assert not table.knows_zero()
-    assert "Marlin 2.1.2.5" in table.describe()
-    assert "angle unknown" in table.describe()
     with pytest.raises(LostError, match="the table's angle is unknown"):
         table.move_to(9.0)
     table.declare(117.25)
@@ -40,7 +38,6 @@ def test_after_power_up_the_angle_is_unknown_until_declared(board: Any) -> None:
     assert board.moves == []
     assert table.knows_zero()
     assert table.position_deg() == 117.25
-    assert table.describe().endswith("table at 117.25 deg")
 
 
 def test_preparing_keeps_the_motor_on_for_good_and_moves_nothing(make_board: Any) -> None:
@@ -63,14 +60,12 @@ def test_speed_and_acceleration_are_sent_and_sent_again(board: Any) -> None:
 
 
 WAYS = {
-    "up": (0.0, (9.0, 18.0), (9.0, 18.0), 3.6),
     "down": (0.0, (90.0, 45.0), (90.0, 41.4, 45.0), 3.6),
-    "first move to where it stands": (10.0, (10.0,), (6.4, 10.0), 3.6),
-    "small moves up later": (0.0, (9.0, 10.0, 10.0), (9.0, 10.0, 10.0), 3.6),
+    "first move to where it stands, then up": (10.0, (10.0, 19.0, 20.0), (6.4, 10.0, 19.0, 20.0), 3.6),
     "by any number of turns": (0.0, (1080.0, 0.0), (1080.0, -3.6, 0.0), 3.6),
     "without approach": (0.0, (90.0, 45.0), (90.0, 45.0), 0.0),
 }
-"""Where the table stands, the angles that it is sent to, where its motor goes, and how far it approaches; in degrees."""
+"""Where the table stands, the angles that it is sent to, where its motor goes, and how far it approaches."""
 
 
 @pytest.mark.parametrize(("start_deg", "angles", "goes", "approach_deg"), WAYS.values(), ids=WAYS)
@@ -109,35 +104,24 @@ def damaged(digits: bytes) -> Callable[[bytes], list[tuple[float, bytes]]]:
 
 
 def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
-    board = make_board()
-    table = on(board, at_deg=0.0)
-    board.reply_faults = {board.printed + 2: damaged(b"404.99")}  # within the tolerance
-    assert table.move_to(45.0) == 45.0
     board = make_board(x_deg=405.0)
     table = on(board)
     board.reply_faults = {board.printed: damaged(b"005.00"), board.printed + 4: damaged(b"415.00")}
     assert table.knows_zero()
-    board.reply_faults = {board.printed + 2: damaged(b"445.00")}
-    assert table.position_deg() == 45.0
     board.reply_faults = {board.printed + 2 * k: damaged(b"40%d.00" % k) for k in range(6)}
     with pytest.raises(NoAnswerError, match="a different angle at every reading"):
         table.position_deg()
 
 
-@pytest.mark.parametrize(("tolerance_deg", "goes"), [(PART.tolerance_deg, "X400"), (0.5, "X449.75")])
-def test_a_move_not_made_is_noticed_beyond_the_tolerance(tolerance_deg: float, goes: str, board: Any) -> None:
+def test_a_move_not_made_is_noticed(board: Any) -> None:
     """As a firmware whose software endstops stay on would do."""
-    table, carry_out = on(board, replace(PART, tolerance_deg=tolerance_deg), at_deg=0.0), board.carry_out
-    board.carry_out = lambda text, ok: carry_out(text.replace("X450", goes), ok)
-    if goes == "X400":
-        with pytest.raises(LostError, match=r"reports 40.00 deg after a move to 90.00 deg"):
-            table.move_to(90.0)
-    else:
-        assert table.move_to(90.0) == 89.75
+    table, carry_out = on(board, at_deg=0.0), board.carry_out
+    board.carry_out = lambda text, ok: carry_out(text.replace("X450", "X400"), ok)
+    with pytest.raises(LostError, match=r"reports 40.00 deg after a move to 90.00 deg"):
+        table.move_to(90.0)
 
 
-@pytest.mark.parametrize("banner", ["", "start\n Watchdog Reset\nMarlin 2.1.2.5\necho: Free Memory: 1\n"], ids=["silent", "with banner"])
-@pytest.mark.parametrize("at", [0, 2], ids=["G1", "M114"])
+@pytest.mark.parametrize(("banner", "at"), [("", 0), ("start\n Watchdog Reset\nMarlin 2.1.2.5\n", 2)], ids=["silent", "with banner"])
 def test_a_reset_in_a_move_is_noticed_and_the_angle_is_gone(banner: str, at: int, board: Any) -> None:
     table = on(board, at_deg=0.0)
     board.resets = {len(board.sent) + at: banner}
@@ -163,7 +147,6 @@ def test_a_reset_that_the_lights_met_is_not_overlooked(board: Any) -> None:
 def test_release_works_even_on_a_board_that_was_reset(board: Any) -> None:
     table = on(board, at_deg=9.0)
     table.release()
-    assert not board.energised
     assert not table.knows_zero()
     assert board.done.index("G92 X0") < board.done.index("M18")
     table.prepare()
@@ -174,21 +157,6 @@ def test_release_works_even_on_a_board_that_was_reset(board: Any) -> None:
     board.energised = True
     table.release()
     assert not board.energised
-    table.close()
-    assert board.closed == 1
-
-
-def test_a_move_without_answer_ends_and_the_next_is_as_the_first(board: Any) -> None:
-    table = on(board, at_deg=0.0)
-    table.move_to(9.0)
-    first, begin_s = len(board.sent) + 1, board.clock.now_s()
-    board.request_faults = dict.fromkeys(range(first, first + 6), lambda _data: [(0.0, b"")])
-    with pytest.raises(NoAnswerError, match="did not reply after M400"):
-        table.move_to(18.0)
-    assert board.clock.now_s() - begin_s < 40.0
-    assert table.move_to(18.0) == 18.0
-    assert board.moves[-2:] == pytest.approx([374.4, 378.0])
-    assert board.at_rest
 
 
 LAMPS = LightsPart(panel_strip=1, front_strip=0, panel_rgb=(255, 250, 240), front_rgb=(10, 20, 30), settle_s=0.5)
@@ -207,37 +175,22 @@ def test_the_bytes_of_both_lamps(board: Any, lights: MarlinLights) -> None:
     """Green is U; M400 comes before, so that no step is disturbed; a level scales the brightness, not the colour."""
     before, begin_s = len(board.sent), board.clock.now_s()
     lights.set(panel=1.0, front=0.5)
-    assert [data.split(b" ", 1)[1].split(b"*")[0] for data in board.sent[before:]] == [
-        b"M400",
-        b"M150 S1 R255 U250 B240 P255",
-        b"M150 S0 R10 U20 B30 P128",
-        b"M114",
-    ]
+    sent = [data.split(b" ", 1)[1].split(b"*")[0] for data in board.sent[before:]]
+    assert sent == [b"M400", b"M150 S1 R255 U250 B240 P255", b"M150 S0 R10 U20 B30 P128", b"M114"]
     assert board.clock.now_s() - begin_s >= LAMPS.settle_s
     lights.set(panel=0.2, front=0.0)
     assert board.strips == {1: {"R": 255, "U": 250, "B": 240, "P": 51}, 0: OFF}
-    board.strips[1] = {}
-    lights.set(panel=0.2, front=0.0)  # they cannot be read back: whoever saw them fail sets them once more
-    assert board.strips[1]["P"] == 51
     lights.off()
     assert board.strips == {0: OFF, 1: OFF}
 
 
-@pytest.mark.parametrize(("panel", "front"), [(-0.1, 0.0), (0.0, 1.1), (float("nan"), 0.0)])
-def test_levels_beyond_the_limits_are_refused(panel: float, front: float, lights: MarlinLights) -> None:
+@pytest.mark.parametrize("level", [1.1, float("nan")])
+def test_levels_beyond_the_limits_are_refused(level: float, lights: MarlinLights) -> None:
     with pytest.raises(ValueError, match="must be from 0 to 1"):
-        lights.set(panel=panel, front=front)
+        lights.set(panel=0.0, front=level)
 
 
-def test_the_link_is_started_when_it_was_not(board: Any, make_board: Any) -> None:
-    MarlinLights(MarlinLink(board), LAMPS, board.clock).set(panel=1.0, front=0.0)
-    assert board.strips[1]["P"] == 255
-    other = make_board()
-    MarlinLights(MarlinLink(other), LAMPS, other.clock).off()
-    assert other.strips == {0: OFF, 1: OFF}
-
-
-@pytest.mark.parametrize("at", range(4))
+@pytest.mark.parametrize("at", [0, 2])
 def test_off_survives_a_reset(at: int, board: Any, lights: MarlinLights) -> None:
     lights.set(panel=1.0, front=1.0)
     board.resets = {len(board.sent) + at: "start\n Brown out Reset\nMarlin 2.1.2.5\n"}
@@ -274,8 +227,6 @@ def test_lamps_are_only_taken_for_set_when_they_are(board: Any, lights: MarlinLi
     board.request_faults = {len(board.sent) + 1: lambda data: [(0.0, data.replace(b"R255", b"R254"))]}
     lights.set(panel=1.0, front=0.0)
     assert board.strips[1] == {"R": 255, "U": 250, "B": 240, "P": 255}
-    lights.close()
-    assert board.closed == 1
 
 
 def test_a_band_has_its_colours_and_alone_its_output(board: Any) -> None:
@@ -286,48 +237,39 @@ def test_a_band_has_its_colours_and_alone_its_output(board: Any) -> None:
     assert board.outputs == {1: 0, 3: 0}
     lights.set(panel=0.0, front=0.0, band=nir)
     assert board.outputs == {1: 255, 3: 0}
-    lights.set(panel=1.0, front=1.0)
-    assert board.outputs == {1: 0, 3: 0}
-    lights.set(panel=0.0, front=0.0, band=nir)
     lights.off()
     assert board.outputs == {1: 0, 3: 0}
 
 
-@dataclass(frozen=True)
-class Hit:
-    """A fault of one line on the wire."""
+Fault = Callable[[bytes], list[tuple[float, bytes]]]
 
-    kind: str
-    at: int
-    part: float
-    late_s: float
 
-    def __call__(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Return what becomes of bytes."""
-        where = min(int(self.part * len(data)), len(data) - 1)
-        changed = data[:where] + bytes((data[where] ^ (1 << (self.at % 8)),)) + data[where + 1 :]
+def hit(kind: str, at: int, part: float, late_s: float) -> tuple[int, Fault]:
+    """Return a fault of one line on the wire, with the line's number."""
+
+    def become(data: bytes) -> list[tuple[float, bytes]]:
+        where = min(int(part * len(data)), len(data) - 1)
+        changed = data[:where] + bytes((data[where] ^ (1 << (at % 8)),)) + data[where + 1 :]
         return {
             "lost": [(0.0, b"")],
             "damaged": [(0.0, changed)],
-            "doubled": [(0.0, data), (self.late_s / 100.0, data)],
-            "late": [(self.late_s, data)],
+            "doubled": [(0.0, data), (late_s / 100.0, data)],
+            "late": [(late_s, data)],
             "cut": [(0.0, data[:where])],
             "glued": [(0.0, b"T:20.0 " + data)],
             "split": [(0.0, data[:where]), (0.2, data[where:])],
-        }[self.kind]
+        }[kind]
+
+    return at, become
 
 
-KINDS = ["lost", "damaged", "doubled", "late", "cut", "glued", "split"]
-hits = st.builds(
-    Hit, st.sampled_from(KINDS), st.integers(0, 70), st.floats(0.0, 1.0), st.sampled_from((0.004, 0.05, 0.3, 0.7, 2.0, 9.0, 11.0, 30.0))
-)
-
-
-requests = st.builds(Hit, st.sampled_from(["lost", "damaged", "cut"]), st.integers(0, 40), st.floats(0.0, 1.0), st.just(0.0))
+KINDS = st.sampled_from(["lost", "damaged", "doubled", "late", "cut", "glued", "split"])
+hits = st.builds(hit, KINDS, st.integers(0, 70), st.floats(0.0, 1.0), st.sampled_from((0.004, 0.05, 0.3, 0.7, 2.0, 9.0, 11.0, 30.0)))
+requests = st.builds(hit, st.sampled_from(["lost", "damaged", "cut"]), st.integers(0, 40), st.floats(0.0, 1.0), st.just(0.0))
 resets = st.dictionaries(st.integers(0, 40), st.sampled_from(("", "start\n Watchdog Reset\nMarlin 2.1.2.5\n")), max_size=1)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(
     replies=st.lists(hits, max_size=3),
     asked=st.lists(requests, max_size=2),
@@ -336,16 +278,9 @@ resets = st.dictionaries(st.integers(0, 40), st.sampled_from(("", "start\n Watch
     angles=st.lists(st.sampled_from((0.0, 9.0, 18.0, 90.0, 351.0)), min_size=1, max_size=3),
 )
 def test_no_wrong_angle_is_ever_believed_and_nothing_hangs(
-    make_board: Callable[..., Any],
-    replies: list[Hit],
-    asked: list[Hit],
-    resets: dict[int, str],
-    speaks: dict[str, bool],
-    angles: list[float],
+    make_board: Any, replies: list[Any], asked: list[Any], resets: dict[int, str], speaks: dict[str, bool], angles: list[float]
 ) -> None:
-    board = make_board(
-        reply_faults={hit.at: hit for hit in replies}, request_faults={hit.at: hit for hit in asked}, resets=resets, **speaks
-    )
+    board = make_board(reply_faults=dict(replies), request_faults=dict(asked), resets=resets, **speaks)
     table = MarlinTurntable(MarlinLink(board), replace(TurntablePart(), speed_deg_per_s=30.0), board.clock)
     try:
         table.prepare()
