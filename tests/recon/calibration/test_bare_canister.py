@@ -53,23 +53,25 @@ def draw(pose: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
     light = 1.0 - within[0] + within[1] * np.clip(row - top + 0.5, 0.0, 1.0) * np.clip(floor - row + 0.5, 0.0, 1.0)
     px = frames.apply(pose, points_mm)[:, :2] / MM_PER_PX + middle
     clear = np.ones((HEIGHT, WIDTH))
-    for shift_x, shift_y in np.ndindex(5, 5):
-        near = np.floor(px).astype(int) + np.array([shift_x - 2, shift_y - 2])
+    for shift in np.ndindex(5, 5):
+        near = np.floor(px).astype(int) + np.array(shift) - 2
         distance = np.hypot(*(near - px).T)
         inside = (near >= 0).all(axis=1) & (near < [WIDTH, HEIGHT]).all(axis=1)
         np.minimum.at(clear, (near[inside, 1], near[inside, 0]), np.clip(distance[inside] - 0.25, 0.0, 1.0))
     return np.round(230.0 * light * clear).astype(np.uint8)
 
 
-def pictures(azimuths: np.ndarray, *, elevation: float = 0.0, offset_px: float = 3.0) -> list[np.ndarray]:
+def poses(azimuths: np.ndarray, elevation: float = 0.0) -> list[np.ndarray]:
     rng = np.random.default_rng(0)
-    return [draw(cam_from_canister(float(azimuth), elevation, offset_px + float(rng.normal(0.0, 0.5))), threads()) for azimuth in azimuths]
+    return [cam_from_canister(float(azimuth), elevation, 3.0 + float(rng.normal(0.0, 0.5))) for azimuth in azimuths]
+
+
+EVEN = poses(-np.deg2rad(np.array(TABLE_DEG)))
 
 
 @cache
-def still_pictures() -> list[np.ndarray]:
-    """Return the pictures of even steps."""
-    return pictures(-np.deg2rad(np.array(TABLE_DEG)))
+def even_pictures() -> list[np.ndarray]:
+    return [draw(pose, threads()) for pose in EVEN]
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -78,7 +80,7 @@ def test_uneven_steps_scale_and_elevation_are_found(direction):
     uneven[0] = 0.0
     azimuth = -direction * np.deg2rad(0.99 * np.array(TABLE_DEG) + uneven)
     scene = replace(SCENE, turntable=replace(SCENE.turntable, direction=direction))
-    found = find_cameras(pictures(azimuth, elevation=np.deg2rad(0.5)), scene, TABLE_DEG)
+    found = find_cameras([draw(pose, threads()) for pose in poses(azimuth, np.deg2rad(0.5))], scene, TABLE_DEG)
     assert found.mm_per_px == pytest.approx(MM_PER_PX, rel=0.003)
     assert abs(found.mm_per_px / MM_PER_PX - 1.0) < 3.0 * found.uncertainty.scale < 0.01
     off = found.azimuth_deg - np.rad2deg(azimuth)
@@ -91,16 +93,11 @@ def test_uneven_steps_scale_and_elevation_are_found(direction):
 
 
 def test_the_poses_put_points_where_the_pictures_have_them():
-    azimuth = -np.deg2rad(np.array(TABLE_DEG))
-    found = find_cameras(still_pictures(), SCENE, TABLE_DEG)
-    points = threads()[::100]
-    rng = np.random.default_rng(0)
-    errors = []
-    for k, pose in enumerate(found.cam_from_canister):
-        true = cam_from_canister(float(azimuth[k]), 0.0, 3.0 + float(rng.normal(0.0, 0.5)))
-        errors.append(frames.apply(pose, points)[:, :2] / found.mm_per_px - frames.apply(true, points)[:, :2] / MM_PER_PX)
+    found = find_cameras(even_pictures(), SCENE, TABLE_DEG)
+    at, true = (np.array([frames.apply(pose, threads()[::100])[:, :2] for pose in every]) for every in (found.cam_from_canister, EVEN))
+    errors = at / found.mm_per_px - true / MM_PER_PX
     # rows may be off together, by what the water's surface is blurred; z = 0 hangs on it
-    errors = np.array(errors) - [0.0, np.median(np.array(errors)[..., 1])]
+    errors -= [0.0, np.median(errors[..., 1])]
     assert np.sqrt(np.mean(errors**2)) < 0.25
 
 
@@ -117,4 +114,4 @@ def test_the_poses_put_points_where_the_pictures_have_them():
 )
 def test_what_cannot_be_found_is_said(change, sentence):
     with pytest.raises(UserError, match=sentence):
-        find_cameras(*change(still_pictures()))
+        find_cameras(*change(even_pictures()))

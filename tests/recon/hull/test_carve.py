@@ -13,15 +13,16 @@ from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull
 from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.recon.uncertainty import occlusion
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull import exact_pictures
 
 RADIUS_MM = 8.0
+BALL_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
+MIDDLE_MM = (0.0, 0.0, -50.0)
 
 
 @cache
 def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, DistanceMaps]:
-    scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
+    scene = exact_pictures.ring_of(24, (240, 180))
     optics = refraction.Optics.from_scene(scene)
     views = exact_pictures.views_of(scene)
     sphere = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
@@ -37,30 +38,24 @@ def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = Fa
     return carve.carve(bank, maps, grid, Water(r, -8.0, -110.0), min_votes=5, ignore_blindness=ignore_blindness)
 
 
-BALL_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
-
-
-@pytest.mark.parametrize("centre_mm", [(0.0, 0.0, -50.0), (40.0, 5.0, -50.0)])
+@pytest.mark.parametrize("centre_mm", [MIDDLE_MM, (40.0, 5.0, -50.0)])
 def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
     hull = carved(centre_mm)
     leaves = hull.leaves
     assert leaves.volume_mm3() == pytest.approx(BALL_MM3, rel=0.025)
     assert hull.moved_in_mm3 < BALL_MM3 < hull.moved_out_mm3
-    middle = leaves.grid.origin_mm + (leaves.index + leaves.size[:, None] / 2) * leaves.grid.size_mm
     weight = leaves.occupancy * leaves.size.astype(float) ** 3
-    np.testing.assert_allclose((middle * weight[:, None]).sum(axis=0) / weight.sum(), centre_mm, atol=0.12)
+    np.testing.assert_allclose(np.average(leaves.middles_mm, axis=0, weights=weight), centre_mm, atol=0.12)
 
 
 def test_a_launch_without_nodes_to_divide_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
-    bank, maps = seen_ball((0.0, 0.0, -50.0))
     grid = Grid.over(np.array([-40.0, -40.0, -70.0]), np.array([40.0, 40.0, -30.0]), 0.8)
-
-    def carve_again() -> Hull:
-        return carve.carve(bank, maps, grid, Water(40.0, -30.0, -70.0), min_votes=5)
-
-    whole = carve_again()
-    monkeypatch.setattr(carve, "_CHUNK", 256)
-    assert carve_again().leaves.volume_mm3() == pytest.approx(whole.leaves.volume_mm3(), rel=1e-6)
+    volumes = []
+    for chunk in (carve._CHUNK, 256):
+        monkeypatch.setattr(carve, "_CHUNK", chunk)
+        hull = carve.carve(*seen_ball(MIDDLE_MM), grid, Water(40.0, -30.0, -70.0), min_votes=5)
+        volumes.append(hull.leaves.volume_mm3())
+    assert volumes[1] == pytest.approx(volumes[0], rel=1e-6)
 
 
 def test_a_ball_at_the_wall_survives_blind_directions() -> None:
@@ -72,7 +67,7 @@ def test_a_ball_at_the_wall_survives_blind_directions() -> None:
 
 def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     """The pictures say nothing above some row; large nodes that the edge of the blind zone cuts are not blind as a whole."""
-    bank, maps = seen_ball((0.0, 0.0, -50.0))
+    bank, maps = seen_ball(MIDDLE_MM)
     row = float(np.array(distance_maps.project_and_read(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
     values = np.array(maps.values).reshape(bank.count, 360, 480)
     values[:, : int(2 * row)] = np.inf
@@ -81,9 +76,8 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     leaves = carve.carve(bank, half, grid, Water(73.0, -38.0, -62.0), min_votes=5).leaves
     z = np.arange(-50.0, -40.0, 0.05)
     point = mi.Point3f(0.2, 0.2, mi.Float(z))
-    votes = sum(
-        np.array(distance_maps.project_and_read(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count)
-    )
+    told = [distance_maps.project_and_read(bank, half, mi.UInt32(view), point, mi.Bool(True))[2] for view in range(bank.count)]
+    votes = np.sum([np.array(one, int) for one in told], axis=0)
     np.testing.assert_array_equal(occlusion._votes(bank, half, np.stack([np.full_like(z, 0.2), np.full_like(z, 0.2), z], axis=1)), votes)
     on_axis = np.floor((0.2 - leaves.grid.origin_mm[:2]) / 0.4)
     column = (leaves.index[:, :2] <= on_axis).all(axis=1) & (leaves.index[:, :2] + leaves.size[:, None] > on_axis).all(axis=1)
@@ -92,7 +86,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
 
 
 def test_surface_is_closed_and_holds_the_volume() -> None:
-    leaves = carved((0.0, 0.0, -50.0)).leaves
+    leaves = carved(MIDDLE_MM).leaves
     grid = leaves.grid
     mesh = surface.surface(leaves.index, leaves.size, leaves.occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
     assert mesh.is_watertight

@@ -10,10 +10,9 @@ from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.hull import carve, trimming, unexplained
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Leaves, subtract, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Leaves, subtract, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics import projection, refraction
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull import exact_pictures
 from tests.recon.hull.exact_pictures import Segment
 
@@ -23,47 +22,50 @@ SPHERE: Segment = ((0.0, 0.0, -34.0), (0.0, 0.0, -34.001), 10.0)
 TAIL: Segment = ((0.0, 0.0, -34.0), (20.0, 0.0, -75.425), 2.0)
 OTHER: Segment = ((-2.0, 2.0, -36.0), (-20.0, 14.0, -56.0), 1.6)
 RODS = (TRUNK, TWIG, OTHER)
+HALF_AS_WIDE = Spheres(np.outer(np.arange(-80.0, -20.0, 0.5), [0.0, 0.0, 1.0]), np.full(120, 2.0))
+"""Spheres within the trunk."""
 
 
 @cache
 def volume_of_rods() -> float:
     """Volume of the union of the round-ended rods, by counting a grid."""
-    step = 0.4
-    axes = [np.arange(low, high, step) + step / 2 for low, high in ((-26, 32), (-10, 20), (-86, -14))]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    grid = 0.4 * np.argwhere(np.ones((145, 75, 180), bool)) + [-25.8, -9.8, -85.8]
     inside = np.zeros(len(grid), bool)
     for a, b, r in RODS:
         start, axis = np.array(a), np.array(b) - np.array(a)
         t = np.clip((grid - start) @ axis / (axis @ axis), 0, 1)
         inside |= np.linalg.norm(grid - start - t[:, None] * axis, axis=1) < r
-    return float(inside.sum()) * step**3
+    return float(inside.sum()) * 0.4**3
 
 
 @cache
 def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, DistanceMaps, Leaves]:
-    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=20),)))
+    scene = exact_pictures.ring_of(20)
     optics = refraction.Optics.from_scene(scene)
     views = exact_pictures.views_of(scene)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, segments)) for view in views]
-    r = optics.inner_radius_mm
+    water = Water(optics.inner_radius_mm, -8.0, -100.0)
     bank, device_maps = projection.ViewBank.pack(views, optics), DistanceMaps.from_arrays(np.stack(maps))
-    lattice = Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
-    return bank, device_maps, carve.carve(bank, device_maps, lattice, Water(r, -8.0, -100.0), min_votes=6).leaves
+    return bank, device_maps, carve.carve(bank, device_maps, water.grid(0.25), water, min_votes=6).leaves
+
+
+@cache
+def trimmed_rods() -> trimming.TrimmedHull:
+    return trimming.trim(*hull_of(RODS))
 
 
 def test_trimming_gives_tubes_their_volume_back_and_adds_nothing() -> None:
-    bank, maps, hull = hull_of(RODS)
-    found = trimming.trim(bank, maps, hull)
-    trimmed, spheres, true = found.leaves, found.spheres, volume_of_rods()
+    hull, found, true = hull_of(RODS)[2], trimmed_rods(), volume_of_rods()
+    trimmed, spheres = found.leaves, found.spheres
     assert hull.volume_mm3() > 1.012 * true, "otherwise there is nothing to trim"
     assert trimmed.volume_mm3() == pytest.approx(true, rel=0.015)  # 1.1 %: the few views of one ring leave webs
     assert found.kept_mm3 < 0.05 * true
     assert abs(trimmed.volume_mm3() - true) < 0.6 * (hull.volume_mm3() - true)
     on_twig = (spheres.centre_mm[:, 0] > 10) & (spheres.centre_mm[:, 2] > -56)
     assert np.median(spheres.radius_mm[on_twig]) == pytest.approx(1.6, abs=0.06)
-    cells, hull_cells = to_unit_cubes(trimmed.index, trimmed.size), to_unit_cubes(hull.index, hull.size)
-    assert not set(map(tuple, cells.tolist())) - set(map(tuple, hull_cells.tolist()))
-    assert len(np.unique(cells, axis=0)) == len(cells)
+    cells, hull_cells = (set(map(tuple, to_unit_cubes(one.index, one.size).tolist())) for one in (trimmed, hull))
+    assert cells <= hull_cells
+    assert len(cells) == (trimmed.size.astype(int) ** 3).sum()
 
 
 def test_a_ball_keeps_its_size_where_a_root_hangs_on_it() -> None:
@@ -73,7 +75,7 @@ def test_a_ball_keeps_its_size_where_a_root_hangs_on_it() -> None:
     assert trimming.trim(bank, maps, hull).leaves.volume_mm3() == pytest.approx(sphere + tail - sunk, rel=0.015)
 
 
-def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_hull_of_a_twig_is_kept_where_silhouettes_need_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hide the twigs from the skeleton: the pictures still ask for them."""
     bank, maps, hull = hull_of(RODS)
     lines = trimming.centre_lines(hull)
@@ -83,39 +85,36 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
     assert found.leaves.volume_mm3() == pytest.approx(volume_of_rods(), rel=0.05)
 
 
-def test_of_a_line_of_sight_what_is_nearest_to_the_spheres_is_needed() -> None:
+def test_what_is_nearest_to_the_spheres_is_needed() -> None:
     """A trunk whose spheres are half as wide: the rest of it is needed, but not what lies beside it along a line of sight."""
     bank, maps, hull = hull_of(RODS)
     core = hull.select(np.hypot(hull.middles_mm[:, 0], hull.middles_mm[:, 1]) < 2.0)
-    spheres = Spheres(np.stack([[0.0, 0.0, z] for z in np.arange(-80.0, -20.0, 0.5)]), np.full(120, 2.0))
     angle = np.arange(8) * np.pi / 4.0
     rind = np.stack([3.0 * np.cos(angle), 3.0 * np.sin(angle), np.full(8, -70.0)], axis=1)
     spike = np.array([[x, 0.0, -70.0] for x in (8.0, 12.0, 16.0, -8.0, -16.0)])
     nodes = np.floor((np.concatenate([rind, spike]) - np.asarray(hull.grid.origin_mm)) / hull.grid.size_mm).astype(np.int32)
-    every = to_unit_cubes(hull.index, hull.size)
-    places = np.concatenate([nodes, every])
-    needed = unexplained.required_fraction(bank, maps, core, places, spheres)[: len(nodes)]
+    places = np.concatenate([nodes, to_unit_cubes(hull.index, hull.size)])
+    needed = unexplained.required_fraction(bank, maps, core, places, HALF_AS_WIDE)
     assert needed[:8].min() > 0.5
-    assert needed[8:].max() < 0.1
-    alone = unexplained.required_fraction(bank, maps, core, nodes[8:], spheres)
+    assert needed[8:13].max() < 0.1
+    alone = unexplained.required_fraction(bank, maps, core, nodes[8:], HALF_AS_WIDE)
     assert alone.max() > 0.5, "where nothing nearer explains the pictures, the spike does"
 
 
 def test_only_what_the_silhouettes_require_is_added_to_a_shape() -> None:
     """Half of a trunk is missing and comes back; the webs of the hull between complete rods do not."""
     bank, maps, hull = hull_of(RODS)
-    inside = Spheres(np.stack([[0.0, 0.0, z] for z in np.arange(-80.0, -20.0, 0.5)]), np.full(120, 2.0))
-    complete = trimming.trim(bank, maps, hull).leaves
-    lacking, missing = trimming.find_missing(bank, maps, complete, subtract(hull, complete), inside)
+    complete = trimmed_rods().leaves
+    lacking, missing = trimming.find_missing(bank, maps, complete, subtract(hull, complete), HALF_AS_WIDE)
     assert lacking.volume_mm3() > 0.012 * volume_of_rods()
     assert missing.volume_mm3() < 0.002 * volume_of_rods()
     x, y, z = complete.middles_mm.T
     away = (x > 1.0) & (np.hypot(x, y) < 4.5) & (z < -62.0)  # below the twigs
     rest = complete.select(~away)
-    lacking, missing = trimming.find_missing(bank, maps, rest, subtract(hull, rest), inside)
+    lacking, missing = trimming.find_missing(bank, maps, rest, subtract(hull, rest), HALF_AS_WIDE)
     gone = complete.select(away).volume_mm3()
     assert 0.75 * gone < missing.volume_mm3() < 1.02 * gone, "all but a rim of 0.75 px at the outlines"
-    assert trimming.find_missing(bank, maps, hull, subtract(hull, hull), inside)[0].volume_mm3() == 0.0
+    assert trimming.find_missing(bank, maps, hull, subtract(hull, hull), HALF_AS_WIDE)[0].volume_mm3() == 0.0
 
 
 def test_spheres_stand_where_enough_views_bound_them() -> None:

@@ -31,11 +31,9 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
     true = {plant.plant: strung(*paths(plant), radius_mm=0.3) for plant in (A, B)}
     pictures = [pictured(one) for one in true.values()]
     lowest_row = pictures[0].project(np.array([[0.0, 0.0, -10.0]])).px[:, 0, 1]  # above it the net pot hides all
-    drawn = []
-    for row, *parts in zip(lowest_row, *(one.silhouettes for one in pictures), strict=True):
-        coverage = np.maximum.reduce([part.coverage for part in parts])
-        seen = np.broadcast_to(np.arange(len(coverage))[:, None] > row, coverage.shape)
-        drawn.append(Silhouette(np.where(seen, coverage, 0.0).astype(np.float32), seen.copy()))
+    coverage = np.maximum(*(np.array([one.coverage for one in picture.silhouettes]) for picture in pictures))
+    seen = np.broadcast_to(np.arange(coverage.shape[1])[:, None] > lowest_row[:, None, None], coverage.shape)
+    drawn = [Silhouette(one, told) for one, told in zip(np.where(seen, coverage, 0.0).astype(np.float32), seen.copy(), strict=True)]
     scene = replace(Scene(), plants=(A, B))
     tops = crown.tops(scene)
     assert all(scene.net_pot.grid_z_mm < z < scene.net_pot.top_mm for _, _, z in tops)
@@ -46,9 +44,9 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
     system = crown.mark_hidden(rooting.finish_tree(tree, monitor=Monitor()), GRID_MM)
     given = plants.assign(system.roots(), (A, B), grid_z_mm=GRID_MM)
     assert not given.missing
-    for plant in (A, B):
-        own = plant_roots(given.roots, plant.plant)
-        assert [root.order for root in own] == [0, 1, 1]
-        np.testing.assert_allclose(own[0].points_mm[0], [*plant.at_mm, -11.0], atol=1.5 * SPACING_MM)  # the crown is no root
-        assert length_mm(own) == pytest.approx(true[plant.plant].length_mm, rel=0.02)
-        assert np.median(own[1].diameters_mm) == pytest.approx(0.6, rel=0.05)
+    own = [plant_roots(given.roots, plant.plant) for plant in (A, B)]
+    assert [[root.order for root in roots] for roots in own] == [[0, 1, 1]] * 2
+    begin = [roots[0].points_mm[0] for roots in own]
+    np.testing.assert_allclose(begin, [[*plant.at_mm, -11.0] for plant in (A, B)], atol=1.5 * SPACING_MM)  # the crown is no root
+    assert [length_mm(roots) for roots in own] == pytest.approx([one.length_mm for one in true.values()], rel=0.02)
+    assert [np.median(roots[1].diameters_mm) for roots in own] == pytest.approx([0.6, 0.6], rel=0.05)

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
@@ -19,6 +20,8 @@ from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.shoots import Shoot as Plant
+from rhizotwin.sim.shoot import build_shoot
 from tests.recon.hull.exact_pictures import rows
 
 SCENE = replace(Scene(), camera=Camera().resized((400, 300)))
@@ -33,21 +36,18 @@ def views() -> list[View]:
 
 def drawn(view: View, points_mm: np.ndarray) -> np.ndarray:
     """Draw the convex hull of points before panel and pot, 4 x 4 samples a pixel."""
-    fine, (width, height) = 4, SCENE.camera.image_wh
-    lens = matrix(view.camera)
-    lens[:2, :2] *= fine
-    lens[:2, 2] = (lens[:2, 2] + 0.5) * fine - 0.5
+    top = circle(SCENE.net_pot.outer_radius_mm, SCENE.net_pot.top_mm)
+    picture = np.full((1200, 1600), PANEL, np.float32)
+    turn, shift = view.cam_from_canister[:3, :3], view.cam_from_canister[:3, 3]
+    for points, light in ((np.concatenate([top, top - [0.0, 0.0, 180.0]]), 0.3), (top, FELT), (points_mm, GREEN)):
+        px = (cv2.projectPoints(points, turn, shift, matrix(view.camera), None)[0] + 0.5) * 4 - 0.5
+        cv2.fillPoly(picture, [np.round(cv2.convexHull(px.astype(np.float32))).astype(np.int32)], light)
+    return cv2.resize(picture, SCENE.camera.image_wh, interpolation=cv2.INTER_AREA)
 
-    def outline(points: np.ndarray) -> np.ndarray:
-        cam = frames.apply(view.cam_from_canister, points) @ lens.T
-        return cv2.convexHull(cam[:, :2].astype(np.float32) / cam[:, 2:].astype(np.float32))
 
-    pot, angle = SCENE.net_pot, np.linspace(0.0, 2.0 * np.pi, 181)
-    circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(181, pot.top_mm)], axis=1)
-    picture = np.full((height * fine, width * fine), PANEL, np.float32)
-    for points, light in ((np.concatenate([circle, circle - [0.0, 0.0, 180.0]]), 0.3), (circle, FELT), (points_mm, GREEN)):
-        cv2.fillPoly(picture, [np.round(outline(points)).astype(np.int32)], light)
-    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+def circle(radius_mm: float, z_mm: float) -> np.ndarray:
+    angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    return np.stack([radius_mm * np.cos(angle), radius_mm * np.sin(angle), np.full(180, z_mm)], axis=1)
 
 
 def ball(radius_mm: float, at_mm: tuple[float, float, float]) -> np.ndarray:
@@ -57,15 +57,26 @@ def ball(radius_mm: float, at_mm: tuple[float, float, float]) -> np.ndarray:
 
 def found(points_mm: np.ndarray) -> tuple[float, np.ndarray, float, float]:
     """Return hull volume, bounds of its mesh, half of its surface, and the share of it that leaves would enclose."""
-    every = views()
-    silhouettes = shoot_silhouettes.ring_silhouettes([drawn(view, points_mm) for view in every], every, SCENE)
-    hull, mesh = shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
+    hull, mesh = carved(silhouettes_of(points_mm), views(), finest_mm=0.5)
     enclosed = shoot_hull.enclosed_share(hull, blades.find_blades(mesh))
     return hull.leaves.volume_mm3(), np.asarray(mesh.bounds), 0.5 * float(mesh.area), enclosed
 
 
+def silhouettes_of(points_mm: np.ndarray, every: int = 1) -> list[Silhouette]:
+    some = views()[::every]
+    return shoot_silhouettes.ring_silhouettes([drawn(view, points_mm) for view in some], some, SCENE)
+
+
+def carved(silhouettes: list[Silhouette], some: list[View], *, finest_mm: float) -> tuple[Hull, trimesh.Trimesh]:
+    return shoot_hull.carve_shoot(silhouettes, some, SCENE, finest_mm=finest_mm, monitor=Monitor.of(None))
+
+
+def whole(coverage: np.ndarray) -> Silhouette:
+    return Silhouette(coverage, np.ones(coverage.shape, bool))
+
+
 @pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 30.0, 45.0])
-def test_the_area_of_a_pixel_is_that_of_a_square_across_the_optical_axis(tilt_deg: float) -> None:
+def test_a_pixel_has_the_area_of_a_square_across_the_axis(tilt_deg: float) -> None:
     pose = frames.level_camera(distance_mm=420.0, height_mm=120.0, tilt_deg=tilt_deg)
     view = View(camera=SCENE.camera, cam_from_canister=pose)
     middle = np.array([0.0, 0.0, 120.0 - 420.0 * np.tan(np.deg2rad(tilt_deg))])  # where the optical axis meets that of the canister
@@ -82,57 +93,53 @@ def overhead(rho_mm: float) -> View:
 
 
 @pytest.mark.parametrize("rho_mm", [0.0, 0.5, 40.0])
-def test_a_pixel_of_a_camera_that_looks_straight_down_has_its_area_at_the_net_pot(rho_mm: float) -> None:
+def test_a_pixel_seen_straight_down_has_its_area_at_the_net_pot(rho_mm: float) -> None:
     mm_per_px = (450.0 - SCENE.net_pot.top_mm) / SCENE.camera.focal_px[0]
     assert find_shoot._mm2_per_px(overhead(rho_mm), SCENE.net_pot.top_mm) == pytest.approx(mm_per_px**2)
 
 
 @pytest.mark.parametrize("shown", [False, True])
-def test_the_room_under_a_camera_that_looks_straight_down_ends_at_the_camera(shown: bool) -> None:
+def test_the_room_under_a_camera_ends_at_the_camera(shown: bool) -> None:
     coverage = np.zeros((300, 400), np.float32)
     coverage[140:160, 190:210] = float(shown)
-    room = shoot_hull._room([Silhouette(coverage, np.ones((300, 400), bool))], [overhead(0.5)], SCENE)
+    room = shoot_hull._room([whole(coverage)], [overhead(0.5)], SCENE)
     assert room.radius_mm == SCENE.net_pot.outer_radius_mm
     assert room.top_mm == pytest.approx(2.0 + (450.0 if shown else SCENE.net_pot.top_mm))
 
 
-def test_a_camera_that_looks_straight_down_does_not_cut_a_wide_shoot() -> None:
+def test_a_camera_straight_above_does_not_cut_a_wide_shoot() -> None:
     every, plate = [*views(), overhead(20.0)], ball(1.0, (0.0, 0.0, 0.0)) * [100.0, 100.0, 4.0] + [0.0, 0.0, 80.0]
     silhouettes = []
     for view in every:
         covered, px = np.zeros((300, 400), np.uint8), cam_pixels(view.camera, frames.apply(view.cam_from_canister, plate))
         cv2.fillPoly(covered, [np.round(cv2.convexHull(px.astype(np.float32))).astype(np.int32)], 1)
-        silhouettes.append(Silhouette(covered.astype(np.float32), np.ones((300, 400), bool)))
-    _, mesh = shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
+        silhouettes.append(whole(covered.astype(np.float32)))
+    _, mesh = carved(silhouettes, every, finest_mm=1.0)
     assert np.asarray(mesh.bounds)[:, :2] == pytest.approx(np.array([[-100.0, -100.0], [100.0, 100.0]]), abs=1.5)
 
 
 def test_a_ball_in_the_air_has_its_size_and_place() -> None:
     volume_mm3, bounds, _, enclosed = found(ball(15.0, (10.0, -5.0, 75.0)))
     assert volume_mm3 == pytest.approx(4.0 / 3.0 * np.pi * 15.0**3, rel=0.04)
-    assert bounds[0] == pytest.approx([-5.0, -20.0, 60.0], abs=0.7)
-    assert bounds[1] == pytest.approx([25.0, 10.0, 90.0], abs=0.7)
+    assert bounds == pytest.approx(np.array([[-5.0, -20.0, 60.0], [25.0, 10.0, 90.0]]), abs=0.7)
     assert enclosed == pytest.approx((13.0 / 15.0) ** 3, abs=0.05), "what is deeper than 2 mm"
 
 
 def test_a_disc_that_leans_has_its_one_sided_area() -> None:
-    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
-    lean = np.deg2rad(40.0)
-    flat = 20.0 * np.stack([np.cos(angle), np.sin(angle) * np.cos(lean), np.sin(angle) * np.sin(lean)], axis=1)
-    across = 0.5 * np.array([0.0, -np.sin(lean), np.cos(lean)])
-    disc = np.concatenate([flat + across, flat - across]) + np.array([0.0, 0.0, 80.0])  # 1 mm thick: 1.5 px
-    *_, half_mm2, enclosed = found(disc)
+    disc = np.concatenate([circle(20.0, 0.5), circle(20.0, -0.5)])  # 1 mm thick: 1.5 px
+    lean = frames.from_rotvec(np.array([np.deg2rad(40.0), 0.0, 0.0]), np.array([0.0, 0.0, 80.0]))
+    *_, half_mm2, enclosed = found(frames.apply(lean, disc))
     assert half_mm2 == pytest.approx(np.pi * (400.0 + 20.0), rel=0.06)
     assert enclosed < find_shoot.MUCH_ENCLOSED
 
 
-def test_a_canister_beyond_the_lens_is_masked_down_to_the_picture_s_edge() -> None:
+def test_a_canister_beyond_the_lens_is_masked_down_to_the_edge() -> None:
     """The front of the foot is beyond the fold of the lens, which is at the corners of the picture."""
     lens = Camera(focal_px=(800.0, 800.0), distortion=(-0.37, 0.0, 0.0, 0.0, 0.0))
     view = View(camera=lens, cam_from_canister=frames.level_camera(distance_mm=200.0, height_mm=60.0, tilt_deg=0.0))
-    masks = shoot_silhouettes._pot_masks(view, SCENE, (600, 800))
-    assert (masks[0] | masks[1])[400:, 400].all()
-    assert not (masks[0] | masks[1])[:250].any()
+    masked = np.any(shoot_silhouettes._pot_masks(view, SCENE, (600, 800))[:2], axis=0)
+    assert masked[400:, 400].all()
+    assert not masked[:250].any()
 
 
 @pytest.mark.parametrize(
@@ -150,9 +157,7 @@ def test_a_canister_beyond_the_lens_is_masked_down_to_the_picture_s_edge() -> No
 def test_the_room_holds_the_shoot(distance_mm: float, height_mm: float, tilt_deg: float, roll_deg: float, radius_mm: float) -> None:
     lens = Camera(image_wh=(1400, 1400), focal_px=(1100.0, 1100.0), principal_px=(699.5, 699.5))
     top_mm, high_mm = SCENE.net_pot.top_mm, 60.0
-    angle = np.linspace(0.0, 2.0 * np.pi, 120)
-    circle = np.stack([radius_mm * np.cos(angle), radius_mm * np.sin(angle), np.zeros(120)], axis=1)
-    points = np.concatenate([circle + np.array([0.0, 0.0, top_mm + rise]) for rise in (0.5, high_mm)])
+    points = np.concatenate([circle(radius_mm, top_mm + rise) for rise in (0.5, high_mm)])
     pose = frames.rotation_z(np.deg2rad(roll_deg)) @ frames.level_camera(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)
     every = [View(camera=lens, cam_from_canister=pose @ frames.rotation_z(2.0 * np.pi * k / 12)) for k in range(12)]
     silhouettes = []
@@ -161,37 +166,29 @@ def test_the_room_holds_the_shoot(distance_mm: float, height_mm: float, tilt_deg
         px = np.round(cam_pixels(lens, frames.apply(view.cam_from_canister, points))).astype(int)
         px = px[((px >= 0) & (px < 1400)).all(axis=1)]
         covered[px[:, 1], px[:, 0]] = 1.0
-        silhouettes.append(Silhouette(covered, np.ones((1400, 1400), bool)))
+        silhouettes.append(whole(covered))
     room = shoot_hull._room(silhouettes, every, SCENE)
     assert radius_mm < room.radius_mm < 0.81 * np.hypot(distance_mm, height_mm - top_mm)
     assert high_mm + top_mm < room.top_mm < high_mm + top_mm + 1.05 * height_mm
 
 
 def test_a_hull_too_faint_for_a_surface_is_no_shoot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nodes that are filled to less than a half have a volume but no surface."""
-    every, monitor = views()[::4], Monitor.of(None)
-    silhouettes = shoot_silhouettes.ring_silhouettes([drawn(view, ball(15.0, (0.0, 0.0, 75.0))) for view in every], every, SCENE)
-    carved = shoot_hull.carve.carve
+    """Nodes that are filled to less than a half have a volume but no surface; empty silhouettes have neither."""
+    with pytest.raises(UserError, match="no volume in common"):
+        carved([whole(np.zeros((300, 400), np.float32))] * 4, views()[::4], finest_mm=2.0)
+    carve = shoot_hull.carve.carve
 
     def carve_faint(*given: object, **more: object) -> Hull:
-        hull = carved(*given, **more)
+        hull = carve(*given, **more)
         return replace(hull, leaves=replace(hull.leaves, occupancy=0.4 * hull.leaves.occupancy))
 
     monkeypatch.setattr(shoot_hull.carve, "carve", carve_faint)
     with pytest.raises(UserError, match="no volume in common"):
-        shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=2.0, monitor=monitor)
-
-
-def test_empty_silhouettes_are_no_shoot() -> None:
-    every = views()[::4]
-    empty = [Silhouette(np.zeros((300, 400), np.float32), np.ones((300, 400), bool)) for _ in every]
-    with pytest.raises(UserError, match="no volume in common"):
-        shoot_hull.carve_shoot(empty, every, SCENE, finest_mm=2.0, monitor=Monitor.of(None))
+        carved(silhouettes_of(ball(15.0, (0.0, 0.0, 75.0)), every=4), views()[::4], finest_mm=2.0)
 
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
-    every = views()
-    found = shoot_silhouettes.ring_silhouettes([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)[0]
+    found = silhouettes_of(ball(12.0, (0.0, 0.0, 50.0)))[0]
     covered = found.coverage > 0.5
     assert covered.sum() > 300
     assert found.usable[covered].mean() < 0.7
@@ -199,14 +196,37 @@ def test_what_stands_before_the_pot_does_not_carve() -> None:
 
 
 def test_warnings_about_the_cameras_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    poses = [view.cam_from_canister for view in views()[::4]]
+    listed = []
     for k, view in enumerate(views()[::4]):
         write_image(tmp_path / f"{k}.png", np.round(65535.0 * drawn(view, ball(15.0, (0.0, 0.0, 75.0)))).astype(np.uint16))
-    listed = tuple(Frame(file=f"{k}.png", sha256="", kind="shoot", cam_from_canister=rows(pose)) for k, pose in enumerate(poses))
+        listed.append(Frame(file=f"{k}.png", sha256="", kind="shoot", cam_from_canister=rows(view.cam_from_canister)))
     excluded = "3.png is excluded: the strip or the camera moved"
     monkeypatch.setattr(find_shoot, "find_cameras", lambda *given, **more: replace(find_cameras(*given, **more), warnings=(excluded,)))
     monkeypatch.setattr(find_shoot, "FINEST_MM", 2.0)
-    dataset = Dataset(folder=tmp_path, scene=SCENE, frames=listed)
+    dataset = Dataset(folder=tmp_path, scene=SCENE, frames=tuple(listed))
     shoot, warnings = find_shoot.find_shoot(dataset, settings=Settings(), monitor=Monitor())
     assert shoot is not None
     assert excluded in warnings
+
+
+def blade(at_mm: tuple[float, float, float], *, width_mm: float = 16.0) -> trimesh.Trimesh:
+    return trimesh.creation.box((30.0, width_mm, 0.5)).apply_translation(at_mm)
+
+
+def test_blades_that_touch_are_one_and_a_stalk_is_none() -> None:
+    stalk = trimesh.creation.cylinder(radius=1.2, height=40.0, sections=32)
+    found = blades.find_blades(trimesh.util.concatenate([stalk, blade((15.0, 0.0, 24.0)), blade((-15.0, 0.0, -24.0), width_mm=10.0)]))
+    assert found.areas_mm2 == pytest.approx((30.0 * 16.5, 30.0 * 10.5), rel=0.05)  # and half of their sides
+    assert found.near(np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 24.0]])).tolist() == [False, True]
+    assert len(blades.find_blades(trimesh.util.concatenate([blade((0.0, 0.0, 0.0)), blade((29.0, 0.0, 0.3))])).areas_mm2) == 1
+    alone = blades.find_blades(stalk)
+    assert alone.areas_mm2 == ()
+    assert alone.area_mm2 < 0.1 * 0.5 * stalk.area
+
+
+def test_a_grown_shoot_has_its_leaves_and_their_area() -> None:
+    solid = build_shoot(replace(Scene(), shoot=Plant(seed=3, leaves=6)))
+    assert solid is not None
+    found = blades.find_blades(trimesh.Trimesh(solid.vertices, solid.faces, process=False))
+    assert len(found.areas_mm2) == 6
+    assert found.area_mm2 == pytest.approx(solid.leaf_area_mm2, rel=0.07)
