@@ -88,7 +88,7 @@ class Bench:
                     line()
 
         with opened(self.twin) as devices:
-            Jog(devices, self.twin.calibrated_scene(), say=self.said.append).run(typed())
+            Jog(devices, self.twin.calibrated_scene(), say=self.said.append).run(typed(), stop_at_mistake=False)
         return self.said
 
     def is_safe(self) -> bool:

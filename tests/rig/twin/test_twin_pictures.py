@@ -26,7 +26,15 @@ from rhizotwin.sim.specimen import build_specimen
 from rhizotwin.sim.world import TrueCamera, draw_world
 
 WRONG = Disturbances(
-    distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0), canister_offset_mm=1.0, canister_tilt_deg=0.5, strip_offset_mm=0.2, arm_mm=1.5
+    distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0),
+    canister_offset_mm=1.0,
+    canister_tilt_deg=0.5,
+    strip_offset_mm=0.2,
+    strip_tilt_deg=0.1,
+    arm_deg=0.3,
+    arm_mm=1.5,
+    table_deg=0.05,
+    backlight_unevenness=0.3,
 )
 RINGS = (Ring(views=3, first_deg=17.0), Ring(views=2, height_mm=30.0, tilt_deg=12.0, distance_mm=380.0))
 
