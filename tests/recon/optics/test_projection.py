@@ -56,7 +56,9 @@ def in_kernel(bank: projection.ViewBank, points: np.ndarray) -> dict[str, np.nda
     p = projection.project(
         bank, dr.full(mi.UInt32, 1, len(points)), mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points))
     )
-    return {name: np.array(getattr(p, name)) for name in ("px", "visible", "clear_mm", "du", "dv")}
+    found = {name: getattr(p, name) for name in ("px", "visible", "clear_mm", "du", "dv")}
+    dr.eval(found)  # in one kernel
+    return {name: np.array(part) for name, part in found.items()}
 
 
 def random_points(optics: refraction.Optics, count: int) -> np.ndarray:

@@ -105,7 +105,9 @@ def in_kernel(at: Seen, points: Array) -> projection.Projected:
     other, _ = seen_from(np.random.default_rng(9))
     bank = projection.ViewBank.pack([other, at[0]], at[1])
     view = dr.full(mi.UInt32, 1, len(points))
-    return projection.project(bank, view, mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points)))
+    found = projection.project(bank, view, mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points)))
+    dr.eval(found.px, found.visible, found.du, found.dv)  # in one kernel
+    return found
 
 
 @pytest.mark.parametrize(("seed", "liquid"), [(6, 1.3), (7, 1.38)])
