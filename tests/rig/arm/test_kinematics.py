@@ -67,7 +67,6 @@ def test_closed_form_is_exact_on_random_reachable_targets() -> None:
     found = inverse(PART, targets)
     assert np.abs(log_se3(np.linalg.inv(targets)[:, None] @ forward(LINKS, found.joints_rad))).max() < 1e-9
     assert found.left_over_rad.max() < 1e-9
-    # One of the four branches is the one that the target came from.
     off = np.abs((found.joints_rad - joints[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
     assert off.max(axis=-1).min(axis=-1).max() < 1e-9
 
@@ -96,7 +95,6 @@ def test_the_nearest_orientation_and_what_is_left(rotvec: Array, seed: int) -> N
     np.testing.assert_allclose(got[:, :3, 3], np.broadcast_to(target[:3, 3], (4, 3)), atol=1e-9)
     left = np.linalg.norm(log_se3(np.linalg.inv(target) @ got)[:, 3:], axis=1)
     np.testing.assert_allclose(left, found.left_over_rad, atol=1e-7)
-    # No orientation with its optical axis in the plane is nearer.
     azimuth, rolls = np.arctan2(target[1, 3], target[0, 3]), np.random.default_rng(seed).uniform(-np.pi, np.pi, (500, 2))
     others = Rotation.from_euler("ZYZ", np.column_stack([np.full(500, azimuth), rolls])).as_matrix()
     assert Rotation.from_matrix(target[:3, :3].T @ others).magnitude().min() > found.left_over_rad - 1e-9

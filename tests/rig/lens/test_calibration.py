@@ -101,7 +101,6 @@ LENSES = {
     "bench": (CURVED, {"fx / fy", "k3"}),
     "everything": (Camera(focal_px=(900.0, 905.0), distortion=(-0.25, 0.1, 0.001, -0.001, -0.3)), set()),
 }
-"""Lenses, and which terms the fit must find that they do not need."""
 
 
 @pytest.mark.parametrize(("true", "left_out"), LENSES.values(), ids=LENSES)

@@ -18,7 +18,6 @@ GREETING: tuple[tuple[str, tuple[Any, ...]], ...] = (
     ("N6 M18 S0", ("ok",)),
     ("N7 M114", (POSITION_LINE, "ok")),
 )
-"""The lines without their checksums, which the script adds by itself."""
 
 
 class LatePort:
