@@ -18,7 +18,7 @@ MARGIN_DAYS = 2.5
 
 
 def draw(records: Sequence[Record], path: Path) -> bool:
-    """Draw the figure of the runs with radishes, in one ring if there are any; return whether there is anything to draw."""
+    """Draw the runs with radishes, in one ring if there are any; return whether there is anything to draw."""
     plants = [record for record in records if record["case"]["scene"].startswith("radish_day")]
     plants = [record for record in plants if record["case"]["rings"] == 1] or plants
     ours = [record for record in plants if record["case"]["method"] == "coverage"]
