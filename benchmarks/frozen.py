@@ -224,7 +224,7 @@ def _hull(before: Result, after: Result) -> Change:
     old, new = before.solid.hull, after.solid.hull
     old_mm3, new_mm3 = (_volume_mm3(leaves) for leaves in (old, new))
     change = new_mm3 / old_mm3 - 1.0
-    same = old.low.shape == new.low.shape and np.array_equal(old.low, new.low) and np.allclose(old.occupancy, new.occupancy, atol=1e-6)
+    same = old.low.shape == new.low.shape and np.array_equal(old.low, new.low) and np.allclose(old.occupancy, new.occupancy, atol=SAME)
     return Change(kind="hull", text=f"{old_mm3:.1f} -> {new_mm3:.1f} mm3 ({percent(change)})", same=bool(same))
 
 
@@ -304,9 +304,12 @@ def read(folder: Path) -> dict[str, Any]:
 def read_record(case_folder: Path) -> dict[str, Any]:
     """Return name, score and cost of a frozen case; raise UserError if a file is missing or damaged."""
     found: dict[str, Any] = {"name": case_folder.name}
-    for name in ("score", "cost"):
+    for name, needed in (("score", ("volume_error", "interval_holds_truth", "volume_trusted")), ("cost", ("cpu_s", "peak_memory_mib"))):
         try:
             found[name] = dict(json.loads((case_folder / f"{name}.json").read_text(encoding="utf-8")))
+            lacking = [key for key in needed if key not in found[name]]
+            if lacking:
+                raise ValueError(f"{lacking[0]} is missing")
         except (OSError, ValueError, TypeError) as error:
             raise UserError(f"{case_folder / f'{name}.json'} cannot be read ({error}); freeze the case again.") from None
     return found

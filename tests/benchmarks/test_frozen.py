@@ -104,12 +104,15 @@ def test_each_kind_of_change_is_found_by_itself(tmp_path):
         (("against", "{}/damaged"), "is damaged"),
         (("against", "{}/other", "--cases", "oak"), "there is no frozen case 'oak'"),
         (("against", "{}/other"), "cannot be read"),
+        (("against", "{}/bare"), "volume_error is missing"),
         (("freeze", "-o", "{}/other", "--cases", "bean"), "choose another folder"),
         (("freeze", "-o", "{}/full", "--cases", "bean"), "is not a folder of frozen cases"),
     ],
 )
 def test_bad_input_is_one_sentence(tmp_path, words, said, capsys):
-    contents = {"damaged": "[]", "other": '{"schema_version": 1, "commit": "0123abcd", "cases": ["bean"]}'}
+    known = '{"schema_version": 1, "commit": "0123abcd", "cases": ["bean"]}'
+    contents = {"damaged": "[]", "other": known, "bare": known}
+    atomic.write_text(tmp_path / "bare" / "bean" / "score.json", "{}")
     for name, text in contents.items():
         atomic.write_text(tmp_path / name / "frozen.json", text)
     atomic.write_text(tmp_path / "full" / "notes.txt", "mine")
