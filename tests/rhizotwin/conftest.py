@@ -9,6 +9,7 @@ import trimesh
 
 from rhizotwin.scenes import atomic
 from tests.recon.conftest import scan
+from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import chromium
 
 __all__ = ["scan"]
@@ -18,6 +19,12 @@ __all__ = ["scan"]
 def browser() -> Iterator[Any]:
     with chromium() as started:
         yield started
+
+
+@pytest.fixture(scope="session")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
+    """Return a small plant with a name of HTML, which no test may change."""
+    return plants.make(tmp_path_factory.mktemp("plant"), name="a *plant* <b>plant</b></script>")
 
 
 @pytest.fixture

@@ -1,8 +1,4 @@
-"""A small plant, scanned and reconstructed on paper: dataset and result folders without a renderer.
-
-A main root with three laterals and a thick beginning; its voxels are painted as the reconstruction paints, its pictures drawn through
-the water's closed form.
-"""
+"""A small plant, scanned and reconstructed on paper without a renderer: a main root with three laterals and a thick beginning."""
 
 from dataclasses import dataclass
 from itertools import pairwise

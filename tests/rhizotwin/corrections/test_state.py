@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.corrections import lines, log, surface
+from rhizotwin.corrections import log
 from rhizotwin.corrections.session import Session
 from rhizotwin.scenes.errors import UserError
 from tests.rhizotwin import plant as plants
@@ -23,31 +23,10 @@ def painted_mm3(*roots) -> float:
     return float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
 
 
-def test_a_line_knows_its_nearest_point_and_parts():
-    line = lines.Line(np.array([[0.0, 0, 0], [0, 0, -10]]), np.array([1.0, 0.5]), -1, (lines.Piece(0, 0.0, 10.0),))
-    assert line.nearest_mm((3.0, 0.0, -4.0)) == pytest.approx(4.0)
-    part = line.between(2.0, 6.0)
-    assert part.length_mm == pytest.approx(4.0)
-    assert part.pieces == (lines.Piece(0, 2.0, 6.0),)
-    assert part.backward().between(1.0, 2.0).pieces == (lines.Piece(0, 5.0, 4.0),)
-    assert part.diameters_mm == pytest.approx([0.9, 0.7])
-
-
-def test_faces_beside_cubes_are_found():
-    rng = np.random.default_rng(0)
-    points, centre, reach = rng.uniform(-5.0, 5.0, (40_000, 3)), rng.uniform(-3.0, 3.0, (30, 3)), rng.uniform(0.05, 0.4, 30)
-    inside = (np.abs(points[:, None] - centre[None]) <= reach[None, :, None]).all(axis=2).any(axis=1)
-    found = surface._may_be_inside(points, centre, reach)
-    assert inside.sum() > 50
-    assert found[inside].all()
-    assert found.mean() < 0.3
-
-
-@pytest.mark.parametrize("gone", [(1,), (2, 3)])
-def test_what_is_left_is_as_large_as_painted_afresh(session: Session, plant: Plant, gone: tuple[int, ...]):
+def test_what_is_left_is_as_large_as_painted_afresh(session: Session, plant: Plant):
     """Painting a plant evens what sampling puts too much into full voxels out among the others, laterals by some 2 % of their own."""
-    session.do(log.edit("delete roots", roots=gone))
-    left = painted_mm3(*(root for k, root in enumerate(plant.roots) if k not in gone))
+    session.do(log.edit("delete roots", roots=[2, 3]))
+    left = painted_mm3(*plant.roots[:2])
     assert session.measure().volume_mm3 == pytest.approx(left, rel=2.5e-3)
 
 
@@ -126,11 +105,9 @@ IMPOSSIBLE = [
     log.edit("delete roots", roots=[99]),
     log.edit("cut", roots=[1], point_mm=tuple(plants.roots()[1].points_mm[-1])),
     log.edit("join", roots=[1]),
-    log.edit("join", roots=[1, 1]),
     log.edit("delete voxels", runs=((10_000_000, 2),)),
     log.edit("delete voxels", runs=((0, 10**13),)),
     log.edit("delete voxels", runs=((10**30, 1),)),
-    log.edit("fit"),
     log.edit("restore roots", roots=[1]),
 ]
 
@@ -148,12 +125,9 @@ def tree(session: Session) -> dict[int, tuple[int, float, bool]]:
 
 
 DELETIONS = {
-    "root": log.edit("delete roots", roots=[0]),
     "root and lateral": log.edit("delete roots", roots=[0, 3]),
     "tip": log.edit("tip", roots=[0], point_mm=(1.0, 0.5, -40.0)),
     "middle": log.edit("delete box", box_mm=((-20.0, -20.0, -40.0), (20.0, 20.0, -30.0))),
-    "lower part": log.edit("delete box", box_mm=((-20.0, -20.0, -60.5), (20.0, 20.0, -30.0))),
-    "all below the first lateral": log.edit("delete box", box_mm=((-20.0, -20.0, -70.0), (20.0, 20.0, -20.0))),
 }
 
 

@@ -51,21 +51,6 @@ def test_agrees_with_the_winding_number_of_a_jagged_blob(blob):
     assert voxelise.count_inside(blob.vertices, blob.faces, origin_mm=ORIGIN, voxel_mm=0.5) == expected.sum()
 
 
-def test_slabs_and_chunks_change_nothing(blob, monkeypatch):
-    indices = np.random.default_rng(1).permutation(all_indices(blob, 0.5, ORIGIN))
-    size = np.random.default_rng(2).integers(1, 4, len(indices))
-
-    def both():
-        parts = voxelise.fraction(blob.vertices, blob.faces, indices, size, origin_mm=ORIGIN, voxel_mm=0.5, samples=2)
-        return parts, voxelise.count_inside(blob.vertices, blob.faces, origin_mm=ORIGIN, voxel_mm=0.5)
-
-    whole, count = both()
-    monkeypatch.setattr(voxelise, "PAIRS_AT_ONCE", 2000)
-    parts, count_of_parts = both()
-    assert np.array_equal(whole, parts)
-    assert count == count_of_parts
-
-
 def test_faces_and_edges_through_voxel_centres_are_counted_once():
     # Corners of the box, its faces and the diagonals of its faces all pass exactly through centres (integers plus a half).
     box = trimesh.creation.box(bounds=[[0.5, 0.5, 0.5], [4.5, 4.5, 4.5]])
@@ -97,8 +82,3 @@ def test_boxes_count_their_voxels(blob):
     inside = occupied_at(blob, voxels, 0.3, ORIGIN)
     np.testing.assert_array_equal(counts, np.bincount(np.repeat(np.arange(300), size**3), weights=inside))
     assert 20 < np.count_nonzero(counts) < 280
-
-
-def test_open_mesh_is_refused(blob):
-    with pytest.raises(ValueError, match="not closed"):
-        voxelise.count_inside(blob.vertices, blob.faces[5:], origin_mm=ORIGIN, voxel_mm=0.3)
