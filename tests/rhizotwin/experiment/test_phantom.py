@@ -7,11 +7,8 @@ import pytest
 
 from rhizotwin.experiment.phantom import diameter_of, measure_wires
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.rsml import Root, write_rsml
-from rhizotwin.sim.growth import grow
 from tests.command import Command
-from tests.rhizotwin import plant as plants
 
 WIRES = (0.1, 0.2, 0.4, 0.8)
 
@@ -38,31 +35,16 @@ def test_sections_by_hand(tmp_path: Path):
     ]
 
 
-def test_mistakes_are_named(tmp_path: Path):
+def test_command_and_mistakes(ball_result, tmp_path: Path, command: Command):
     with pytest.raises(UserError, match="too similar"):
         measure_wires(tmp_path, (0.4, 0.5))
     with pytest.raises(UserError, match=r"result\.json does not exist; specify a folder"):
         measure_wires(tmp_path / "missing", WIRES)
-    result = plants.make(tmp_path).result
-    (result / "roots.rsml").unlink()
     with pytest.raises(UserError, match="found no centre lines"):
-        measure_wires(result, WIRES)
-
-
-@pytest.mark.parametrize("k", range(len(WIRES)))
-def test_scene_has_straight_wires_of_these_diameters(k: int):
-    specimen = load_scene("wire_phantom").plants[k].specimen
-    (root,) = grow(specimen)
-    assert np.ptp(root.points_mm[:, :2]) == pytest.approx(0.0, abs=1e-9)
-    assert specimen.volume_ml * 1000.0 == pytest.approx(np.pi / 4.0 * WIRES[k] ** 2 * 60.0, rel=1e-4)
-    assert float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum()) == pytest.approx(60.0, abs=1.5)
-
-
-def test_command(tmp_path: Path, command: Command):
+        measure_wires(ball_result("r"), WIRES)
     write_rsml(tmp_path / "roots.rsml", [_wire(diameter, 60.0, 10.0 * k) for k, diameter in enumerate(WIRES)])
     assert command.works("phantom", tmp_path).out.count("measured within 3 %") == 4
     assert command("phantom", tmp_path, "--mg-per-m", "60,283,1129,4493").code == 1
-    command.fails("phantom", tmp_path, "--wires-mm", "0.1", "--mg-per-m", "60", named=["cannot be used together"])
 
 
 @pytest.mark.slow

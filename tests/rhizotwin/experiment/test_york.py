@@ -28,7 +28,7 @@ def test_its_uncertainty_is_that_of_many_draws() -> None:
     rng = np.random.default_rng(6)
     line = fit_line(X, Y, X_SIGMA, Y_SIGMA, scatter=False)
     true_x, drawn = np.linspace(0.0, 7.0, 10), []
-    for _ in range(2000):
+    for _ in range(500):
         x, y = rng.normal(true_x, X_SIGMA), rng.normal(5.5 - 0.48 * true_x, Y_SIGMA)
         once = fit_line(x, y, X_SIGMA, Y_SIGMA, scatter=False)
         drawn.append((once.intercept, once.slope))
@@ -44,18 +44,6 @@ def test_scatter_makes_chi_squared_one_and_is_found() -> None:
     assert line.chi2 == pytest.approx(line.dof, rel=1e-6)
     assert line.scatter == pytest.approx(0.2, rel=0.1)
     assert line.slope == pytest.approx(1.0, abs=3.0 * line.covariance[1][1] ** 0.5)
-
-
-def test_an_interval_holds_the_share_that_it_says() -> None:
-    rng = np.random.default_rng(4)
-    held = []
-    for _ in range(300):
-        x, sigma = rng.normal(0.0, 1.0, 12), np.full(12, 0.1)
-        y = 1.0 + x + rng.normal(0.0, 0.3, 12)
-        line = fit_line(x[:11] + rng.normal(0.0, 0.1, 11), y[:11], sigma[:11], np.zeros(11), slope=1.0)
-        middle, spread = line.at(x[11:] + rng.normal(0.0, 0.1, 1), x_sigma=0.1)
-        held.append(abs(middle[0] - y[11]) <= line.reach(0.9) * spread[0])
-    assert 0.85 < np.mean(held) < 0.95
 
 
 def test_an_interval_of_plants_on_six_days_holds_its_share() -> None:

