@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.recon import bands
-from rhizotwin.recon.calibration import cameras
-from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.settings import PictureSettings
@@ -37,22 +34,10 @@ def test_unread_pictures_are_named_with_their_reason(scan: Callable) -> None:
         ("3", "it is named in --leave-out or in the setting pictures.leave_out"),
         ("1", "the picture is missing"),
     ]
-    assert found.warnings[0] == "images/view_003.png is excluded: it is named in --leave-out or in the setting pictures.leave_out"
-    scene = found.dataset.scene
-    every = tuple(cameras.Camera(file=frame.file, ring=0, used=True) for frame in found.frames)
-    given = cameras.Cameras(lens=scene.camera, optics=Optics.from_scene(scene), all=every, order=(0, 1, 2, 3))
-    kept = given.leave_out({2: "it is dark"}, unread=found.left_out)
-    assert kept.order == (0, 1, 3)
-    assert [(camera.file[-5], camera.used) for camera in kept.all] == [(k, k in "025") for k in "024531"]
     with pytest.raises(UserError, match=r"--leave-out view_9\.png: .* lists no picture with this name"):
         read(made, leave_out=("view_9.png",))
     with pytest.raises(UserError, match="all root pictures are excluded"):
         read(made, leave_out=tuple(f"view_00{k}.png" for k in range(6)))
-
-
-def test_settings_and_options_are_joined() -> None:
-    options = PictureSettings(leave_out=("b.png",), tolerant=True)
-    assert PictureSettings(leave_out=("a.png",)).joined(options) == replace(options, leave_out=("a.png", "b.png"))
 
 
 def test_empty_hulls_are_told_with_what_the_pictures_failed(tmp_path: Path) -> None:
@@ -102,12 +87,3 @@ def test_a_band_that_lacks_a_view_is_not_chosen(tmp_path: Path) -> None:
     assert list(read_pictures(fewer, monitor=Monitor()).bands) == ["faint"]
     with pytest.raises(UserError, match="no band in which the panel and the front light are on has a picture of every root view"):
         read_pictures(replace(dataset, frames=(dataset.frames[0], dataset.frames[3])), monitor=Monitor())
-
-
-@pytest.mark.parametrize("mm_per_px", [0.1, 0.3])
-def test_rows_of_a_telecentric_camera_begin_below_the_net_pot(mm_per_px: float) -> None:
-    camera = Camera(kind="telecentric", mm_per_px=mm_per_px, image_wh=(1600, 1200), principal_px=(799.5, 599.5))
-    scene = Scene(camera=camera)
-    below_px = (scene.plan.rings[0].height_mm - scene.net_pot.skirt_bottom_mm) / mm_per_px
-    rows = bands._rows(scene, Frame(file="", sha256=""))
-    assert (rows.start, rows.stop) == (pytest.approx(599.5 + below_px, abs=1.0), 1200)

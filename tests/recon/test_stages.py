@@ -1,17 +1,13 @@
 """What is kept of a stage: every field once, arrays exactly, in formats that need no Python to be trusted."""
 
 import json
-from contextvars import copy_context
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import pytest
 
-from rhizotwin.recon import device, passes
 from rhizotwin.recon.device import numbers
 from rhizotwin.recon.stages import StageFolder
 
@@ -53,25 +49,3 @@ def test_what_has_no_open_format_is_refused(tmp_path: Path) -> None:
         StageFolder.begin(tmp_path).keep("solid", Made("", None, (0.0, 0.0), {}, seen=object()))
     StageFolder.begin(None).keep("cameras", Part(1.0, ()))  # nobody asked for anything
     assert not any(tmp_path.iterdir())
-
-
-def test_halves_and_parts_of_arrays() -> None:
-    pictures = np.random.default_rng(0).random((3, 4, 5)).astype(np.float32)
-    np.testing.assert_allclose(np.array(mi.Float(device.halves(list(pictures)))), pictures.ravel(), atol=2.0**-12)
-    parts = device.select_parts(mi.Float(np.arange(12.0, dtype=np.float32)), [2, 0], 4)
-    np.testing.assert_array_equal(np.array(parts), [8, 9, 10, 11, 0, 1, 2, 3])
-    halves = mi.Float16(np.array([0.0, 2.0**-24, 0.5, -0.0, -1.0], np.float16))
-    np.testing.assert_array_equal(np.array(dr.select(device.is_positive(halves), mi.Int32(1), mi.Int32(0))), [0, 1, 1, 0, 0])
-
-
-def test_two_reconstructions_do_not_mix() -> None:
-    def run(steps: int) -> dict[str, int]:
-        passes.add("renderings")  # nobody counts yet, or another did
-        passes.begin()
-        for _ in range(steps):
-            passes.add("gauss_newton_steps")
-        return passes.get_counts()
-
-    assert [copy_context().run(run, steps) for steps in (3, 5)] == [
-        {"gauss_newton_steps": steps, "renderings": 0, "carvings": 0} for steps in (3, 5)
-    ]

@@ -74,12 +74,12 @@ def even_pictures() -> list[np.ndarray]:
     return [draw(pose, threads()) for pose in EVEN]
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-def test_uneven_steps_scale_and_elevation_are_found(direction):
+def test_uneven_steps_scale_and_elevation_are_found():
+    """Of a table that turns the other way."""
     uneven = np.random.default_rng(1).normal(0.0, 0.8, 30)
     uneven[0] = 0.0
-    azimuth = -direction * np.deg2rad(0.99 * np.array(TABLE_DEG) + uneven)
-    scene = replace(SCENE, turntable=replace(SCENE.turntable, direction=direction))
+    azimuth = np.deg2rad(0.99 * np.array(TABLE_DEG) + uneven)
+    scene = replace(SCENE, turntable=replace(SCENE.turntable, direction=-1))
     found = find_cameras([draw(pose, threads()) for pose in poses(azimuth, np.deg2rad(0.5))], scene, TABLE_DEG)
     assert found.mm_per_px == pytest.approx(MM_PER_PX, rel=0.003)
     assert abs(found.mm_per_px / MM_PER_PX - 1.0) < 3.0 * found.uncertainty.scale < 0.01
@@ -106,11 +106,10 @@ def test_the_poses_put_points_where_the_pictures_have_them():
     [
         (lambda drawn: (drawn[:5], SCENE, TABLE_DEG[:5]), "too few"),
         (lambda drawn: ([drawn[0]] * 30, SCENE, TABLE_DEG), "slips or does not move"),
-        (lambda drawn: ([np.where(picture > 250, picture, 0) for picture in drawn], SCENE, TABLE_DEG), "edges"),
         (lambda drawn: ([picture[60:] for picture in drawn], SCENE, TABLE_DEG), "surface"),
         (lambda drawn: (drawn, replace(SCENE, camera=Camera()), TABLE_DEG), "telecentric"),
     ],
-    ids=["five views", "a table that stands still", "no panel", "no surface", "pinhole"],
+    ids=["five views", "a table that stands still", "no surface", "pinhole"],
 )
 def test_what_cannot_be_found_is_said(change, sentence):
     with pytest.raises(UserError, match=sentence):

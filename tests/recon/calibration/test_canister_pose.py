@@ -11,8 +11,8 @@ from rhizotwin.recon.calibration.canister_pose import find_canister
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.view_fit import adjoint, twist
 from rhizotwin.recon.optics.cameras import View, matrix
-from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene, Tank
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull.exact_pictures import views_of
 
 CAMERA = Camera(distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0)).resized((400, 300))
@@ -20,32 +20,16 @@ SCENE = Scene(camera=CAMERA, plan=CapturePlan(rings=(Ring(views=7, height_mm=-60
 TRUE = frames.from_rotvec(np.deg2rad([0.4, -0.3, 0.0]), np.array([0.7, -0.5, 0.0]))
 
 
-def bent(rays: np.ndarray, start: np.ndarray, canister_from_tank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Follow rays (N, 3) through a tank's front, wall by wall: their directions behind it, and a point of each."""
-    normal, box = canister_from_tank[:3, 0], Tank()
-    d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    p = np.broadcast_to(start, d.shape)
-    for x, n_from, n_to in ((box.front_mm, 1.0, box.n_wall), (box.front_mm - box.wall_mm, box.n_wall, box.n_liquid)):
-        p = p + ((x + normal @ canister_from_tank[:3, 3] - p @ normal) / (d @ normal))[:, None] * d
-        cosine, ratio = -(d @ normal), n_from / n_to  # Snell in vectors
-        d = ratio * d + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2)))[:, None] * normal
-    return d, p
-
-
-def picture(
-    cam_from_canister: np.ndarray, rng: np.random.Generator, *, radius_mm: float, oval: complex, tank: np.ndarray | None = None
-) -> np.ndarray:
-    """Draw the bare panel outside the wall, darkness at the edge and a brighter middle inside, with noise; ``tank`` is its pose."""
+def picture(cam_from_canister: np.ndarray, rng: np.random.Generator, *, radius_mm: float, oval: complex) -> np.ndarray:
+    """Draw the bare panel outside the wall, darkness at the edge and a brighter middle inside, with noise."""
     width, height = CAMERA.image_wh
     px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
     undone = cv2.undistortPoints(px, matrix(CAMERA), np.array(CAMERA.distortion)).reshape(-1, 2)
     rays = np.concatenate([undone, np.ones((len(undone), 1))], axis=1) @ cam_from_canister[:3, :3]
     start = frames.invert(cam_from_canister)[:3, 3]
     mm_per_px = np.linalg.norm(start[:2]) / CAMERA.focal_px[0]
-    if tank is not None:
-        rays, start = bent(rays, start, tank)
     heading = rays[:, :2] / np.hypot(rays[:, 0], rays[:, 1])[:, None]
-    foot = start[..., :2] - np.sum(heading * start[..., :2], axis=1)[:, None] * heading
+    foot = start[:2] - np.sum(heading * start[:2], axis=1)[:, None] * heading
     # the support of an ellipse with semi-axes R + e and R - e, its longer one turned to half the phase of ``oval``
     across = np.arctan2(foot[:, 1], foot[:, 0]) - np.angle(oval) / 2.0
     support = np.hypot((radius_mm + abs(oval)) * np.cos(across), (radius_mm - abs(oval)) * np.sin(across))
@@ -113,22 +97,3 @@ def test_no_edges_no_seat():
     beyond = replace(SCENE, canister=replace(SCENE.canister, outer_radius_mm=150.0))  # its edges are outside of the pictures
     assert find_canister(views, images.__getitem__, beyond) is None
     assert [find_canister(views, lambda _, level=level: np.full_like(images[0], level), SCENE) for level in (0, 40000)] == [None, None]
-
-
-def test_how_far_a_tank_is_turned_is_found_with_the_seat():
-    """The scene's tank stands square; the true one is turned, and a level camera sees all of it below the surface."""
-    turn_deg, scene, rng = 1.3, replace(SCENE, tank=Tank()), np.random.default_rng(6)
-    views, images = [], []
-    for view in plan.views(SCENE):
-        rig_from_canister = plan.rig_from_table(SCENE, view.table_deg)
-        canister_from_tank = frames.invert(rig_from_canister) @ frames.rotation_z(np.deg2rad(turn_deg))
-        cam_from_canister = view.cam_from_rig @ rig_from_canister
-        images.append(picture(cam_from_canister, rng, radius_mm=76.2, oval=0.0, tank=canister_from_tank))
-        views.append(View(camera=CAMERA, cam_from_canister=cam_from_canister @ TRUE, cam_from_tank=view.cam_from_rig))
-    found = find_canister(views, images.__getitem__, scene)
-    error = frames.invert(TRUE) @ found.canister_from_strip
-    assert np.abs(error[:2, 3]).max() < 0.01
-    assert np.abs(np.rad2deg(frames.to_rotvec(error))[:2]).max() < 0.01
-    assert found.tank_turn_deg == pytest.approx(turn_deg, abs=0.03)
-    assert abs(found.tank_turn_deg - turn_deg) < 4.0 * found.tank_sigma_deg < 0.1
-    assert found.after_mm < 0.1 * found.before_mm

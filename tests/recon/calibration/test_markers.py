@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.marker_fit import fit_marker
 from rhizotwin.recon.calibration.markers import Markers, detect_markers
-from rhizotwin.recon.calibration.poses import find_poses
 from rhizotwin.recon.optics.cameras import matrix
 from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Camera, MarkerStrip, Scene
 from tests.recon.calibration.strip_pictures import render_strip
 
@@ -61,11 +59,6 @@ def test_markers_are_measured_to_a_few_hundredths_of_a_pixel(shot):
     assert np.median(np.abs(off)) < 0.2 * np.median(np.abs(opencv.markers.corners_px - opencv.true_px))
 
 
-def test_one_picture_gives_its_camera(shot):
-    found = find_poses([shot.markers], shot.scene, [Frame(file="a.png", sha256="", table_deg=0.0)])
-    assert (np.array(frames.pose_error(found.views[0].cam_from_canister, shot.cam_from_canister)) < [0.2, 0.04]).all()
-
-
 def test_a_flat_marker_on_the_grid_is_measured_at_its_edges():
     """A marker 192 px wide, larger than what is fitted without averaging, whose left edge lies between pixels 99 and 100."""
     white = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 7, 8) > 127
@@ -75,9 +68,6 @@ def test_a_flat_marker_on_the_grid_is_measured_at_its_edges():
     true_px = np.array([[99.5, 79.5], [291.5, 79.5], [291.5, 271.5], [99.5, 271.5]])
     fit = fit_marker(picture, white, true_px + np.array([[1.0, -0.7], [-0.5, 0.8], [0.9, 0.4], [0.0, -1.0]]))
     np.testing.assert_allclose(fit.corners_px, true_px, atol=0.04)
-    noise = np.random.default_rng(0).integers(0, 65535, (200, 200)).astype(np.uint16)
-    corners = np.array([[60.0, 60.0], [120.0, 60.0], [120.0, 120.0], [60.0, 120.0]])
-    assert fit_marker(noise, np.eye(8) > 0, corners) is None, "what does not look like the marker"
 
 
 @pytest.mark.parametrize(
@@ -96,10 +86,9 @@ def test_markers_are_found_in_other_pictures(shot, change, least):
     [
         (lambda picture: np.ascontiguousarray(picture[:, ::-1]), MarkerStrip(), "mirror"),
         (lambda picture: picture, MarkerStrip(first_id=200), "markers of another strip"),
-        (lambda picture: picture, MarkerStrip(dictionary="5X5_100"), "markers of another strip"),
         (lambda picture: np.full_like(picture, 30000), MarkerStrip(), "no markers were found"),
     ],
-    ids=["mirrored", "other ids", "other dictionary", "empty"],
+    ids=["mirrored", "other ids", "empty"],
 )
 def test_a_picture_without_the_strip_s_markers_is_diagnosed(shot, change, strip, diagnosis):
     found = detect_markers(change(shot.picture), strip)

@@ -5,14 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhizotwin.recon.coverage import outer_dirt, wall
+from rhizotwin.recon.coverage import background, outer_dirt, wall
 from rhizotwin.recon.coverage.coarse_lines import CoarseLines
 from rhizotwin.recon.coverage.wall import Face
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
-from tests.recon.coverage.conftest import Turn
 from tests.recon.hull.exact_pictures import ring_of, views_of
+
+Turn = tuple[dict[int, cameras.View], Optics, dict[int, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def turn() -> Turn:
+    """Return cameras round a canister, its optics, and what of the water each sees."""
+    scene = ring_of(24)
+    optics, views = Optics.from_scene(scene), dict(enumerate(views_of(scene)))
+    return views, optics, {k: background.water_mask(view, optics, scene) for k, view in views.items()}
 
 
 def through(paint: np.ndarray, where: wall.Crossings) -> np.ndarray:
@@ -55,17 +64,6 @@ def test_lines_cross_the_wall_where_its_points_are_projected(turn: Turn, side: i
     assert where.row[side][v, u] == pytest.approx((optics.water_z_mm + 60.0) * rows / (optics.water_z_mm - optics.floor_z_mm), abs=1.5)
 
 
-def test_what_is_clear_where_one_looks_past_a_crowd_is_no_bubble() -> None:
-    """A crowd inside darkens a place in six of ten views; in the others it is as clear as its ring, but for a true bubble."""
-    dark = np.zeros((20, 60), np.float32)
-    dark[9:12, 30:33] = 0.5
-    views = np.zeros((10, 20, 60), np.float32)
-    views[:6] = 0.5
-    assert not wall._bubbles(dark, views, 0.06).any()
-    views[6:, 9:12, 30:33] = 0.4
-    assert wall._bubbles(dark, views, 0.06)[9:12, 30:33].all()
-
-
 PX_A_MM = 1.8
 
 
@@ -87,8 +85,8 @@ def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
     return paint
 
 
-@pytest.mark.parametrize("shrink", [1, 2])
-def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn, shrink: int) -> None:
+def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn) -> None:
+    shrink = 2
     views, optics, seen = turn
     face = replace(outer_dirt.outer_face(optics, PX_A_MM), shrink=shrink)
     larger = views[0].camera.resized((400 * shrink, 300 * shrink))
@@ -116,8 +114,7 @@ def test_growth_inside_noise_and_passing_roots_are_no_dirt(turn: Turn) -> None:
     assert [outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor()).any() for opacity in pictures] == [False, False]
 
 
-@pytest.mark.parametrize("beyond", [False, True])
-@pytest.mark.parametrize("image_wh", [(80, 60), (81, 60), (82, 61), (83, 62), (84, 63)])
+@pytest.mark.parametrize(("image_wh", "beyond"), [((80, 60), False), ((83, 62), True)])
 def test_every_pixel_has_a_value(image_wh: tuple[int, int], beyond: bool) -> None:
     scene = ring_of(1, image_wh)
     lines = CoarseLines.compute(views_of(scene)[0], Optics.from_scene(scene), step=4, beyond=beyond)

@@ -1,13 +1,12 @@
 """Trimming the hull: tubes get their own cross-section back, what is no tube keeps its hull."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.hull import carve, trimming, unexplained
+from rhizotwin.recon.hull import carve, trimming
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, subtract, to_unit_cubes
@@ -85,22 +84,6 @@ def test_the_hull_of_a_twig_is_kept_where_silhouettes_need_it(monkeypatch: pytes
     assert found.leaves.volume_mm3() == pytest.approx(volume_of_rods(), rel=0.05)
 
 
-def test_what_is_nearest_to_the_spheres_is_needed() -> None:
-    """A trunk whose spheres are half as wide: the rest of it is needed, but not what lies beside it along a line of sight."""
-    bank, maps, hull = hull_of(RODS)
-    core = hull.select(np.hypot(hull.middles_mm[:, 0], hull.middles_mm[:, 1]) < 2.0)
-    angle = np.arange(8) * np.pi / 4.0
-    rind = np.stack([3.0 * np.cos(angle), 3.0 * np.sin(angle), np.full(8, -70.0)], axis=1)
-    spike = np.array([[x, 0.0, -70.0] for x in (8.0, 12.0, 16.0, -8.0, -16.0)])
-    nodes = np.floor((np.concatenate([rind, spike]) - np.asarray(hull.grid.origin_mm)) / hull.grid.size_mm).astype(np.int32)
-    places = np.concatenate([nodes, to_unit_cubes(hull.index, hull.size)])
-    needed = unexplained.required_fraction(bank, maps, core, places, HALF_AS_WIDE)
-    assert needed[:8].min() > 0.5
-    assert needed[8:13].max() < 0.1
-    alone = unexplained.required_fraction(bank, maps, core, nodes[8:], HALF_AS_WIDE)
-    assert alone.max() > 0.5, "where nothing nearer explains the pictures, the spike does"
-
-
 def test_only_what_the_silhouettes_require_is_added_to_a_shape() -> None:
     """Half of a trunk is missing and comes back; the webs of the hull between complete rods do not."""
     bank, maps, hull = hull_of(RODS)
@@ -115,17 +98,3 @@ def test_only_what_the_silhouettes_require_is_added_to_a_shape() -> None:
     gone = complete.select(away).volume_mm3()
     assert 0.75 * gone < missing.volume_mm3() < 1.02 * gone, "all but a rim of 0.75 px at the outlines"
     assert trimming.find_missing(bank, maps, hull, subtract(hull, hull), HALF_AS_WIDE)[0].volume_mm3() == 0.0
-
-
-def test_spheres_stand_where_enough_views_bound_them() -> None:
-    """On the axis nearly all do; e beside it only those that look nearly across the offset; where every picture is silent, none."""
-    bank, maps, _ = hull_of(RODS)
-    silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), np.inf, np.float16)))
-    line = np.array([0.0, 0.0, -75.0]) + np.linspace(-1.0, 1.0, 15)[:, None] * np.array([0.0, 0.0, 1.0])
-    spheres, doubtful = trimming.grow_spheres(bank, maps, line)
-    assert np.median(spheres.radius_mm) == pytest.approx(4.0, rel=0.01)
-    assert not len(doubtful.radius_mm)
-    spheres, doubtful = trimming.grow_spheres(bank, maps, line + np.array([3.0, 0.0, 0.0]))
-    assert len(doubtful.radius_mm) >= 15
-    assert np.median(spheres.radius_mm) < 0.5 * np.median(doubtful.radius_mm), "between none and whole it shrinks"
-    assert not any(len(each.radius_mm) for each in trimming.grow_spheres(bank, silent, line))

@@ -20,7 +20,7 @@ def a_view(scene: Scene, *, azimuth_deg: float, tilt_deg: float, height_mm: floa
 LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     azimuth_deg=st.floats(-180, 180),
     tilt_deg=st.floats(-10, 35),

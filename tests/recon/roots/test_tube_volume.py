@@ -17,10 +17,9 @@ def half_ball(radius_mm: float) -> float:
     return 2.0 / 3.0 * np.pi * radius_mm**3
 
 
-def painted(system: tubes.Tubes, grid: Grid, *, blur_px: float = 0.0, half: bool = False) -> Leaves:
-    """Paint tubes without solids into a hull that is all of a grid, or the half of it where x < 0."""
+def painted(system: tubes.Tubes, grid: Grid, *, blur_px: float = 0.0) -> Leaves:
+    """Paint tubes without solids into a hull that is all of a grid."""
     water = everything(grid, 2**grid.levels)
-    water = water.select(water.middles_mm[:, 0] < 0.0) if half else water
     return tube_volume.combine(water.select(slice(0)), at_rest(system, px_a_mm=4.0, blur_px=blur_px), water).leaves
 
 
@@ -58,33 +57,16 @@ def test_a_thin_tube_keeps_its_volume_beside_a_wide_one():
     assert middle == pytest.approx([np.pi * 0.05**2 * 16.0, np.pi * 0.4**2 * 16.0], rel=0.01)
 
 
-def test_a_ball_on_a_rod_has_the_volume_of_its_cross_sections():
-    """Spheres as wide as the cross-sections at their centres would make a ball of radius r reach 1.4 r down."""
-    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (16, 16, 32))
-    path = line((0.0, 0.0, -18.0), (0.0, 0.0, -46.0))
-    beyond = np.abs(path[:, 2] + 26.0)
-    radius = np.maximum(np.sqrt(np.maximum(36.0 - beyond**2, 0.0)), 1.0)
-    system = tubes.place_nodes([path], [radius])
-    whole = painted(system, grid)
-    low, high = whole.middles_mm[:, 2].min(), -26.0 - 35.0**0.5
-    discs = np.pi * np.trapezoid(np.square(radius), -path[:, 2]) + half_ball(1.0)
-    assert whole.volume_mm3() == pytest.approx(discs, rel=0.02)
-    bulge = whole.select(whole.middles_mm[:, 2] < high - 0.5)
-    assert bulge.volume_mm3() == pytest.approx(np.pi * (high - 0.5 - low - 1.0) + half_ball(1.0), rel=0.1)
-    assert painted(system, grid, half=True).volume_mm3() == pytest.approx(0.5 * whole.volume_mm3(), rel=0.01)
-
-
 RADII: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "blunt": lambda below_mm: np.where(np.abs(below_mm) < 4.0, 6.0, 1.0),
     "wide": lambda below_mm: np.where(np.abs(below_mm) < 4.0, 8.0, 1.0),
     "ball": lambda below_mm: np.sqrt(np.maximum(36.0 - below_mm**2, 0.64)),
     "taper": lambda below_mm: np.interp(below_mm, [-8.0, 12.0], [4.0, 0.2]),
-    "swollen": lambda below_mm: 1.0 + 4.0 * np.exp(-((below_mm / 5.0) ** 2)),
 }
 """Radii of a thick root at distances below its middle, mm."""
 
 
-@pytest.mark.parametrize(("kind", "bend_mm"), [("blunt", 0), ("blunt", 2), ("wide", 2), ("ball", 0), ("taper", 2), ("swollen", 2)])
+@pytest.mark.parametrize(("kind", "bend_mm"), [("blunt", 0), ("wide", 2), ("ball", 0), ("taper", 2)])
 def test_a_thick_root_has_the_volume_of_its_frustums(kind: str, bend_mm: float) -> None:
     """Discs of a bent tube overlap inside the bend as much as they part outside (Pappus), however blunt its ends."""
     grid = Grid(np.array([-12.0, -12.0, -48.0]), 0.125, 3, (24, 24, 32))
@@ -97,7 +79,7 @@ def test_a_thick_root_has_the_volume_of_its_frustums(kind: str, bend_mm: float) 
     assert painted(system, grid).volume_mm3() == pytest.approx(frustums, rel=0.002)
 
 
-@pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.75, 1.05), (0.75, 1.6)])
+@pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.75, 1.6)])
 def test_tubes_side_by_side_count_their_overlap_once(radius_mm: float, apart_mm: float) -> None:
     """Two upright tubes share a lens (of two circles), and their tips one of two balls, however thick they are."""
     a, b = (line((x, 0.0, -20.0), (x, 0.0, -40.0)) for x in (0.0, apart_mm))

@@ -1,28 +1,22 @@
 """Shoots from pictures that a pinhole draws: a ball and a flat disc above the pot, whose sizes are known."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull.leaves import Hull
 from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix
-from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, find_shoot, shoot_hull, shoot_silhouettes
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.atomic import write_image
-from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.shoots import Shoot as Plant
 from rhizotwin.sim.shoot import build_shoot
-from tests.recon.hull.exact_pictures import rows
 
 SCENE = replace(Scene(), camera=Camera().resized((400, 300)))
 VIEWS = 16
@@ -75,7 +69,7 @@ def whole(coverage: np.ndarray) -> Silhouette:
     return Silhouette(coverage, np.ones(coverage.shape, bool))
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 30.0, 45.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 45.0])
 def test_a_pixel_has_the_area_of_a_square_across_the_axis(tilt_deg: float) -> None:
     pose = frames.level_camera(distance_mm=420.0, height_mm=120.0, tilt_deg=tilt_deg)
     view = View(camera=SCENE.camera, cam_from_canister=pose)
@@ -86,29 +80,12 @@ def test_a_pixel_has_the_area_of_a_square_across_the_axis(tilt_deg: float) -> No
     assert find_shoot._mm2_per_px(view, SCENE.net_pot.top_mm) == pytest.approx(100.0 / cv2.contourArea(px.astype(np.float32)), rel=1e-5)
 
 
-def overhead(rho_mm: float) -> View:
-    """Return a camera that looks straight down from a height of 450 mm."""
-    down = np.array([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -rho_mm], [0.0, 0.0, -1.0, 450.0], [0.0, 0.0, 0.0, 1.0]])
-    return View(camera=SCENE.camera, cam_from_canister=down)
-
-
-@pytest.mark.parametrize("rho_mm", [0.0, 0.5, 40.0])
-def test_a_pixel_seen_straight_down_has_its_area_at_the_net_pot(rho_mm: float) -> None:
-    mm_per_px = (450.0 - SCENE.net_pot.top_mm) / SCENE.camera.focal_px[0]
-    assert find_shoot._mm2_per_px(overhead(rho_mm), SCENE.net_pot.top_mm) == pytest.approx(mm_per_px**2)
-
-
-@pytest.mark.parametrize("shown", [False, True])
-def test_the_room_under_a_camera_ends_at_the_camera(shown: bool) -> None:
-    coverage = np.zeros((300, 400), np.float32)
-    coverage[140:160, 190:210] = float(shown)
-    room = shoot_hull._room([whole(coverage)], [overhead(0.5)], SCENE)
-    assert room.radius_mm == SCENE.net_pot.outer_radius_mm
-    assert room.top_mm == pytest.approx(2.0 + (450.0 if shown else SCENE.net_pot.top_mm))
-
-
 def test_a_camera_straight_above_does_not_cut_a_wide_shoot() -> None:
-    every, plate = [*views(), overhead(20.0)], ball(1.0, (0.0, 0.0, 0.0)) * [100.0, 100.0, 4.0] + [0.0, 0.0, 80.0]
+    down = np.array([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -20.0], [0.0, 0.0, -1.0, 450.0], [0.0, 0.0, 0.0, 1.0]])
+    every, plate = (
+        [*views(), View(camera=SCENE.camera, cam_from_canister=down)],
+        ball(1.0, (0.0, 0.0, 0.0)) * [100.0, 100.0, 4.0] + [0.0, 0.0, 80.0],
+    )
     silhouettes = []
     for view in every:
         covered, px = np.zeros((300, 400), np.uint8), cam_pixels(view.camera, frames.apply(view.cam_from_canister, plate))
@@ -144,27 +121,19 @@ def test_a_canister_beyond_the_lens_is_masked_down_to_the_edge() -> None:
 
 @pytest.mark.parametrize(
     ("distance_mm", "height_mm", "tilt_deg", "roll_deg", "radius_mm"),
-    [
-        (420.0, 120.0, 10.0, 0.0, 80.0),
-        (420.0, 120.0, 10.0, 15.0, 80.0),
-        (420.0, 120.0, 10.0, 90.0, 80.0),
-        (420.0, 120.0, 10.0, 180.0, 80.0),
-        (350.0, 420.0, 45.0, 0.0, 150.0),
-        (250.0, 480.0, 60.0, 0.0, 120.0),
-        (60.0, 480.0, 83.0, 0.0, 120.0),
-    ],
+    [(420.0, 120.0, 10.0, 90.0, 80.0), (60.0, 480.0, 83.0, 0.0, 120.0)],
 )
 def test_the_room_holds_the_shoot(distance_mm: float, height_mm: float, tilt_deg: float, roll_deg: float, radius_mm: float) -> None:
-    lens = Camera(image_wh=(1400, 1400), focal_px=(1100.0, 1100.0), principal_px=(699.5, 699.5))
+    lens = Camera(image_wh=(350, 350), focal_px=(275.0, 275.0), principal_px=(174.5, 174.5))
     top_mm, high_mm = SCENE.net_pot.top_mm, 60.0
     points = np.concatenate([circle(radius_mm, top_mm + rise) for rise in (0.5, high_mm)])
     pose = frames.rotation_z(np.deg2rad(roll_deg)) @ frames.level_camera(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)
     every = [View(camera=lens, cam_from_canister=pose @ frames.rotation_z(2.0 * np.pi * k / 12)) for k in range(12)]
     silhouettes = []
     for view in every:
-        covered = np.zeros((1400, 1400), np.float32)
+        covered = np.zeros((350, 350), np.float32)
         px = np.round(cam_pixels(lens, frames.apply(view.cam_from_canister, points))).astype(int)
-        px = px[((px >= 0) & (px < 1400)).all(axis=1)]
+        px = px[((px >= 0) & (px < 350)).all(axis=1)]
         covered[px[:, 1], px[:, 0]] = 1.0
         silhouettes.append(whole(covered))
     room = shoot_hull._room(silhouettes, every, SCENE)
@@ -172,19 +141,9 @@ def test_the_room_holds_the_shoot(distance_mm: float, height_mm: float, tilt_deg
     assert high_mm + top_mm < room.top_mm < high_mm + top_mm + 1.05 * height_mm
 
 
-def test_a_hull_too_faint_for_a_surface_is_no_shoot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nodes that are filled to less than a half have a volume but no surface; empty silhouettes have neither."""
+def test_empty_silhouettes_are_no_shoot() -> None:
     with pytest.raises(UserError, match="no volume in common"):
         carved([whole(np.zeros((300, 400), np.float32))] * 4, views()[::4], finest_mm=2.0)
-    carve = shoot_hull.carve.carve
-
-    def carve_faint(*given: object, **more: object) -> Hull:
-        hull = carve(*given, **more)
-        return replace(hull, leaves=replace(hull.leaves, occupancy=0.4 * hull.leaves.occupancy))
-
-    monkeypatch.setattr(shoot_hull.carve, "carve", carve_faint)
-    with pytest.raises(UserError, match="no volume in common"):
-        carved(silhouettes_of(ball(15.0, (0.0, 0.0, 75.0)), every=4), views()[::4], finest_mm=2.0)
 
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
@@ -193,20 +152,6 @@ def test_what_stands_before_the_pot_does_not_carve() -> None:
     assert covered.sum() > 300
     assert found.usable[covered].mean() < 0.7
     assert not found.usable[250, 200]
-
-
-def test_warnings_about_the_cameras_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    listed = []
-    for k, view in enumerate(views()[::4]):
-        write_image(tmp_path / f"{k}.png", np.round(65535.0 * drawn(view, ball(15.0, (0.0, 0.0, 75.0)))).astype(np.uint16))
-        listed.append(Frame(file=f"{k}.png", sha256="", kind="shoot", cam_from_canister=rows(view.cam_from_canister)))
-    excluded = "3.png is excluded: the strip or the camera moved"
-    monkeypatch.setattr(find_shoot, "find_cameras", lambda *given, **more: replace(find_cameras(*given, **more), warnings=(excluded,)))
-    monkeypatch.setattr(find_shoot, "FINEST_MM", 2.0)
-    dataset = Dataset(folder=tmp_path, scene=SCENE, frames=tuple(listed))
-    shoot, warnings = find_shoot.find_shoot(dataset, settings=Settings(), monitor=Monitor())
-    assert shoot is not None
-    assert excluded in warnings
 
 
 def blade(at_mm: tuple[float, float, float], *, width_mm: float = 16.0) -> trimesh.Trimesh:

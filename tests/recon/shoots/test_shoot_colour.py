@@ -9,7 +9,6 @@ import pytest
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.read_pictures import CurveFound, Pictures
-from rhizotwin.recon.shoots import shoot_colour
 from rhizotwin.recon.shoots.shoot_colour import measure_colour
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
@@ -76,17 +75,6 @@ def test_light_through_leaves_and_unlit_paper_tell_nothing(tmp_path: Path) -> No
     assert through.values == unlit.values == {}
     assert "panel_level = 0" in through.warnings[0]
     assert len(unlit.warnings) == len(LEAF)
-
-
-def test_paper_behind_the_camera_or_beyond_the_lens_is_not_read() -> None:
-    close = frames.level_camera(distance_mm=90.0, height_mm=100.0, tilt_deg=-60.0)
-    view = View(camera=Camera(distortion=(-0.5, 0.0, 0.0, 0.0, 0.0)), cam_from_canister=close)
-    assert not len(shoot_colour._paper_pixels(view, Scene(), (600, 800)))
-
-
-def test_saturated_paper_is_not_used(tmp_path: Path) -> None:
-    """Only the second, darker view counts, in which the leaves are shaded."""
-    assert colour_of(tmp_path, paper=1.0).values["reflectance_nir"] == pytest.approx(0.24, abs=2e-3)
 
 
 def test_saturated_leaves_give_no_reflectance_and_a_remedy(tmp_path: Path) -> None:

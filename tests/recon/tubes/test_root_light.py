@@ -2,14 +2,11 @@
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.coverage.translucency import FAINTEST_LEARNED
-from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.tubes import root_light, tube_attenuation, tube_fit, tube_profiles
 from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.tube_picture import Rendering
@@ -32,11 +29,10 @@ def blurred(noise: float, seed: int = 0) -> Evidence:
 
 
 @pytest.mark.parametrize("column", range(4), ids=tube_profiles.LIGHT)
-@pytest.mark.parametrize("hairs", [0.0, 1.0])
-def test_columns_are_derivatives_of_the_picture(column: int, hairs: float) -> None:
+def test_columns_are_derivatives_of_the_picture(column: int) -> None:
     """Along the column, the gradient of what a small change leaves is the change times the squared derivative."""
     system = straight((*SLANTED, 0.25))
-    seen = replace(dark(), mu_per_mm=2.0, blur_px=0.4, hairs=hairs, index=1.02)
+    seen = replace(dark(), mu_per_mm=2.0, blur_px=0.4, hairs=1.0, index=1.02)
     changed = root_light.with_light(seen, root_light.light_vector(seen) + STEPS * np.eye(4)[column])
     seen = replace(seen, coverage=drawn(system, changed, opacity=True).with_opacity().coverage)
     now = Rendering.draw(seen, system)
@@ -68,24 +64,6 @@ def test_pictures_tell_opaque_roots_from_translucent_ones(mu: float | None, tran
     attenuation, fit = tube_attenuation.find(*begun(mu), ORGAN)
     assert (attenuation.mu_per_mm is not None) == translucent
     assert np.median(fit.tubes.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.08 if translucent else 0.02)
-
-
-@cache
-def profiles_of_all() -> int:
-    return tube_attenuation.find(*begun(2.0), ORGAN, 2.0)[0].profiles
-
-
-@pytest.mark.parametrize(("views", "sufficient"), [(12, True), (1, False)])
-def test_some_of_the_views_tell_the_light_of_all(views: int, sufficient: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All views are used if some of them show too few lone roots."""
-    pictures, (_, start) = pictured(STAR, 2.0), begun(2.0)
-    monkeypatch.setattr(rooting, "_LIGHT_PROFILES", views * len(STAR.radius_mm))
-    monkeypatch.setattr(rooting, "_LIGHT_VIEWS", 1)
-    attenuation, lit, _ = rooting._fit_light(pictures, start, ORGAN, 2.0, None)
-    assert attenuation.light == pytest.approx(root_light.light_vector(lit))
-    assert lit.mu_per_mm == pytest.approx(2.0, rel=0.1)
-    assert lit.bank.count == pictures.bank.count == 16
-    assert (attenuation.profiles < profiles_of_all()) == sufficient
 
 
 def test_where_tubes_are_few_wide_roots_tell_the_attenuation(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,19 +106,3 @@ def test_an_error_of_the_model_does_not_average_out() -> None:
     worst = np.sqrt(np.diag(system.covariance(root_light.light_vector(seen), bald(seen))))[:2]
     per_profile = system.reduced[:2, :2] / system.lone
     np.testing.assert_allclose(worst, np.sqrt(root_light.LEAST_VARIANCE * np.diag(np.linalg.inv(per_profile))), rtol=0.1)
-
-
-@pytest.mark.parametrize(("learned", "least"), [(2.0, 0.1), (FAINTEST_LEARNED, 0.8)])
-def test_an_upper_bound_of_the_attenuation_is_no_measurement(learned: float, least: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With few profiles, the attenuation is that of wide roots, whose lowest value is a bound."""
-    system = SimpleNamespace(covariance=lambda *_: np.zeros((4, 4)))
-
-    def fit(seen: Evidence, tubes: Tubes, *_: object, light: Prior, **_others: object) -> tube_fit.Fit:
-        return tube_fit.Fit(seen, tubes, None, system, light, few=True)
-
-    monkeypatch.setattr(tube_fit, "fit", fit)
-    monkeypatch.setattr(tube_attenuation, "_losses", lambda *_: (np.ones((2, 1, 3)), np.ones((1, 3), bool)))
-    seen = drawn(STAR, dark(), opacity=True).with_opacity()
-    found, _ = tube_attenuation.find(seen, STAR, ORGAN, learned)
-    assert found.mu_per_mm == learned
-    assert least < found.sigma < 2.0 * least + 0.1

@@ -61,7 +61,7 @@ def moment(strips: np.ndarray, power: int, scale: float = 1.0) -> float:
 
 
 @pytest.mark.parametrize("power", range(0, 4 * translucent_tube.LAYERS, 2))
-@pytest.mark.parametrize("tau", [1e-3, 0.1, 1.0, 20.0])
+@pytest.mark.parametrize("tau", [1e-3, 1.0, 20.0])
 @pytest.mark.parametrize("index", [1.0, 1.024])
 def test_strips_have_the_moments_of_a_round_root(power: int, tau: float, index: float) -> None:
     def slab(angle: float) -> float:
@@ -99,7 +99,7 @@ CROWD = straight(
 )
 
 
-@pytest.mark.parametrize(("radius", "sine"), [(0.05, 1.0), (0.5, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize(("radius", "sine"), [(0.05, 1.0), (2.0, 0.5)])
 @pytest.mark.parametrize("mu", [None, 1.0])
 @pytest.mark.parametrize("power", [0, 2])
 def test_strips_with_hairs_have_the_moments_of_root_and_sleeve(radius: float, sine: float, mu: float | None, power: int) -> None:
@@ -113,27 +113,6 @@ def test_strips_with_hairs_have_the_moments_of_root_and_sleeve(radius: float, si
 
     expected = 2.0 * quad(dark, 0.0, outer, points=[radius], limit=200)[0]
     assert moment(strips(mu, 1.0, radius, sine, 4.0 * radius), power, scale=4.0) == pytest.approx(expected, rel=0.02)
-
-
-@pytest.mark.parametrize(("mu", "hairs"), [(None, 1.0), (2.0, 0.0), (2.0, 1.0)])
-def test_slopes_of_strips_are_derivatives(mu: float | None, hairs: float) -> None:
-    def at(mm: float, *names: str) -> np.ndarray:
-        layers = translucent_tube.layers(mu, hairs, mi.Float(mm), mi.Float(0.8), mi.Float(4.0 * mm))
-        return np.array([[getattr(layer, name)[0] for layer in layers] for name in names])
-
-    height, by_width, by_height = at(0.3, "height", "by_width", "by_height")
-    wider, higher = (at(0.301, "half_px", "height") - at(0.299, "half_px", "height")) / (2.0 * 4.0 * 1e-3)
-    assert by_width == pytest.approx(height * wider, rel=0.01)
-    assert by_height == pytest.approx(higher, abs=2e-3)
-
-
-@pytest.mark.parametrize("hairs", [0.0, 1.0])
-@pytest.mark.parametrize("mu", [None, 2.0])
-def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, hairs: float) -> None:
-    radius = np.array([0.05, 0.1, 0.4, 2.0])
-    light = translucent_tube.opaque_radius(radius, mu, hairs)
-    assert not hairs or (light > translucent_tube.opaque_radius(radius, mu)).all()
-    np.testing.assert_allclose(translucent_tube.equivalent_radius(light, mu, hairs), radius, rtol=1e-3)
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.0])

@@ -15,7 +15,7 @@ def find(**changes) -> Calibration:
     return find_calibration(**usual | changes)
 
 
-@pytest.mark.parametrize("changes", [{"views": 8}, {"views": 100}, {"px_a_mm": 0.7}, {"px_a_mm": 12.0}])
+@pytest.mark.parametrize("changes", [{"views": 8}, {"px_a_mm": 12.0}])
 def test_scans_unlike_the_calibration_scans_are_not_calibrated(changes) -> None:
     assert find(**changes) == NOT_CALIBRATED
     assert NOT_CALIBRATED.factor("volume_mm3") == 1.0

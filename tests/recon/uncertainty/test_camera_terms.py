@@ -7,11 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from rhizotwin.recon.calibration.cameras import BareUncertainty
-from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.uncertainty import bare_uncertainty, canister_uncertainty
+from rhizotwin.recon.uncertainty import bare_uncertainty
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.canister_uncertainty import CUBE_MM, misread
 from tests.recon.hull.blocks import block
@@ -75,11 +74,3 @@ def test_misread_is_what_looking_for_every_point_gives(name: str) -> None:
     assert quickly == pytest.approx(slowly, rel=1e-3)
     assert abs(slowly) > 1e-5
     assert misread(VIEWS, BELIEVED, BELIEVED, POINT_MM) == pytest.approx(0.0, abs=1e-7)
-
-
-def test_few_views_give_what_all_give_in_the_order_of_carving(monkeypatch: pytest.MonkeyPatch) -> None:
-    many = views_of(ring_of(40))
-    carved = [many[k] for k in carve.spread(len(many))]
-    few = misread(carved, BELIEVED, OTHERS["radius"], POINT_MM)
-    monkeypatch.setattr(canister_uncertainty, "VIEWS", len(many))
-    assert few == pytest.approx(misread(carved, BELIEVED, OTHERS["radius"], POINT_MM), rel=0.05)

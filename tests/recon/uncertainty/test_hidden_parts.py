@@ -39,14 +39,9 @@ def test_a_cone_has_an_interval_that_holds_what_it_has() -> None:
     assert (found.term.less_mm3, found.term.more_mm3) == pytest.approx((found.volume_mm3 - low_mm3, high_mm3 - found.volume_mm3))
 
 
-def test_nothing_is_hidden_that_is_seen_or_leaves_level() -> None:
-    assert hidden((0.0, 0.0, -52.0), gap_mm=0.0) is None
-    assert hidden((40.0, 0.0, -14.0)) is None
-
-
-@pytest.mark.parametrize("apart_mm", [1.0, 1.5])
-def test_laterals_overlap_in_the_common_part_of_two_cylinders(apart_mm: float) -> None:
+def test_laterals_overlap_in_the_common_part_of_two_cylinders() -> None:
     """Laterals of 1 mm radius leave the same stem; the gap is a part of a block, within 2 mm of their common part."""
+    apart_mm = 1.5
     laterals = [line((0.0, 0.0, z), (16.0, 0.0, z)) for z in (-30.0, -30.0 - apart_mm)]
     system = at_rest(strung(TRUNK, *laterals, radius_mm=1.0), px_a_mm=4.0)
     place_mm, diameter_mm = find_overlaps(system)

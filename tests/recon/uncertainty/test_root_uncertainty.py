@@ -77,17 +77,6 @@ def test_a_lost_scan_and_roots_finer_than_pixels_are_not_trusted(taken) -> None:
     assert root_uncertainty.estimates([], *taken, mu_per_mm=None, lost=()) == ()
 
 
-@pytest.mark.parametrize("diameter_mm", [0.1, 0.4, 4.0])
-def test_crowding_is_the_area_that_is_covered_repeatedly(taken, diameter_mm: float) -> None:
-    """The width is at most that of a resolved root, so that two thick roots that cross do not crowd."""
-    bank, pictures = taken
-    shape, one = pictures[0].coverage.shape, line((5.0, 5.0, -20.0), (-5.0, 20.0, -70.0), diameter_mm=diameter_mm)
-    crossing = line((-5.0, 5.0, -30.0), (5.0, 20.0, -60.0), diameter_mm=diameter_mm)
-    placed = [root_residual.Places.project(roots, bank) for roots in ([one], [one] * 3, [one, crossing])]
-    crowding = [np.median([places.crowding(view, shape) for view in range(bank.count)]) for places in placed]
-    assert crowding == pytest.approx([0.0, 2.0, 0.0], abs=0.25)
-
-
 def test_the_length_of_roots_that_are_not_resolved_may_be_larger(taken) -> None:
     """Twenty roots in a column of 3 mm: at 2 px/mm, no number of views separates those that share a pixel."""
     bank, pictures = taken

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
@@ -19,7 +18,7 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import occlusion, solid_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Term
-from rhizotwin.scenes.model import Scene, Tank
+from rhizotwin.scenes.model import Scene
 from tests.recon.hull import blocks, exact_pictures
 
 
@@ -38,7 +37,7 @@ def test_terms_add_in_quadrature() -> None:
     assert budget_of(term(200.0, 1.0)).interval_mm3 == pytest.approx((0.0, 101.0)), "never below nothing"
 
 
-@pytest.mark.parametrize("even", [0.0, 1.0, 10.0])
+@pytest.mark.parametrize("even", [0.0, 10.0])
 def test_the_interval_holds_what_is_one_sided_nine_times_of_ten(even: float) -> None:
     """A root may end anywhere on a hidden way of 6: nine times of ten within 5.4 of it, and other causes are even."""
     rng = np.random.default_rng(2)
@@ -65,21 +64,14 @@ def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object
     assert says in budget.verdict
 
 
-@pytest.mark.parametrize("count", [20, 41])
-def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
-    frames = [10 + place for place in carve.spread(count)]
-    chosen = sorted(frames[place] for place in solid_uncertainty.every_second(frames))
-    assert chosen == list(range(10, 10 + count, 2))
-
-
 def thin_grid(bottom_mm: float) -> Grid:
     return Grid(np.array([-2.0, -2.0, bottom_mm]), 0.2, 1, (10, 10, 10))
 
 
-def occlusion_of(monkeypatch: pytest.MonkeyPatch, scene: Scene, seen: Callable[[NDArray], NDArray], shape: Leaves) -> Term:
+def occlusion_of(monkeypatch: pytest.MonkeyPatch, seen: Callable[[NDArray], NDArray], shape: Leaves) -> Term:
     """Return what may be hidden of a shape, where ten views see some points."""
     monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
-    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.from_scene(scene)))
+    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.from_scene(Scene())))
     return occlusion.occlusion_term(bank, cast(DistanceMaps, None), shape, Water(70.0, -8.0, -150.0))  # only `_votes` looks into maps
 
 
@@ -87,55 +79,26 @@ def occlusion_of(monkeypatch: pytest.MonkeyPatch, scene: Scene, seen: Callable[[
     ("top_mm", "seen", "hidden_mm3"),
     [
         (-11.8, lambda p: p[:, 2] < -11.5, 0.9 * 3.8 * 0.64),
-        (-13.0, lambda p: p[:, 2] < -11.5, 0.0),
         (-16.0, lambda p: p[:, 2] > -20.2, 0.9 * 130.0 * 0.64),
-        (-16.0, lambda p: (p[:, 2] > -20.2) | (p[:, 2] < -85.0), 0.9 * 65.0 * 0.64),
         (-16.0, lambda p: p[:, 0] < 0.5, 0.9 * (np.sqrt(70.0**2 - 0.2**2) - 0.4) * 0.8 * 4.0),
         (-16.0, lambda p: p[:, 2] > -40.0, 0.0),
     ],
-    ids=["up to the water's top", "ends below what is seen", "below", "blind for a while", "beside", "ends in sight"],
+    ids=["up to the water's top", "below", "beside", "ends in sight"],
 )
 def test_a_shape_may_go_on_wherever_sight_ends(
     monkeypatch: pytest.MonkeyPatch, top_mm: float, seen: Callable[[NDArray], NDArray], hidden_mm3: float
 ) -> None:
     """A block of 0.8 x 0.8 x 4 mm on the axis, in water from -8 mm down to -150 mm."""
     index = np.argwhere(np.ones((4, 4, 20), bool)) + np.array([8, 8, 0])
-    ends = (index[:, 2] < 2) | (index[:, 2] > 17)
-
-    def hidden(occupancy: NDArray[np.float64] | float) -> Term:
-        return occlusion_of(monkeypatch, Scene(), seen, blocks.block(thin_grid(top_mm - 4.0), index, occupancy))
-
-    assert hidden(1.0).less_mm3 == 0.0
-    assert hidden(1.0).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
-    share = 1.0 if seen(np.array([[1.0, 0.0, -18.0]]))[0] else 1.0 - 0.2 * 0.7  # of its sides, if these are hidden
-    cut = np.where(ends, 0.3, 1.0)  # flat ends inside voxels
-    assert hidden(cut).more_mm3 == pytest.approx(share * hidden(1.0).more_mm3, rel=0.06)
-
-
-@pytest.mark.parametrize("per_mm", [-0.01, 0.0, 0.01, 0.03])
-def test_roots_that_join_upwards_are_wider_where_they_are_hidden(per_mm: float) -> None:
-    height = np.arange(40)
-    section = (0.4 + per_mm * (height - 20.0)).astype(np.float32)
-    found = occlusion._widening(height + 7, section, np.array([39]), np.array([10.0]))
-    hidden = float((0.4 + per_mm * (np.arange(40, 50) - 20.0)).mean() / section[30:].mean())  # if the increase continues
-    assert found == pytest.approx(1.0 if per_mm <= 0.0 else 2.0 * hidden - 1.0, rel=0.25)
-    assert found >= max(hidden, 1.0)
-    visible = [occlusion._widening(np.arange(9), np.ones(9, np.float32), np.array([8]), np.array([mm])) for mm in (0.0, 7.0)]
-    assert visible == [1.0, 1.0]
-
-
-@pytest.mark.parametrize(("scene", "bends"), [(Scene(), True), (Scene(tank=Tank()), False)], ids=["round wall", "tank"])
-def test_only_a_round_wall_bends_light_away(monkeypatch: pytest.MonkeyPatch, scene: Scene, bends: bool) -> None:
-    shape = blocks.block(thin_grid(-20.0), np.argwhere(np.ones((4, 4, 20), bool)))
-    why = occlusion_of(monkeypatch, scene, lambda points: points[:, 0] < -1.5, shape).why
-    assert "towards the wall" in why
-    assert ("refracts light away" in why) == bends
+    hidden = occlusion_of(monkeypatch, seen, blocks.block(thin_grid(top_mm - 4.0), index))
+    assert hidden.less_mm3 == 0.0
+    assert hidden.more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
 
 
 @pytest.mark.parametrize(
     ("beyond_mm", "kept", "more"),
-    [(0.0, 0.0, 1.0), (8.0, 0.0, 0.1), (8.0, 1.0, 0.5), (8.0, 3.0, 0.75)],
-    ids=["all round a ball", "a web beside it", "when as much was needed", "when three times as much was needed"],
+    [(0.0, 0.0, 1.0), (8.0, 0.0, 0.1), (8.0, 3.0, 0.75)],
+    ids=["all round a ball", "a web beside it", "when three times as much was needed"],
 )
 def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, kept: float, more: float) -> None:
     """A sphere fits into all outlines, the one with the largest error, too: what the hull has next to it counts in full, a web a tenth.
