@@ -75,7 +75,6 @@ def even_pictures() -> list[np.ndarray]:
 
 
 def test_uneven_steps_scale_and_elevation_are_found():
-    """Of a table that turns the other way."""
     uneven = np.random.default_rng(1).normal(0.0, 0.8, 30)
     uneven[0] = 0.0
     azimuth = np.deg2rad(0.99 * np.array(TABLE_DEG) + uneven)

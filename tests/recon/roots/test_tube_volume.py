@@ -63,7 +63,6 @@ RADII: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "ball": lambda below_mm: np.sqrt(np.maximum(36.0 - below_mm**2, 0.64)),
     "taper": lambda below_mm: np.interp(below_mm, [-8.0, 12.0], [4.0, 0.2]),
 }
-"""Radii of a thick root at distances below its middle, mm."""
 
 
 @pytest.mark.parametrize(("kind", "bend_mm"), [("blunt", 0), ("wide", 2), ("ball", 0), ("taper", 2)])
