@@ -10,16 +10,13 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from rhizotwin.batches import cluster
 from tests.rhizotwin.batches.conftest import dataset, job
 from tests.rhizotwin.browser import wait
 
 ROOT = Path(__file__).resolve().parents[3]
-COUNT = 6
 
 
 @pytest.fixture
@@ -53,7 +50,7 @@ def _awaited(log: Path, pattern: str) -> str:
 def test_jobs_of_a_killed_worker_are_done_by_the_other_once(scheduler: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path) -> None:
     address, workers = scheduler
     bad = str(dataset(tmp_path / "bad"))
-    listed = [job(f"job{k}", tmp_path, source=bad, key=f"key{k}") for k in range(COUNT)]
+    listed = [job(f"job{k}", tmp_path, source=bad, key=f"key{k}") for k in range(6)]
     program = (
         "import json, sys\n"
         "from rhizotwin.batches import cluster\n"
@@ -70,30 +67,6 @@ def test_jobs_of_a_killed_worker_are_done_by_the_other_once(scheduler: tuple[str
     said, errors = running.communicate(timeout=180)
     assert running.returncode == 0, errors
     lines = sorted(said.splitlines())
-    assert [line.split()[:2] for line in lines] == [[f"job{k}", "failed"] for k in range(COUNT)]
+    assert [line.split()[:2] for line in lines] == [[f"job{k}", "failed"] for k in range(6)]
     assert all("the picture is missing" in line for line in lines)
     assert workers[0].wait() == -signal.SIGKILL
-
-
-def test_two_batches_on_one_scheduler_have_jobs_of_their_own(tmp_path: Path) -> None:
-    outputs: dict[str, str] = {}
-
-    def submit(_: object, plain: dict[str, str], *, key: str, pure: bool) -> None:
-        assert not pure
-        outputs.setdefault(key, plain["output"])  # Dask runs one of several tasks with equal keys
-
-    for output in ("r/one", "other/one"):
-        cluster._submit(SimpleNamespace(submit=submit), job("one", tmp_path, output=output), 1)
-    assert sorted(outputs.values()) == ["other/one", "r/one"]
-
-
-def test_slurm_asks_for_the_memory_of_the_largest_job() -> None:
-    pytest.importorskip("dask_jobqueue")
-    program = (
-        "from rhizotwin.batches import cluster\n"
-        "from rhizotwin.batches.jobs import Job\n"
-        "one = Job(name='a', kind='reconstruct', source='s', output='o', key='k', pixels=20e6, options={})\n"
-        "with cluster.slurm([one]) as made: print(made.job_script())\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120, check=True)
-    assert "#SBATCH --mem=4G" in done.stdout  # 700 + 120 * 20 = 3100 MiB, in whole GB as SLURM is asked

@@ -1,16 +1,15 @@
-"""Jobs in processes of this computer: memory, stopping, processes that die."""
+"""Jobs in processes of this computer: memory, and processes that die."""
 
-import json
 import threading
 import time
-from multiprocessing import Pipe, active_children
+from multiprocessing import active_children
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
 
-from rhizotwin.batches import jobs, local, work
+from rhizotwin.batches import local, work
 from rhizotwin.batches.jobs import Outcome
 from rhizotwin.batches.run import LOCK, run
 from rhizotwin.scenes.errors import UserError
@@ -32,17 +31,6 @@ def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: p
     assert given == ["large", "small", "huge"]
 
 
-def test_jobs_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    killed: list[str] = []
-    process = SimpleNamespace(kill=lambda: killed.append("killed"), join=lambda: killed.append("joined"))
-    line, _other = Pipe()
-    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(process, line))
-    monkeypatch.setattr(local, "LOOK_S", 0.01)
-    stops = iter([False, False, True])
-    assert list(local.run([job("a", tmp_path)], workers=1, stop=lambda: next(stops))) == []
-    assert killed == ["killed", "joined"]
-
-
 def test_a_damaged_scan_fails_and_a_killed_process_is_replaced(tmp_path: Path) -> None:
     bad = dataset(tmp_path / "bad")
     given = [job(f"job{k}", tmp_path, source=str(bad)) for k in range(3)]
@@ -61,16 +49,6 @@ def test_a_damaged_scan_fails_and_a_killed_process_is_replaced(tmp_path: Path) -
     assert sorted(one.name for one, _ in outcomes) == ["job0", "job1", "job2"]  # nothing twice
     assert {outcome.state for _, outcome in outcomes} == {"failed"}
     assert all("the picture is missing" in outcome.sentence for _, outcome in outcomes)
-    record = json.loads((tmp_path / jobs.RECORDS / "job1.json").read_text(encoding="utf-8"))
-    assert (record["state"], record["key"]) == ("failed", "k")
-
-
-@pytest.mark.parametrize(("code", "named"), [(-9, "signal SIGKILL"), (-40, "signal 40"), (3, "exit code 3")])
-def test_a_process_that_died_names_its_signal(code: int, named: str, tmp_path: Path) -> None:
-    ours, theirs = Pipe()
-    theirs.close()
-    worker = local._Worker(SimpleNamespace(exitcode=code, join=lambda: None), ours, job("a", tmp_path))
-    assert f"died ({named})" in local._hear(worker, [worker]).sentence
 
 
 def test_a_full_disk_is_not_the_scans_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,8 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from rhizotwin.catalogue import sources
 from rhizotwin.catalogue.records import Plant
 from rhizotwin.catalogue.store import Catalogue
@@ -17,76 +15,37 @@ SCENE = small_scene(3)
 SKETCH = ("--rig", "twin", "--fidelity", "sketch", "--profile", "clean", "--seed", "2")
 
 
-@pytest.fixture
-def files(tmp_path: Path, make_dataset, make_result) -> tuple[Path, Path, Path]:
-    """Return the folders of scans and results of two plants on two days, and a table of their masses."""
+def test_commands_of_a_catalogue_and_those_that_accept_one(tmp_path: Path, command: Command, make_dataset, make_result):
+    """Two plants on two days, and a table of their masses."""
     for plant, treatment, volume in (("P1", "control", 900.0), ("P2", "low N", 700.0)):
         for day in (5.0, 6.0):
             whose = {"plant": plant, "treatment": treatment, "day": day}
             sha256 = make_dataset(f"{plant}_{day:g}", **whose).sha256
             changes = {"volume_mm3": volume + 10.0 * day}
             make_result(f"{plant}_{day:g}", sha256=sha256, focal=1.0 + 0.001 * day, changes=changes, **whose)
-    masses = tmp_path / "masses.csv"
-    masses.write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
-    return tmp_path / "scans", tmp_path / "results", masses
-
-
-def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Command, files: tuple[Path, Path, Path]):
+    files = (tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
+    files[2].write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
     file = tmp_path / "my.rhizotwin"
     assert "added 4 datasets, 4 results and 1 mass table" in command.works("catalogue", "add", file, *files).out
-    assert command.works("catalogue", "list", file).out.split()[:4] == ["plants", "2", "scans", "4"]
     assert "low N" in command.works("catalogue", "list", file, "plants").out
     assert "2 rows" in command.works("catalogue", "list", file, "scans", "--plant", "P2").out
-    assert "2 rows" in command.works("catalogue", "list", file, "results", "--plant", "P2").out
-    assert "P1" not in command.works("catalogue", "list", file, "rig_numbers", "--plant", "P2").out
     assert command.works("catalogue", "list", file, "--plant", "P2").out.split()[:6] == ["plants", "1", "scans", "2", "results", "2"]
     command.fails("catalogue", "list", file, "scans", "--plant", "P9", named=["no plant is named 'P9'; known plants: P1, P2"])
     assert "P1" in command.works("catalogue", "query", file, "SELECT name FROM plants ORDER BY name LIMIT 1").out
-    command.fails("catalogue", "query", file, "DELETE FROM plants", named=["must only read the catalogue"])
     assert "no difference" in command.works("catalogue", "check", file).out
     command.works("catalogue", "export", file, "-o", tmp_path / "tables")
     assert (tmp_path / "tables" / "masses.csv").read_text().startswith("plant,day,kind,grams,source\nP1,6,root_fresh,0.9,masses.csv\n")
     assert "report: " in command.works("catalogue", "report", file, "-o", tmp_path / "report").out
-    drift = (tmp_path / "report" / "drift.csv").read_text()
-    assert "focal length" in drift or (tmp_path / "report" / "catalogue.html").stat().st_size > 5000
+    assert (tmp_path / "report" / "catalogue.html").stat().st_size > 5000
     rebuilt = tmp_path / "new.rhizotwin"
     command.works("catalogue", "rebuild", rebuilt, *files)
     with Catalogue.open(file) as old, Catalogue.open(rebuilt) as new:
-        assert new.scans() == old.scans()
-        assert new.results() == old.results()
-        assert new.masses() == old.masses()
+        assert [new.scans(), new.results(), new.masses()] == [old.scans(), old.results(), old.masses()]
     command.fails("catalogue", "rebuild", rebuilt, tmp_path / "scans", named=["already exists"])
-
-
-@pytest.mark.parametrize("name", ["add", "rebuild"])
-def test_wrong_folder_leaves_no_catalogue(tmp_path: Path, command: Command, name: str):
-    command.fails("catalogue", name, tmp_path / "my.rhizotwin", tmp_path / "sacns", named=["sacns: the folder or table"])
-    assert not (tmp_path / "my.rhizotwin").exists()
-    (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
-    command.fails("catalogue", name, tmp_path, tmp_path / "masses.csv", named=["is a folder; give a catalogue file"])
-
-
-def test_damaged_entry_is_reported_and_others_are_added(tmp_path: Path, command: Command, make_dataset):
-    good = make_dataset("P1", plant="P1").folder
-    (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
-    failed = command.fails("catalogue", "add", tmp_path / "my.rhizotwin", tmp_path / "scans", named=["1 entry could not be added"])
-    assert "not added:" in failed.out
-    with Catalogue.open(tmp_path / "my.rhizotwin") as opened:
-        assert [one.path for one in opened.scans()] == [good]
-
-
-def test_catalogue_in_place_of_folders(tmp_path: Path, command: Command, files: tuple[Path, Path, Path]):
-    file = tmp_path / "my.rhizotwin"
-    command.works("catalogue", "add", file, *files)
     assert "P1" in command.works("traits", file).out
     command.works("growth", file, "-o", tmp_path / "growth")
-    command.works("growth", files[1], "-o", tmp_path / "growth_of_folders")
     assert (tmp_path / "growth" / "masses.csv").is_file()
-    assert (tmp_path / "growth" / "traits.csv").read_text() == (tmp_path / "growth_of_folders" / "traits.csv").read_text()
     command.fails("biomass", "fit", file, "-o", tmp_path / "model.json", named=["plants"])  # two are too few, but both were found
-    command.fails("biomass", "fit", tmp_path / "none.rhizotwin", "-o", tmp_path / "model.json", named=["the file does not exist"])
-    failed = command("batch", file, "-o", tmp_path / "out")  # the datasets of the catalogue show no markers
-    assert "4 of 4 scans failed" in failed.sentence
     with Catalogue.open(file) as opened:  # phantoms are left out of growth
         opened.add_plant(Plant(name="P2", phantom=True))
         opened.add_plant(Plant(name="P2"))
@@ -95,11 +54,23 @@ def test_catalogue_in_place_of_folders(tmp_path: Path, command: Command, files: 
     assert {path.name[:2] for path in sources.expand_results([file], phantoms=False)} == {"P1"}
 
 
+def test_wrong_folders_and_damaged_entries_are_reported(tmp_path: Path, command: Command, make_dataset):
+    command.fails("catalogue", "add", tmp_path / "my.rhizotwin", tmp_path / "sacns", named=["sacns: the folder or table"])
+    assert not (tmp_path / "my.rhizotwin").exists()
+    (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
+    command.fails("catalogue", "add", tmp_path, tmp_path / "masses.csv", named=["is a folder; give a catalogue file"])
+    good = make_dataset("P1", plant="P1").folder
+    (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
+    failed = command.fails("catalogue", "add", tmp_path / "my.rhizotwin", tmp_path / "scans", named=["1 entry could not be added"])
+    assert "not added:" in failed.out
+    with Catalogue.open(tmp_path / "my.rhizotwin") as opened:
+        assert [one.path for one in opened.scans()] == [good]
+
+
 def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
     file, scene, canister_2 = tmp_path / "my.rhizotwin", tmp_path / "scene.toml", tmp_path / "canister_2.toml"
     save_scene(SCENE, scene)
     save_scene(replace(SCENE, strip=replace(SCENE.strip, first_id=22)), canister_2)
-    command.fails("catalogue", "plant", file, "P1", "--canister", "1", named=["--canister and --scene must be given together"])
     for number, treatment in ((1, "control"), (2, "low N")):
         words = ("catalogue", "plant", file, f"P{number}", "--canister", number, "--scene", scene)
         command.works(*words, "--treatment", treatment, "--sown", "2026-11-20")
@@ -110,10 +81,6 @@ def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
         assert [(one.plants, one.day) for one in opened.scans()] == [(("P2",), 11.0)]
     command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is P2 instead of P1; put P1 on the turntable"])
     assert not list(tmp_path.glob("e/images/*"))
-    words = ("--plant", "P2", "--treatment", "control")
-    command.fails(*scan, tmp_path / "f", *words, named=["the treatment of plant P2 is 'low N' in the catalogue, not 'control'"])
-    assert not list(tmp_path.glob("f/images/*"))
-    command.fails(*scan, tmp_path / "f", "--plant", "P7", named=["no plant is named 'P7'"])
 
 
 def test_wrong_value_of_a_plant_is_replaced(tmp_path: Path, command: Command):
@@ -126,18 +93,13 @@ def test_wrong_value_of_a_plant_is_replaced(tmp_path: Path, command: Command):
         assert opened.plant("P1") == Plant(name="P1", treatment="low N", sown="2026-11-21", replicate=2)
 
 
-def test_strips_of_canisters(tmp_path: Path, command: Command):
-    save_scene(SCENE, tmp_path / "scene.toml")
-    told = command.works("markers", tmp_path / "scene.toml", "-o", tmp_path / "strips.pdf", "--labels", "3").out
-    assert "canister 3: APRILTAG_36h11 markers 44 to 65" in told
-    command.fails("markers", tmp_path / "scene.toml", "-o", tmp_path / "more.pdf", "--labels", "27", named=["enough for 26 strips of 22"])
-
-
 def test_time_lapse_commands(tmp_path: Path, command: Command):
     file = tmp_path / "e.toml"
     command.works("timelapse", "example", "-o", file)
     assert "60 scans planned" in command.works("timelapse", "status", file).out
     save_scene(SCENE, tmp_path / "scene.toml")
+    told = command.works("markers", tmp_path / "scene.toml", "-o", tmp_path / "strips.pdf", "--labels", "3").out
+    assert "canister 3: APRILTAG_36h11 markers 44 to 65" in told
     text = file.read_text().replace("radish_day15a", "scene.toml").replace("rounds = 10", "rounds = 1").replace('"bench"', '"clean"')
     file.write_text("[[plants]]".join(text.split("[[plants]]")[:3]))
     assert "scans: 2 finished, 0 missed, 0 still planned" in command.works("timelapse", "run", file, "--quiet").out

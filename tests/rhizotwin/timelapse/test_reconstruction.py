@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.batches.jobs import Job
@@ -90,20 +91,19 @@ def test_reconstruction_without_its_folder_or_its_time(make_experiment, monkeypa
 
 @pytest.mark.slow
 def test_rendered_scans_are_reconstructed(tmp_path: Path):
-    """A radish on two days: results and the rig's numbers are in the catalogue, and each day has more root."""
-    scene = files.load_scene("radish_day05b")
-    plan = CapturePlan(rings=(Ring(views=16),))
-    files.save_scene(replace(scene, camera=scene.camera.resized((400, 300)), plan=plan), tmp_path / "scene.toml")
-    schedule = '[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 2\nevery_h = 72\n'
+    """A ball: result and rig numbers are in the catalogue."""
+    scene = files.load_scene("sphere_20mm")
+    plan = CapturePlan(rings=(Ring(views=10),))
+    files.save_scene(replace(scene, camera=scene.camera.resized((320, 240)), plan=plan), tmp_path / "scene.toml")
+    schedule = '[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 1\n[reconstruction]\nvoxel_mm = 0.5\n'
     plant = '[twin]\nfidelity = "render"\n[[plants]]\nname = "P1"\ncanister = 1\nsown = "2026-11-26"\n'
-    (tmp_path / "e.toml").write_text(f'name = "radish"\nrig = "twin"\nscene = "scene.toml"\n{schedule}{plant}')
+    (tmp_path / "e.toml").write_text(f'name = "ball"\nrig = "twin"\nscene = "scene.toml"\n{schedule}{plant}')
     experiment = load_experiment(tmp_path / "e.toml")
-    assert Runner(experiment).run().scanned == 2
+    assert Runner(experiment).run().scanned == 1
     with Catalogue.open(experiment.catalogue_path) as catalogue:
-        first, second = catalogue.results()
-        assert (first.plants, first.day, second.day) == (("P1",), 5.0, 8.0)
+        (first,) = catalogue.results()
+        assert (first.plants, first.day) == (("P1",), 5.0)
         assert {"focal_scale", "panel_level", "canister_tilt_deg"} <= set(first.rig_numbers)
-        query = "SELECT x.day, t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'total_length'"
-        lengths = dict(catalogue.rows(query))
-        assert lengths[8.0] > lengths[5.0] > 0.0
+        query = "SELECT t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'volume'"
+        assert catalogue.rows(query)[0][0] == pytest.approx(np.pi / 6.0 * 20.0**3, rel=0.05)
         assert check(catalogue) == []

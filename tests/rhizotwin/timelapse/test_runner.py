@@ -1,4 +1,4 @@
-"""Runs of small experiments on the emulated rig, in virtual time."""
+"""Runs of small experiments on the emulated rig, in virtual time: canisters, faults, late scans, and changes of the schedule."""
 
 import errno
 import os
@@ -8,26 +8,29 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
+from unittest.mock import Mock
 
-import numpy as np
 import pytest
 
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
-from rhizotwin.timelapse.experiment import Experiment, load_experiment
-from rhizotwin.timelapse.runner import Listener, Runner
+from rhizotwin.timelapse.clocks import VirtualCalendar
+from rhizotwin.timelapse.experiment import Experiment, Member, load_experiment
+from rhizotwin.timelapse.runner import Listener, Outcome, Runner
 from tests.rhizotwin.timelapse.conftest import write_experiment
 
 ROOT = Path(__file__).resolve().parents[3]
-SCANS = 12
+SCANS = 9
 """Scans of the run that is killed."""
 
 
@@ -81,22 +84,18 @@ def test_wrong_canister_is_not_scanned(make_experiment):
 
     runner = Runner(experiment, listener=Listener(ask=ask), changer=PersonChanger(ask))
     outcome = runner.run()
-    first, unknown, none, second, other = questions
+    first, unknown, none, _, other = questions
     assert first == "Put canister 1 (plant P1) on the turntable, then press Enter: "
     assert "(APRILTAG_36h11 markers 1" in unknown
     assert "could not be read" in none
-    assert second == "Put canister 2 (plant P2) on the turntable, then press Enter: "
     assert "is P1 instead of P2" in other
     assert ([one.plant for one in outcome.missed], outcome.scanned) == (["P1"], 1)
     assert "matches no plant" in outcome.missed[0].note
     assert {path.parts[-3] for path in experiment.scans_folder.rglob("*.png")} == {"P2_day_000.00"}  # nothing is left of P1
-    assert load_dataset(experiment.scans_folder / "P2_day_000.00").scene.strip.first_id == 22
 
 
-@pytest.mark.parametrize(("pause_min", "loads"), [(1, 2), (800, 1)], ids=["tried again", "too late"])
-def test_blocked_carousel(make_experiment, pause_min: int, loads: int):
-    """It is blocked at its first movement."""
-    experiment = load_experiment(make_experiment(plants=1, rounds=1, schedule=f"pause_min = {pause_min}"))
+def test_carousel_that_is_blocked_once_is_tried_again(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1, schedule="pause_min = 1"))
     places, lines = list[int](), list[str]()
 
     def load(place: int) -> None:
@@ -108,42 +107,20 @@ def test_blocked_carousel(make_experiment, pause_min: int, loads: int):
     carousel = SimpleNamespace(describe=lambda: "blocked", load=load, **dict.fromkeys(("prepare", "unload", "close"), lambda: None))
     runner = Runner(experiment, listener=Listener(say=lines.append), changer=CarouselChanger(carousel))
     outcome = runner.run()
-    assert (outcome.scanned, len(places)) == (loads - 1, loads)
+    assert (outcome.scanned, outcome.missed, places) == (1, (), [1, 1])
     assert any("attempt 1 of 3 failed: carousel: the carousel does not rotate" in line for line in lines)
-    assert ["the carousel does not rotate" in one.note for one in outcome.missed] == [True] * (2 - loads)
-
-
-def test_stray_file_of_one_plant_does_not_end_the_run(make_experiment):
-    experiment = load_experiment(make_experiment(plants=2, rounds=1))
-    note = experiment.scans_folder / "P1_day_000.00" / "note.txt"
-    note.parent.mkdir(parents=True)
-    note.write_text("a leaf broke")
-    outcome = Runner(experiment).run()
-    assert ([one.plant for one in outcome.missed], outcome.scanned) == (["P1"], 1)
-    assert "is not empty and contains no interrupted scan" in outcome.missed[0].note
-
-
-def fail(cause: Exception) -> Callable[..., None]:
-    """Return a function that raises UserError because of another error."""
-
-    def take(*_: object, **__: object) -> None:
-        raise UserError("free some space") from cause
-
-    return take
-
-
-FAULTS = {
-    "disk full": ("rhizotwin.rigs.take_scan", fail(OSError(errno.ENOSPC, "full"))),
-    "catalogue locked": ("rhizotwin.rigs.take_scan", fail(sqlite3.OperationalError("database is locked"))),
-    "too little space for the pictures": ("shutil.disk_usage", lambda _: SimpleNamespace(total=2**40, free=2**24)),
-}
 
 
 def test_faults_that_end_the_run_and_not_the_scan(make_experiment, monkeypatch: pytest.MonkeyPatch):
     experiment = load_experiment(make_experiment(plants=1, rounds=1))
     with pytest.raises(UserError, match="needs a person who puts its canister"):
         Runner(experiment, changer=PersonChanger(None)).run()
-    for name, function in FAULTS.values():
+    faults: list[tuple[str, Any]] = [("shutil.disk_usage", lambda _: SimpleNamespace(total=2**40, free=2**24))]
+    for cause in (OSError(errno.ENOSPC, "full"), sqlite3.OperationalError("database is locked")):
+        error = UserError("free some space")
+        error.__cause__ = cause
+        faults.append(("rhizotwin.rigs.take_scan", Mock(side_effect=error)))
+    for name, function in faults:
         with monkeypatch.context() as patch:
             patch.setattr(name, function)
             with pytest.raises(UserError, match="free some space"):
@@ -162,7 +139,7 @@ def test_killed_at_several_points(make_experiment):
     path = make_experiment(plants=SCANS // 3, rounds=3)
     words = [sys.executable, "-m", "rhizotwin", "timelapse", "run", str(path)]
     experiment, kept = load_experiment(path), dict[Path, int]()
-    for delay_s in np.linspace(0.0, 1.5, 6):  # after the first change of each run
+    for delay_s in (0.0, 0.75, 1.5):  # after the first change of each run
         before = files(experiment)
         with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True) as running:
             while running.poll() is None and files(experiment) == before:
@@ -184,3 +161,62 @@ def test_killed_at_several_points(make_experiment):
         assert check(catalogue) == []
     assert len(list(experiment.scans_folder.iterdir())) == SCANS
     assert {file: file.stat().st_mtime_ns for file in kept} == kept  # no picture was taken again
+
+
+def test_late_scans_are_missed(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=3))
+    calendar = VirtualCalendar(datetime.fromisoformat("2026-12-02T22:00:00+00:00"))
+    outcome = Runner(experiment, calendar=calendar).run()
+    assert outcome.scanned == 1
+    assert [one.due_utc[:10] for one in outcome.missed] == ["2026-12-01", "2026-12-02"]
+
+
+def run_slowly(experiment: Experiment, hours: float, **callbacks: Any) -> Outcome:
+    """Run an experiment in which a person takes hours to put each canister on the table."""
+    calendar = VirtualCalendar(experiment.start_utc)
+
+    def change(member: Member, _reason: str) -> None:
+        calendar.advance(3600.0 * hours)
+        runner.table.put(member.canister)
+
+    runner = Runner(experiment, listener=Listener(**callbacks), changer=SimpleNamespace(change=change), calendar=calendar)
+    return runner.run()
+
+
+Interruption = type("Interruption", (Observer,), {"on_look": Mock(side_effect=KeyboardInterrupt)})
+"""Ctrl-C after the first picture."""
+
+
+def test_late_scan_has_the_date_and_age_at_its_start(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1, schedule="late_h = 100"))
+    with pytest.raises(KeyboardInterrupt):
+        run_slowly(experiment, 36.0, observer=Interruption())
+    assert run_slowly(experiment, 70.0).scanned == 1  # continued on another day
+    dataset = load_dataset(experiment.scans_folder / "P1_day_000.00")
+    assert (dataset.scene.subject.day, dataset.scene.subject.date) == (1.5, "2026-12-02")
+
+
+def planned(path: Path) -> tuple[list[str], list[str]]:
+    """Return the planned times in the catalogue of an experiment, and the lines of output."""
+    experiment, lines = load_experiment(path), list[str]()
+    Runner(experiment, listener=Listener(say=lines.append)).prepare()
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        return [one.due_utc[:13] for one in list_visits(catalogue)], lines
+
+
+def test_schedule_changes_but_does_not_move_once_begun(make_experiment):
+    path = make_experiment(plants=1, rounds=3)
+    assert planned(path) == (["2026-12-01T09", "2026-12-02T09", "2026-12-03T09"], [])
+    path.write_text(path.read_text().replace("T09:00", "T10:00").replace("rounds = 3", "rounds = 2"))
+    changed = "the schedule has changed: removed 3 planned scans that had not begun"
+    assert planned(path) == (["2026-12-01T10", "2026-12-02T10"], [changed])
+    path = make_experiment(plants=1, rounds=2)
+    with pytest.raises(KeyboardInterrupt):
+        run_slowly(load_experiment(path), 0.0, observer=Interruption())
+    text = path.read_text()
+    for rounds in (3, 1):
+        path.write_text(text.replace("rounds = 2", f"rounds = {rounds}"))
+        assert len(planned(path)[0]) == rounds
+    path.write_text(text.replace("T09:00", "T10:00"))
+    with pytest.raises(UserError, match=r"P1 planned for 2026-12-01T09:00:00\+00:00 is scanning, but not in the schedule; restore start"):
+        planned(path)
