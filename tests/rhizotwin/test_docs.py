@@ -81,12 +81,6 @@ def test_scenes_and_settings_in_the_documents_load() -> None:
     assert failures(check, [(page, block) for page in PAGES for block in blocks(page, "toml")]) == []
 
 
-def test_every_decision_is_in_the_index() -> None:
-    folder = ROOT / "docs" / "decisions"
-    listed = set(LINK.findall((folder / "README.md").read_text(encoding="utf-8")))
-    assert listed == {path.name for path in folder.glob("*.md")} - {"README.md"} | {"../log/README.md"}
-
-
 def test_every_command_and_the_checks_are_in_the_documents() -> None:
     table = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
     alone = [command for command in COMMANDS if command not in GROUPS]

@@ -16,13 +16,9 @@ VERSIONS = {
     "libLLVM.so.19.1": 19,
     "libLLVM-17.so.1": 17,
     "libLLVM-14.0.6.so.1": 14,
-    "libLLVM-14.so": 14,
     "libLLVM.so": None,
-    "libLLVM.dylib": None,
     "libLLVMSomething.so.19": None,
-    "libclang-cpp.so.19": None,
     "llvm-19/lib/libLLVM.so": 19,
-    "Cellar/llvm/19.1.7/lib/libLLVM.so": 19,
     "Cellar/llvm@19/19.1.7_1/lib/libLLVM.so": 19,
 }
 
@@ -63,30 +59,14 @@ def test_given_library_is_respected_or_refused(tmp_path: Path) -> None:
         engine.choose_llvm(str(tmp_path / "libLLVM.so.20.1"), [])
 
 
-@pytest.mark.parametrize(
-    ("system", "machine", "hint"),
-    [
-        ("Linux", "x86_64", f"pip install {engine.LLVM_WHEEL}"),
-        ("Linux", "aarch64", "libllvm"),
-        ("Darwin", "arm64", "brew install llvm"),
-        ("Windows", "AMD64", "winget install LLVM.LLVM"),
-    ],
-)
-def test_each_platform_has_a_command_that_brings_llvm(system: str, machine: str, hint: str, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(engine.platform, "system", lambda: system)
-    monkeypatch.setattr(engine.platform, "machine", lambda: machine)
-    monkeypatch.setattr(engine.shutil, "which", lambda name: f"/usr/bin/{name}" if name == "apt-get" else None)
-    with pytest.raises(UserError, match="no LLVM shared library of version 17 or newer was found; install one with: ") as caught:
+def test_a_missing_llvm_is_said_with_a_command_that_brings_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine.platform, "system", lambda: "Darwin")
+    with pytest.raises(UserError, match="no LLVM shared library of version 17 or newer was found; install one with: brew install llvm"):
         engine.choose_llvm(None, [tmp_path])
-    assert hint in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_hints_name_the_dependency_and_usable_packages() -> None:
-    assert f'"{engine.LLVM_WHEEL}; ' in (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8")
-    packages = engine.apt_packages()
-    assert "libatomic1" in packages
-    assert int(packages[0].removeprefix("libllvm").removesuffix("t64")) >= engine.MIN_LLVM
+    monkeypatch.setattr(engine.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(engine.platform, "machine", lambda: "x86_64")
+    with pytest.raises(UserError, match=f"pip install {engine.LLVM_WHEEL}"):
+        engine.choose_llvm(None, [tmp_path])
 
 
 def test_windows_library_is_asked_for_its_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,13 +28,12 @@ def light() -> np.ndarray:
     return ramp
 
 
-def write_dng(path: Path, *, pattern: bytes = bytes([2, 1, 1, 0]), wh: tuple[int, int] = WH, **more: object) -> None:
+def write_dng(path: Path) -> None:
     """Write a 12-bit DNG of the ramp, of a sensor whose red and blue are weak by the gains (TIFF/EP and DNG 1.4 tags)."""
-    colour = {0: 1.0 / GAINS[0], 1: 1.0, 2: 1.0 / GAINS[1]}
-    shares = light()[: wh[1] // 2, : wh[0] // 2]
-    raw = np.zeros((wh[1], wh[0]), np.uint16)
+    pattern, colour = bytes([2, 1, 1, 0]), {0: 1.0 / GAINS[0], 1: 1.0, 2: 1.0 / GAINS[1]}
+    raw = np.zeros(WH[::-1], np.uint16)
     for place, kind in enumerate(pattern):
-        raw[place // 2 :: 2, place % 2 :: 2] = np.rint(BLACK + shares * colour[kind] * (WHITE - BLACK))
+        raw[place // 2 :: 2, place % 2 :: 2] = np.rint(BLACK + light() * colour[kind] * (WHITE - BLACK))
     neutral = [10000 * number // 10000 for number in (5000, 10000, 10000, 10000, 6667, 10000)]
     tags = [
         (33421, 3, 2, (2, 2), True),  # CFARepeatPatternDim
@@ -47,7 +46,7 @@ def write_dng(path: Path, *, pattern: bytes = bytes([2, 1, 1, 0]), wh: tuple[int
         (50728, 5, 3, neutral, True),  # AsShotNeutral
         (50778, 3, 1, 21, True),  # CalibrationIlluminant1: D65
     ]
-    tifffile.imwrite(path, raw, photometric=32803, extratags=tags, metadata=None, **more)
+    tifffile.imwrite(path, raw, photometric=32803, extratags=tags, metadata=None)
 
 
 def test_a_raw_picture_is_the_light_that_made_it(tmp_path: Path) -> None:
@@ -74,9 +73,6 @@ def test_other_raw_pictures_are_refused_in_a_sentence(tmp_path: Path, monkeypatc
     write_dng(tmp_path / "a.dng")
     with pytest.raises(UserError, match="is not an even multiple"):
         read_raw(tmp_path / "a.dng", image_wh=WH)
-    write_dng(tmp_path / "c.dng", wh=(94, 62))
-    with pytest.raises(UserError, match=r"set the camera's image_wh to 47x31$"):  # 23x15 would not be exact
-        read_raw(tmp_path / "c.dng", image_wh=WH)
     (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:400])
     with pytest.raises(UserError, match="the raw picture could not be read"):
         read_raw(tmp_path / "b.dng", image_wh=HALF)

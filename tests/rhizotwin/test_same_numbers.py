@@ -24,15 +24,14 @@ def digits(text: str) -> float:
     return 0.5 * 10.0 ** -len(text.partition(".")[2]) if "." in text else 0.5
 
 
-def test_report_viewer_terminal_csv_and_api_agree(tmp_path: Path, command: Command) -> None:
-    made = plants.make(tmp_path)
-    result, shown = rt.load_result(made.result), Shown(made.result, made.dataset)
+def test_report_viewer_terminal_csv_and_api_agree(plant: plants.Plant, tmp_path: Path, command: Command) -> None:
+    result, shown = rt.load_result(plant.result), Shown(plant.result, plant.dataset)
     summary = result.summary()
-    report = page.write(made.result).read_text(encoding="utf-8")
+    report = page.write(plant.result).read_text(encoding="utf-8")
     viewer = panel.traits(shown.traits(), edited=False, summary=summary)
-    terminal = command.works("traits", made.result).out.splitlines()
-    (written,) = rt.export(made.result, tmp_path / "traits.csv")
-    tables = [list(csv.DictReader(io.StringIO(path.read_text()))) for path in (written, made.result / "traits.csv")]
+    terminal = command.works("traits", plant.result).out.splitlines()
+    (written,) = rt.export(plant.result, tmp_path / "traits.csv")
+    tables = [list(csv.DictReader(io.StringIO(path.read_text()))) for path in (written, plant.result / "traits.csv")]
     assessed = assessments.assess(summary, result.measured)
     known = [(k, d) for k, d in enumerate(DEFINITIONS) if getattr(result.measured, d.field) is not None]
     assert len(known) > 15
@@ -59,11 +58,10 @@ def test_report_viewer_terminal_csv_and_api_agree(tmp_path: Path, command: Comma
     assert headline in result._repr_html_()
 
 
-def test_viewer_and_corrected_result_have_the_same_traits(tmp_path: Path) -> None:
-    made = plants.make(tmp_path)
-    shown = Shown(made.result, made.dataset)
+def test_viewer_and_corrected_result_have_the_same_traits(plant: plants.Plant, tmp_path: Path) -> None:
+    shown = Shown(plant.result, plant.dataset)
     shown.session.do(log.edit("delete roots", roots=[2]))
-    corrected.write(shown.session, tmp_path / "corrected", dataset=made.dataset)
+    corrected.write(shown.session, tmp_path / "corrected", dataset=plant.dataset)
     measured = rt.load_result(tmp_path / "corrected").measured
     ours, theirs = ([getattr(traits, one.field) for one in DEFINITIONS] for traits in (shown.traits(), measured))
     assert ours == [None if value is None else pytest.approx(value, rel=1e-6) for value in theirs]

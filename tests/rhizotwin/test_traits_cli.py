@@ -17,13 +17,6 @@ def results(ball_result: Callable[..., Path]) -> list[Path]:
     return [ball_result(name, mass_g=1.0, volume_budget=budget, warnings=["it is dark, alas"]) for name in ("one/result", "two/result")]
 
 
-def test_one_result_is_printed_with_units(results: list[Path], command: Command) -> None:
-    out = command.works("traits", results[0]).out
-    (volume,) = [line for line in out.splitlines() if line.startswith("  volume ")]
-    assert volume.split()[:6] == ["volume", "905", "mm3", "850", "to", "950"]
-    assert "no roots were found" in out
-
-
 def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, command: Command) -> None:
     table = tmp_path / "table.csv"
     words = ("traits", *results, "--mass-g", "1.81,1.81", "-o", table)

@@ -9,10 +9,8 @@ import trimesh
 from manifold3d import Manifold
 
 from rhizotwin.building import wiring
-from rhizotwin.building.drawings import part_page
 from rhizotwin.building.line_drawing import CORNER, FRONT, TOP, draw
 from rhizotwin.building.measures import Measures, load_measures
-from rhizotwin.building.mounts import board_stand
 from rhizotwin.building.pot import canister_ring
 from rhizotwin.building.rig_parts import thesis_rig
 from rhizotwin.building.write import stl_bytes, write_parts
@@ -39,14 +37,6 @@ def test_a_box_shows_its_visible_edges_and_hides_what_is_behind() -> None:
     assert length_mm(draw(behind, TOP).strokes_mm) == pytest.approx(length_mm(draw(CUBE, TOP).strokes_mm), rel=0.01)
 
 
-def test_a_part_says_its_dimensions_and_numbers() -> None:
-    part = board_stand(Scene(), CharucoBoard(), Measures(), -195.0)
-    texts = [ink.text for ink in part_page(part, title="a scene").parts if isinstance(ink, Text)]
-    assert any(text.startswith("board_stand    x2") for text in texts)
-    lengths = [np.linalg.norm(np.subtract(dimension.to_mm, dimension.from_mm)) for dimension in part.dimensions]
-    assert {f"{dimension.name} {length:.2f}" for dimension, length in zip(part.dimensions, lengths, strict=True)} <= set(texts)
-
-
 def test_a_file_holds_the_closed_solid() -> None:
     read = trimesh.load(io.BytesIO(stl_bytes(CUBE)), file_type="stl")
     assert isinstance(read, trimesh.Trimesh)
@@ -63,15 +53,6 @@ def test_the_hat_is_wired_as_the_rig_file_says() -> None:
     texts = [ink.text for ink in page.parts if isinstance(ink, Text)]
     assert {"GPIO5", "GPIO12", "MODE2"} <= set(texts)
     assert any("1/16 step" in text for text in texts)
-
-
-@pytest.mark.parametrize("diagram", [wiring.marlin_diagram(), wiring.hat_diagram(HatPart())], ids=["marlin", "hat"])
-def test_every_box_is_wired_and_every_pin_drawn(diagram: wiring.Diagram) -> None:
-    boxes = {end[0] for wire in diagram.wires for end in (wire.start, wire.end) if end[0]}
-    assert boxes == {*diagram.left, *diagram.right}
-    assert {wire.start[1] for wire in diagram.wires if not wire.start[0]} <= {"+5 V LED", "GND", "+12 V", "+3.3 V", "+7.5 V arm"}
-    texts = {ink.text for ink in wiring.page_of(diagram).parts if isinstance(ink, Text)}
-    assert {wire.end[1] for wire in diagram.wires} <= texts
 
 
 def test_measures_of_ones_own(tmp_path) -> None:

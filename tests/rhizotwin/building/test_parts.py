@@ -4,7 +4,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -80,10 +80,7 @@ def test_the_grid_is_open_in_the_middle() -> None:
 
 
 def overhang_mm2(part: Part) -> float:
-    """Return the area that leans out further than `OVERHANG_DEG` as the part is printed.
-
-    What lies on the bed does not count.
-    """
+    """Return the area off the bed that leans out further than `OVERHANG_DEG` as the part is printed."""
     vertices, faces = surface(part.printed)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.cross(b - a, c - a) / 2.0
@@ -137,8 +134,8 @@ def test_strip_goes_round_the_seat_once(scene: Scene) -> None:
     assert strip_seat_radius_mm(scene, MEASURES) + MEASURES.paper_mm == scene.net_pot.outer_radius_mm
 
 
-@pytest.mark.parametrize("teeth", [72, 180])
-def test_gears_mesh_with_their_play(teeth: int) -> None:
+def test_gears_mesh_with_their_play() -> None:
+    teeth = 180
     ring = gear(teeth, table.MODULE_MM, backlash_mm=table.BACKLASH_MM)
     wheel = gear(table.PINION_TEETH, table.MODULE_MM, backlash_mm=table.BACKLASH_MM)
     centres = table.MODULE_MM * (teeth + table.PINION_TEETH) / 2.0
@@ -156,7 +153,7 @@ def test_gears_mesh_with_their_play(teeth: int) -> None:
     assert min(shared(turn, 1.6 * play_deg) for turn in turns) > 1e-2
 
 
-@pytest.mark.parametrize("outer_radius_mm", [40.0, 60.0, 76.2, 110.0])
+@pytest.mark.parametrize("outer_radius_mm", [40.0, 110.0])
 def test_screws_of_the_feet_are_in_the_base_beside_its_groove(outer_radius_mm: float) -> None:
     scene = replace(Scene(), canister=replace(Scene().canister, outer_radius_mm=outer_radius_mm))
     base, drive = table.table_base(scene, MEASURES).solid, table.drive_of(scene, MEASURES)
@@ -184,16 +181,11 @@ def test_what_cannot_be_printed_is_refused() -> None:
         net_pot(replace(Scene(), net_pot=NetPot(grid_z_mm=-1.0)), MEASURES)
     with pytest.raises(UserError, match=r"clearance.floor_z_mm -165 leaves"):
         table.table_foot(Scene(), MEASURES, -165.0)
+    small = replace(Scene(), lights=replace(Scene().lights, backlight_wh_mm=(99.0, 100.0)))
+    with pytest.raises(UserError, match=r"at least 100 x 100 mm"):
+        lightbox.lightbox_walls(small, MEASURES)
     with pytest.raises(UserError, match="does not fit the printer's build volume of 150 x 150"):
         check_bed(made(Scene())[0], (150.0, 150.0, 200.0))
-
-
-@pytest.mark.parametrize("profile_mm", [20.0, 40.0, 60.0])
-def test_the_arm_stands_on_two_profiles_side_by_side(profile_mm: float) -> None:
-    mount = mounts.arm_mount(ArmPart(), replace(MEASURES, profile_mm=profile_mm, arm_base_mm=(80.0, 50.0)), RIG.clearance.floor_z_mm)
-    assert {name: value for name, value, _ in mount.numbers}["bars_apart_mm"] > profile_mm
-    foot = mount.solid.bounding_box()[2] + 3.0
-    assert len(mount.solid.slice(foot).decompose()) == 2
 
 
 @pytest.mark.parametrize(("key", "most", "too_large"), [("ball_mm", 11.2, 11.5), ("magnet_mm", (13.4, 6.8), (10.0, 8.0))])
@@ -204,24 +196,7 @@ def test_balls_and_magnets_too_large_for_the_parts_are_refused(key: str, most: o
         check_closed(part)
 
 
-@pytest.mark.parametrize("wide_mm", [30.0, 80.0, 80.5, 99.0, 100.0])
-def test_a_panel_is_closed_by_walls_or_refused(wide_mm: float) -> None:
-    scene = replace(Scene(), lights=replace(Scene().lights, backlight_wh_mm=(wide_mm, 100.0)))
-    if wide_mm < 100.0:
-        with pytest.raises(UserError, match=r"at least 100 x 100 mm"):
-            lightbox.lightbox_walls(scene, MEASURES)
-        return
-    for part in lightbox.lightbox_walls(scene, MEASURES):
-        check_closed(part)
-
-
-@pytest.mark.parametrize(("along_mm", "screws"), [(80.0, 10), (60.0, 10), (50.0, 10), (40.0, 6)])
-def test_holes_in_the_arm_mount_are_apart(along_mm: float, screws: int) -> None:
-    mount = mounts.arm_mount(ArmPart(), replace(MEASURES, arm_base_mm=(along_mm, 60.0)), RIG.clearance.floor_z_mm)
-    assert len(mount.solid.slice(-1.0).to_polygons()) == 1 + screws  # four of the base, and the others of the profiles
-
-
-@pytest.mark.parametrize(("key", "value"), [("shaft_mm", 16.0), ("camera_holes_mm", 60.0), ("horn_holes_mm", (2.0, 100.0))])
+@pytest.mark.parametrize(("key", "value"), [("shaft_mm", 16.0), ("horn_holes_mm", (2.0, 100.0))])
 def test_parts_that_would_fall_apart_are_refused(tmp_path: Path, key: str, value: object) -> None:
     measures = replace(MEASURES, **{key: value})
     with pytest.raises(UserError, match=r"would consist of [0-9]+ pieces"):
@@ -229,9 +204,9 @@ def test_parts_that_would_fall_apart_are_refused(tmp_path: Path, key: str, value
     assert not (tmp_path / "out").exists()
 
 
-def pot_with(key: str, bad_mm: float) -> object:
+def pot_with_top(top_mm: float) -> object:
     """Make a net pot with a clearance for which rounding to the nearest number would be too small."""
-    return net_pot(replace(Scene(), net_pot=replace(Scene().net_pot, **{key: bad_mm})), replace(MEASURES, fit_mm=0.2871))
+    return net_pot(replace(Scene(), net_pot=replace(Scene().net_pot, top_mm=top_mm)), replace(MEASURES, fit_mm=0.2871))
 
 
 def bracket(last_mm: float) -> object:
@@ -243,17 +218,10 @@ def level(level_mm: float) -> object:
     return tank.parts(wet, MEASURES, -300.0)
 
 
-def floor(floor_mm: float) -> object:
-    return tank.parts(replace(TANK, tank=replace(TANK.tank, wall_mm=5.7)), MEASURES, floor_mm)
-
-
 ADVICE = {
-    "top": ("top_mm(?: to)? at least", partial(pot_with, "top_mm"), 0.5),
-    "radius": ("outer_radius_mm(?: to)? at least", partial(pot_with, "outer_radius_mm"), 77.0),
+    "top": ("top_mm(?: to)? at least", pot_with_top, 0.5),
     "bracket": ("set it to at least", bracket, 60.0),
-    "middle": ("give 0 to", lambda wide_mm: net_pot_grid(Scene(), replace(MEASURES, mesh_middle_mm=wide_mm)), 150.0),
     "level": ("reduce tank.level_mm to", level, -4.0),
-    "floor": ("set it to", floor, -160.0),
 }
 
 
@@ -288,35 +256,3 @@ def test_magnets_face_each_other_through_the_floor_of_a_tank() -> None:
         tank.parts(wet, MEASURES, -300.0)
     with pytest.raises(UserError, match=r"for the posts of the tank"):
         tank.parts(TANK, MEASURES, -160.0)
-
-
-@pytest.mark.parametrize("profile_mm", [20.0, 30.0, 40.0])
-def test_heads_of_the_screws_fit_between_clip_holder_and_profile(profile_mm: float) -> None:
-    measures = replace(MEASURES, profile_mm=profile_mm)
-    clip, holder = lightbox.lightbox_clip(Scene(), measures), lightbox.panel_holder(Scene(), measures)
-    bar = Manifold.cube((profile_mm, profile_mm, 20.0)).translate((-profile_mm / 2.0, -profile_mm / 2.0, 0.0))
-    screws = next(dimension for dimension in clip.dimensions if dimension.name == "screws")
-    head = Manifold.cylinder(3.0, 3.0).rotate((90.0, 0.0, 0.0))
-    heads = [head.translate((x, y - 1e-4, lightbox.CLIP_WIDE_MM / 2.0)) for x, y, _ in (screws.from_mm, screws.to_mm)]
-    fronts = [one.translate((0.0, lightbox.CLIP_WALL_MM + 5.0 + lightbox.HOLDER_WALL_MM + 2e-4, 0.0)) for one in heads]  # of the holder
-    assert all((one ^ clip.solid).is_empty() and (one ^ bar).is_empty() for one in heads)
-    assert all((front.transform(clip.rig_from_part[0][:3]) ^ holder.placed()[0]).is_empty() for front in fronts)
-
-
-def test_the_lightbox_is_closed_all_round(scene: Scene) -> None:
-    """Walls and holders stand beside each other along all four edges, with no more between them than the play of a piece."""
-    panel = [part for part in made(scene) if part.name.startswith(("lightbox_wall", "lightbox_side", "panel_holder"))]
-    boxes = [solid.bounding_box() for part in panel for solid in part.placed()]
-    (wide, high), middle = scene.lights.backlight_wh_mm, scene.lights.backlight_z_mm
-    edges = [(1, middle + high / 2.0, wide, 0.0), (1, middle - high / 2.0, wide, 0.0), (2, wide / 2.0, high, middle)]
-    edges.append((2, -wide / 2.0, high, middle))
-
-    def widest_gap_mm(axis: int, edge: float, length: float, centre: float) -> float:
-        across = 3 - axis
-        beside = [box for box in boxes if box[across] <= edge <= box[across + 3] and box[axis + 3] - box[axis] > 11.0]
-        along = sorted((box[axis], box[axis + 3]) for box in beside)
-        steps = [(low, end) for low, end in along if low > centre - length and end < centre + length]
-        ends = [centre - length / 2.0, *(x for step in steps for x in step), centre + length / 2.0]
-        return float(np.abs(np.diff(ends)[::2]).max())
-
-    assert max(widest_gap_mm(*edge) for edge in edges) < 2.0 * MEASURES.fit_mm

@@ -13,11 +13,6 @@ from tests.rhizotwin import plant as plants
 
 
 @pytest.fixture(scope="session")
-def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
-    return plants.make(tmp_path_factory.mktemp("plant"), name="a *plant* <b>")
-
-
-@pytest.fixture(scope="session")
 def shown(plant: plants.Plant) -> Shown:
     """Return the plant's result without a server, for tests that change nothing."""
     return Shown(plant.result, plant.dataset)

@@ -68,13 +68,3 @@ def test_what_is_clipped_cannot_be_clicked_and_has_two_sides(viewer: Viewer, pla
     assert surface is not None
     shown = np.concatenate([*(part.points_mm for part in parts), surface.vertices_mm])
     assert np.abs(shown[:, 2] - point[2]).max() <= 1.0
-
-
-def test_measuring_needs_no_roots(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(viewer, "nodes", lambda: picking.Nodes.of([]))  # as a print has none
-    viewer.look.click = CLICKS[2]
-    solid, rows = viewer.shown.session.measure().solid, viewer.voxel_rows()
-    lowest, other = (solid.centre_mm[rows[k]] for k in (solid.centre_mm[rows, 2].argmin(), solid.centre_mm[rows, 0].argmax()))
-    viewer.clicked(ray_to(lowest))
-    viewer.clicked(ray_to(other))
-    assert np.linalg.norm(viewer.measured[0] - viewer.measured[1]) == pytest.approx(np.linalg.norm(lowest - other), abs=1.0)

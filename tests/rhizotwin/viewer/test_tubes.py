@@ -33,16 +33,6 @@ def shades(*lines: Line) -> list[np.ndarray]:
     return [np.tile(GREY, (len(one.points_mm), 1)) for one in lines]
 
 
-def test_straight_roots_need_few_nodes_but_ends_and_colours():
-    one, other = straight(65), straight(40)
-    colours = np.concatenate(shades(one, other))
-    keep = tubes.select_nodes([one, other], colours)
-    assert keep[[0, 64, 65, 104]].all()
-    assert keep.sum() < 12
-    colours[30:33] = 255
-    assert tubes.select_nodes([one, other], colours)[[29, 30, 32, 33]].all()
-
-
 def test_what_is_left_out_is_near_what_is_drawn():
     root = winding()
     keep = np.flatnonzero(tubes.select_nodes([root], shades(root)[0]))
@@ -51,13 +41,6 @@ def test_what_is_left_out_is_near_what_is_drawn():
     between = np.stack([np.interp(every, keep, root.points_mm[keep, k]) for k in range(3)], axis=1)
     assert np.linalg.norm(between - root.points_mm, axis=1).max() <= tubes.OFF_MM
     assert np.abs(np.interp(every, keep, root.diameters_mm[keep]) - root.diameters_mm).max() <= 2.0 * tubes.OFF_MM
-
-
-def test_flats_lie_near_to_the_circle():
-    radius_mm = np.array([0.1, 0.5, 2.0, 8.0])
-    count = np.array([tubes.corners(one) for one in radius_mm])
-    off = radius_mm * (1.0 - np.cos(np.pi / count))
-    assert ((off <= np.maximum(tubes.OFF_MM, tubes.OFF_SHARE * radius_mm)) | (count == tubes.MOST)).all()
 
 
 def test_normals_point_outward():
