@@ -1,7 +1,6 @@
 """Benchmarks for any method: sets that are the same everywhere, methods that work or fail, tables, pages and gates."""
 
 import json
-import re
 import shutil
 import sys
 import xml.etree.ElementTree as ET
@@ -13,7 +12,6 @@ import pytest
 
 from rhizotwin.bench import benchmarks, fingerprints, offers, results, run_method
 from rhizotwin.bench.benchmarks import Benchmark, Case
-from rhizotwin.bench.results_page import page
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import load_truth, save_truth
@@ -60,7 +58,6 @@ def with_volume(error: float, low: float, high: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("benchmark", benchmarks.BENCHMARKS.values(), ids=lambda benchmark: benchmark.name)
 def test_every_named_benchmark_can_be_rendered(benchmark: Benchmark) -> None:
-    assert re.fullmatch(r"[a-z]+-\d+", benchmark.name)
     assert len({case.name for case in benchmark.cases}) == len(benchmark.cases)
     assert min(case.seed for case in benchmark.cases) >= benchmarks.HELD_BACK
     assert [len(case.rendered_scene().plan.rings) for case in benchmark.cases] == [case.rings for case in benchmark.cases]
@@ -70,43 +67,22 @@ def test_every_named_benchmark_can_be_rendered(benchmark: Benchmark) -> None:
         assert {name: len(reference[name]["pixels"]) for name in views} == views
 
 
-def test_a_case_is_chosen_once_and_other_seeds_grow_other_plants() -> None:
-    chosen = benchmarks.find("quick-1").chosen(("bean", "ball", "bean"))
-    assert [case.name for case in chosen.cases] == ["bean", "ball"]
-    case = benchmarks.find("roots-1").chosen(("bean",)).cases[0]
-    assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
-    with pytest.raises(UserError, match="did you mean quick-1"):
-        benchmarks.find("quik-1")
-
-
-def test_pictures_equal_up_to_rounding_are_the_same_data(made: Path) -> None:
+def test_pictures_equal_up_to_rounding_are_the_same_data(command: Command, made: Path, tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = fingerprints.take(made)
-    assert fingerprints.compare(made, "ball", {"ball": known}).same
-    brighter = [{**known, "pixels": [[value + step for value in view] for view in known["pixels"]]} for step in (40, 200)]  # of 65535
-    assert [fingerprints.compare(made, "ball", {"ball": other}).same for other in brighter] == [True, False]
-    assert not fingerprints.compare(made, "ball", {}).same
-
-
-def test_another_number_of_pictures_is_other_data(command: Command, made: Path, tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = fingerprints.take(made)
-    fewer = {"ball": {**known, "pixels": known["pixels"][1:]}}
+    others = [{**known, "pixels": [[value + step for value in view] for view in known["pixels"]]} for step in (0, 40, 200)]  # of 65535
+    assert [fingerprints.compare(made, "ball", {"ball": other}).same for other in others] == [True, True, False]
     monkeypatch.setattr(simulation, "simulate", lambda *_, **__: None)
-    monkeypatch.setattr(fingerprints, "reference", lambda _: fewer)
+    monkeypatch.setattr(fingerprints, "reference", lambda _: {"ball": {**known, "pixels": known["pixels"][1:]}})
     said = command.fails("bench", "make", "tiny-1", "-o", tiny, "--device", "cpu", named=["the pictures of ball", "differ"])
     assert "number of pictures is DIFFERENT" in said.out
-    monkeypatch.setattr(fingerprints, "reference", lambda _: {})
-    assert "no reference" in command.works("bench", "make", "tiny-1", "-o", tiny, "--device", "cpu").out
 
 
-def test_what_is_offered_holds_no_truth(offered: Path) -> None:
+def test_what_is_offered_holds_no_truth_but_the_true_cameras(made: Path, offered: Path, tmp_path: Path) -> None:
     names = {"colmap", "dataset.json", "images", "masks", "transforms.json", "undistorted"}
     assert {path.name for path in offered.iterdir()} == names
     cameras = json.loads((offered / "undistorted" / "transforms.json").read_text())
     assert len(cameras["frames"]) == len(list((offered / "undistorted" / "masks").iterdir())) == 10
     assert not any("truth" in path.name for path in offered.rglob("*"))
-
-
-def test_true_cameras_have_the_focal_length_of_the_pictures(made: Path, tmp_path: Path) -> None:
     shutil.copytree(made, tmp_path / "made")
     truth = load_truth(made)
     save_truth(tmp_path / "made", replace(truth, drawn={**truth.drawn, "focal_error": 0.003}))
@@ -130,7 +106,6 @@ def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) 
     command.works(*again)
     assert json.loads((tmp_path / "again.json").read_text())["rows"][0]["scores"] == found["scores"]
     assert "again" in command.works("bench", "table", tmp_path / "mine.json", tmp_path / "again.json").out
-    command.works("bench", "table", tmp_path / "mine.json", "-o", tmp_path / "page.html")
     command.works("bench", "gate", tmp_path / "again.json", "--baseline", tmp_path / "again.json")
 
 
@@ -139,8 +114,6 @@ def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) 
     [
         ("import sys; sys.exit('too few corners')", "failed", "too few corners"),
         ("import time; time.sleep(60)", "timeout", "stopped at the time limit of 1 s"),
-        ("import os; os.kill(os.getpid(), 9)", "failed", "code -9"),
-        ("pass", "nothing", "no output file with a known name"),
         ("import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'shape.ply').write_text('no')", "unreadable", "shape.ply"),
     ],
 )
@@ -175,57 +148,31 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     assert (count.read_text(), sorted(path.name for path in kept.iterdir())) == ("...", ["ball", "other"])
 
 
-def test_a_scan_without_cameras_is_a_row(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise UserError("no picture has a camera")
-
-    monkeypatch.setattr(run_method, "offer", fail)
-    command.works("bench", "run", "tiny-1", tiny, "--method", "a {output}", "-o", tmp_path / "rows.json")
-    (found,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
-    why = "the method was not run, because its input could not be written: no picture has a camera"
-    assert (found["state"], found["sentence"]) == ("failed", why)
-
-
 def test_hostile_numbers_and_cases_of_a_foreign_file(command: Command, tmp_path: Path) -> None:
     iou = next(one for one in results.QUANTITIES if one.name == "iou")
     hostile = (10**400, -(10**400), float("nan"), float("inf"), True, "1")
     assert [results.value(row(mesh={"iou": number}), iou) for number in hostile] == [None] * len(hostile)
-    stored = {"schema_version": 1, "benchmark": "tiny-1", "method": "mine", "rows": [row(mesh={"iou": 0.9}) | {"case": 5}]}
+    stored = {"schema_version": 1, "benchmark": "tiny-1", "method": "m<i>", "rows": [row(mesh={"iou": 0.9}) | {"case": 5}]}
     (tmp_path / "rows.json").write_text(json.dumps(stored))
-    assert "| 5 | mine |" in command.works("bench", "table", tmp_path / "rows.json").out
+    assert "| 5 | m<i> |" in command.works("bench", "table", tmp_path / "rows.json").out
     command.works("bench", "table", tmp_path / "rows.json", "-o", tmp_path / "page.html")
-    (tmp_path / "rows.json").write_text(json.dumps({**stored, "rows": [row(mesh={"iou": 0.9}), row(mesh={"iou": 0.1})]}))
-    command.fails("bench", "table", tmp_path / "rows.json", named=["a case has several rows"])
-
-
-def test_tables_name_cameras_and_files_without_scores() -> None:
-    half = row(mesh={"iou": 0.9}, trusted=False) | {"sentence": "roots.rsml is damaged"}
-    text = results.markdown([of_rows(half), replace(of_rows(row(mesh={"iou": 0.8})), cameras="estimated")])
-    assert "| mine (true cameras) |" in text
-    assert "| mine (estimated cameras) |" in text
-    assert "| roots.rsml is damaged; volume marked as not reliable |" in text
+    assert "<i>" not in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["-o", tmp_path / "rows.json"]
     command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])
     command.fails("bench", "run", "tiny-1", tiny, "--method", "python 'my method.py {output}", *words, named=["quotation"])
-    command.fails("bench", "run", "tiny-1", tiny, "--method", "hull", "--cameras", "true", *words, named=["estimates its cameras itself"])
     command.fails("bench", "run", "tiny-1", tmp_path / "no", "--method", "ours", *words, named=["bench make tiny-1"])
-    command.fails("bench", "run", "tiny-1", tiny, "--cases", "bean", "--method", "ours", *words, named=["bean", "ball"])
-    (tmp_path / "bad.json").write_text('{"schema_version": 1, "rows": [{}]}')
-    command.fails("bench", "table", tmp_path / "bad.json", named=["bad.json"])
-    for other in ({"image_wh": (640, 480)}, {"views": 20}, {"seed": 1000}):
-        monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, replace(TINY, cases=(replace(TINY.cases[0], **other),)))
-        score = ("bench", "score", "tiny-1", tiny, tmp_path, "--label", "mine")
-        command.fails(*score, *words, named=["was rendered for another benchmark than tiny-1"])
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, replace(TINY, cases=(replace(TINY.cases[0], seed=1000),)))
+    score = ("bench", "score", "tiny-1", tiny, tmp_path, "--label", "mine")
+    command.fails(*score, *words, named=["was rendered for another benchmark than tiny-1"])
 
 
 @pytest.mark.parametrize("method", ["hull", "thesis", "regularised"])
 def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path, method: str) -> None:
     out = tmp_path / method
-    assert "not reliable" in command.works("reconstruct", made, "-o", out, "--method", method, "--quiet").out
-    assert json.loads((out / "result.json").read_text())["settings"]["method"] == method
+    assert "not reliable" in command.works("reconstruct", made, "-o", out, "--method", method, "--voxel-mm", "1", "--quiet").out
     if method == "hull":
         found = json.loads(command.works("score", out, made, "--json").out)
         assert found["volume_trusted"] is False
@@ -243,43 +190,19 @@ def test_the_gate_sees_what_gets_worse(command: Command, tmp_path: Path) -> None
         (row(mesh={"iou": 0.9}, traits=with_volume(0.03, 0.95, 1.05)), {"volume_error"}),
         (row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 1.01, 1.05)), {"interval"}),
         (row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.9, 1.1)), {"volume_interval_score"}),
-        (row(mesh={"iou": 0.9}), {"volume_error", "volume_interval_score"}),
         ({**row(), "state": "failed"}, {"state"}),
     ):
         findings = results.compare(of_rows(now), before)
         assert {one.quantity for one in findings if one.worse} == worse
-    suite = ET.fromstring(results.junit(results.compare(of_rows({**row(), "state": "failed"}), before), "mine"))[0]
-    assert (suite.get("failures"), suite[0].get("name")) == ("1", "state")
     stored = {"schema_version": 1, "benchmark": "tiny-1", "method": "mine", "cameras": None}
     for name, iou in (("good", 0.9), ("bad", 0.5)):
         (tmp_path / f"{name}.json").write_text(json.dumps({**stored, "rows": [row(mesh={"iou": iou})]}))
-    command.works("bench", "gate", tmp_path / "good.json", "--baseline", tmp_path / "good.json")
     done = command("bench", "gate", tmp_path / "bad.json", "--baseline", tmp_path / "good.json", "--junit", tmp_path / "gate.xml")
     assert done.code == 1
     assert "ball, iou: 0.5" in done.out
     assert ET.parse(tmp_path / "gate.xml").getroot()[0].get("failures") == "1"
-
-
-def test_the_gate_refuses_to_compare_nothing() -> None:
-    done = of_rows(row(mesh={"iou": 0.9}))
     with pytest.raises(UserError, match="no case in the baseline was completed"):
-        results.compare(done, of_rows())
-    with pytest.raises(UserError, match="no case in the baseline was completed"):
-        results.compare(done, of_rows({**row(), "state": "failed"}))
+        results.compare(before, of_rows({**row(), "state": "failed"}))
     with pytest.raises(UserError, match="--cameras estimated"):
-        results.compare(done, replace(done, cameras="estimated"))
-    assert results.compare(done, replace(done, cameras=None))  # output from another computer
-
-
-def test_a_click_sorts_the_page(browser: Any, tmp_path: Path) -> None:
-    methods = {"<b>one</b>": -0.2, "two": 0.05, "three": 0.1}
-    several = [replace(of_rows(row(mesh={"volume_error": error})), method=name) for name, error in methods.items()]
-    (tmp_path / "page.html").write_text(page(several), encoding="utf-8")
-    shown = browser.new_page()
-    shown.goto((tmp_path / "page.html").as_uri())
-    column = [head.inner_text() for head in shown.query_selector_all("th")].index("volume, %")
-    shown.query_selector_all("th button")[column].click()
-    cells = shown.query_selector_all(f"tbody td:nth-child({column + 1})")
-    assert [cell.inner_text() for cell in cells] == ["+5.00", "+10.00", "-20.00"]  # by size
-    assert "<b>one</b>" in shown.query_selector("tbody tr:last-child").inner_text()
-    shown.close()
+        results.compare(before, replace(before, cameras="estimated"))
+    assert results.compare(before, replace(before, cameras=None))  # output from another computer

@@ -47,7 +47,7 @@ def test_command_and_mistakes(ball_result, tmp_path: Path, command: Command):
     assert command("phantom", tmp_path, "--mg-per-m", "60,283,1129,4493").code == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_wires_on_the_twin(tmp_path: Path, command: Command):
     """Each wire is measured within 3 % on a bench."""
     command.works("simulate", "wire_phantom", "-o", tmp_path / "d", "--profile", "bench", "--quiet")
