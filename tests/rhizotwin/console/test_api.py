@@ -16,7 +16,6 @@ from rhizotwin.arguments import SubjectOptions
 from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.console.client import Console
-from rhizotwin.console.messages import Messages
 from rhizotwin.console.plants import Plants
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.twin.faults import Fault
@@ -91,12 +90,6 @@ def test_an_unexpected_error_does_not_end_the_rig_thread(lab: Lab, monkeypatch: 
     assert console.command("home 0")[-1] == "table at 0.000 deg"
 
 
-def test_advice_for_the_command_line_is_replaced() -> None:
-    messages = Messages(lambda: None)
-    messages.error("the table slipped; then finish the scan with --resume")
-    assert messages.plain()[0]["text"] == "the table slipped; then finish the scan, or start it again"
-
-
 def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     console, other = lab.client("Anna"), lab.client()
     name = console.start_scan(plant="P7", treatment="low N", day=12, date="2026-11-26", paused=True, reconstruct=False)
@@ -106,8 +99,6 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     assert scan["subject"] == "P7, treatment low N, day 12, 2026-11-26"
     with pytest.raises(UserError, match=r"the rig is busy \(scan P7-2026-11-26\); wait until this action has ended, or stop it"):
         console.command("pose")
-    with pytest.raises(UserError, match="the rig is busy"):
-        console.start_scan(plant="P8")
     with pytest.raises(UserError, match="Anna has had control"):
         other.continue_scan()
     console.continue_scan()
@@ -130,8 +121,7 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     assert dataset.origin["complete"]
     assert dataset.scene.subject.plant == "P7"
     assert [device["state"] for device in console.state()["devices"] if device["name"] == "camera"] == ["ok"]
-    cells = np.frombuffer(console.request("GET", "/api/sketch"), "<f4")
-    assert len(cells) % 3 == 1
+    assert len(np.frombuffer(console.request("GET", "/api/sketch"), "<f4")) % 3 == 1
     with pytest.raises(UserError, match="no scan is running"):
         console.pause_scan()
 
@@ -183,7 +173,6 @@ def test_the_scene_of_a_plant(tmp_path: Path) -> None:
     ("fault", "device"),
     [
         pytest.param(Fault(kind="unplugged", device="table", amount=0.0), "turntable", id="table unplugged"),
-        pytest.param(Fault(kind="stalled", device="arm", amount=0.0, joint=1), "arm", id="arm blocked"),
         pytest.param(Fault(kind="camera_stopped", device="camera", amount=0.0), "camera", id="camera gone"),
     ],
 )
@@ -195,7 +184,6 @@ def test_a_device_that_fails_is_reported_with_what_to_do(lab: Lab, fault: Fault,
         console.wait_for_scan(timeout_s=LONG_S)
     state = console.state()
     assert [one["name"] for one in state["devices"] if one["state"] == "wrong"] == [device]
-    assert not any(message["text"].startswith("the program was stopped by an unexpected error") for message in state["messages"])
     assert state["scan"]["state"] == "ended"
     assert state["scan"]["error"].startswith(device)
     assert "--resume" not in state["scan"]["error"]
@@ -207,32 +195,22 @@ def test_a_device_that_fails_is_reported_with_what_to_do(lab: Lab, fault: Fault,
     console.wait_for_scan(timeout_s=LONG_S)
 
 
-def test_a_question_waits_for_its_answer(lab: Lab) -> None:
-    console = lab.client("Anna")
+def test_a_question_is_answered_once(lab: Lab) -> None:
+    console, questions, answers = lab.client("Anna"), lab.console.questions, list[str]()
+    numbers: list[int] = []
+    for question, answer in (("Which angle?", "117.5"), ("Keep its position?", "ok")):
+        asking = threading.Thread(target=lambda text=question: answers.append(questions.ask(text, cancelled=lambda: False)))
+        asking.start()
+        until(lambda text=question: console.state()["question"] == text)
+        if numbers:
+            with pytest.raises(UserError, match=f"question {numbers[0]} is no longer pending; read the present question"):
+                console.answer("117.5", question=numbers[0])  # the second click of a double click
+        numbers.append(console.state()["question_number"])
+        console.answer(answer, question=numbers[-1])
+        asking.join(LONG_S)
+    assert answers == ["117.5", "ok"]
     with pytest.raises(UserError, match="there is no question"):
         console.answer("0", question=0)
-    questions, answers = lab.console.questions, list[str]()
-
-    def begin(question: str) -> tuple[threading.Thread, int]:
-        """Ask a question in a thread; return the thread and the number of the question."""
-        asking = threading.Thread(target=lambda: answers.append(questions.ask(question, cancelled=lambda: False)))
-        asking.start()
-        until(lambda: console.state()["question"] == question)
-        return asking, console.state()["question_number"]
-
-    asking, first = begin("Which angle?")
-    console.answer("117.5", question=first)
-    asking.join(LONG_S)
-    assert answers == ["117.5"]
-    assert console.state()["question"] == ""
-    with pytest.raises(KeyboardInterrupt):
-        questions.ask("Which angle?", cancelled=lambda: True)
-    asking, second = begin("Keep its position?")
-    with pytest.raises(UserError, match=f"question {first} is no longer pending; read the present question"):
-        console.answer("117.5", question=first)  # the second click of a double click
-    console.answer("ok", question=second)
-    asking.join(LONG_S)
-    assert answers == ["117.5", "ok"]
 
 
 def test_names_and_links_lead_nowhere_else(lab: Lab, tmp_path: Path) -> None:
@@ -268,11 +246,9 @@ def test_names_and_links_lead_nowhere_else(lab: Lab, tmp_path: Path) -> None:
 DATASET = '{"schema_version": 1, "scene": {"subject": {"plant": "P7"}}, "frames": [], "origin": %s}'
 DAMAGED = {
     "nested": "[" * 100_000,
-    "list": "[]",
     "infinite": DATASET % '{"planned_views": 1e999}',
     "origin": DATASET % "[]",
     "surrogate": '{"scene": {"subject": {"\\ud800": 1}}, "frames": [], "origin": {}}',
-    "binary": "\0",
 }
 
 
@@ -289,8 +265,6 @@ def test_damaged_files_do_not_hide_the_state(lab: Lab) -> None:
     scans = {scan["name"]: scan for scan in console.state()["scans"]}
     assert "more than the maximum of 32 MiB" in scans.pop("huge")["error"]
     assert {name: scan["error"].split(": ")[0] for name, scan in scans.items()} == dict.fromkeys(DAMAGED, "the dataset cannot be read")
-    assert {scan["result"] for scan in scans.values()} == {None}
-    assert not any("the program was stopped" in scan["error"] for scan in scans.values())  # the console goes on
     for name in DAMAGED:
         with pytest.raises(UserError, match=f"{name}: the dataset cannot be read: "):
             console.reconstruct(name)
@@ -301,9 +275,7 @@ def test_wrong_requests_are_refused_in_a_sentence(lab: Lab) -> None:
     for values, words in (
         ({"plnt": "P7"}, "plnt: Extra inputs are not permitted"),
         ({"day": 1e9}, "day: Input should be less than or equal"),
-        ({"date": "yesterday"}, "must be a date"),
         ({"table_angle_deg": float("nan")}, "Input should be"),
-        ({"plant": "\ud800"}, "valid string"),
         ({"\ud800": 1}, "Extra inputs|valid string"),
     ):
         with pytest.raises(UserError, match=words):
@@ -311,17 +283,8 @@ def test_wrong_requests_are_refused_in_a_sentence(lab: Lab) -> None:
     assert console.state()["schedule"] is None
     with pytest.raises(UserError, match="start it with --experiment"):
         console.start_schedule()
-    with pytest.raises(UserError, match="Not Found"):
-        console.request("GET", "/api/nothing")
     with pytest.raises(UserError, match="must not exceed 64 KiB, and the header Content-Length is required"):
         console.command("x" * 70_000)
-
-
-def test_the_schema_has_every_action_of_the_client(lab: Lab) -> None:
-    schema = lab.client().request("GET", "/api/openapi.json")
-    assert {"/api/state", "/api/control", "/api/command", "/api/scans", "/api/scans/{name}/finish", "/api/queue"} <= set(schema["paths"])
-    assert all(method.get("description") for path in schema["paths"].values() for method in path.values())
-    assert set(schema["components"]["schemas"]["StartScan"]["properties"]) > {"plant", "treatment", "day", "reconstruct"}
 
 
 def test_a_second_console_in_the_folder_is_refused(make_lab: Callable[..., Lab]) -> None:

@@ -16,9 +16,6 @@ from tests.rhizotwin.console.conftest import console_process
 def test_mistakes(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(PASSWORD_VARIABLE, raising=False)
     command.fails("console", named=["either --rig RIG and --output FOLDER, or --experiment FILE"])
-    command.fails("console", "--rig", tmp_path / "rig.toml", "-o", tmp_path / "lab", named=["--scene is missing"])
-    both = ("--rig", "twin", "--experiment", tmp_path / "e.toml")
-    command.fails("console", *both, named=["--rig and --output cannot be used with --experiment"])
     words = ("console", "--rig", "twin", "-o", tmp_path / "lab", "--fidelity", "sketch", "--no-browser")
     command.fails(*words, "--host", "0.0.0.0", named=["needs a password", PASSWORD_VARIABLE])
     monkeypatch.setenv(PASSWORD_VARIABLE, "short")

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rhizotwin.catalogue import verify
@@ -23,7 +22,7 @@ rig = "twin"
 scene = "scene.toml"
 [schedule]
 start = "2026-12-01T09:00+00:00"
-rounds = 2
+rounds = 1
 [twin]
 profile = "clean"
 seed = 2
@@ -62,10 +61,7 @@ def answer(client: Console, text: str) -> None:
 
 def test_the_schedule_asks_checks_and_continues(scheduled: Lab, experiment: Experiment) -> None:
     client = scheduled.client("Anna")
-    state = client.state()
-    assert [plant["name"] for plant in state["plants"]] == ["P1", "P2"]
-    assert state["schedule"]["planned"] == 4
-    assert [visit["plant"] for visit in state["schedule"]["next"]] == ["P1", "P2", "P1", "P2"]
+    assert [visit["plant"] for visit in client.state()["schedule"]["next"]] == ["P1", "P2"]
     client.start_schedule()
     question(client, "P1")
     with pytest.raises(UserError, match=r"the rig is busy \(schedule of two plants\); wait until this action has ended"):
@@ -88,16 +84,14 @@ def test_the_schedule_asks_checks_and_continues(scheduled: Lab, experiment: Expe
     client.stop_schedule()  # withdraws the question
     until(lambda: client.state()["activity"] == "")
     client.start_schedule()
-    for plant in ("P2", "P1", "P2"):
-        question(client, plant)
-        answer(client, "")
-        until(lambda: not client.state()["question"])
+    question(client, "P2")
+    answer(client, "")
     until(lambda: client.state()["activity"] == "")
     state = client.state()
-    assert (state["schedule"]["scanned"], state["schedule"]["missed_count"]) == (4, 0)
-    assert [plant["scans"] for plant in state["plants"]] == [2, 2]
+    assert (state["schedule"]["scanned"], state["schedule"]["missed_count"]) == (2, 0)
+    assert [plant["scans"] for plant in state["plants"]] == [1, 1]
     datasets = [load_dataset(experiment.scans_folder / scan["name"]) for scan in state["scans"]]
-    assert [(one.origin["complete"], len(one.frames)) for one in datasets] == [(True, VIEWS)] * 4
+    assert [(one.origin["complete"], len(one.frames)) for one in datasets] == [(True, VIEWS)] * 2
     assert [one.scene.subject.plant for one in datasets] == [scan["name"].partition("_")[0] for scan in state["scans"]]
 
 
@@ -118,9 +112,9 @@ def test_nothing_is_written_under_a_wrong_name(scheduled: Lab, experiment: Exper
         assert [scan.plants for scan in catalogue.scans()] == [("P1",)]
 
 
-KILLS_S = np.linspace(0.0, 1.0, 5)
+KILLS_S = (0.0, 0.3, 1.0)
 """Times between the first picture of each console and its end."""
-SCANS = 8
+SCANS = 6
 
 
 def confirm_all(console: Console, ended: threading.Event) -> bool:
@@ -151,7 +145,7 @@ def stamps(pictures: Iterable[Path]) -> dict[Path, tuple[int, int]]:
 def test_kills(scene_file: Path) -> None:
     """Nothing is lost and nothing is scanned twice if the console is killed at several moments."""
     path = scene_file.with_name("my.toml")
-    path.write_text(EXPERIMENT.replace("rounds = 2", f"rounds = {SCANS // 2}"))
+    path.write_text(EXPERIMENT.replace("rounds = 1", f"rounds = {SCANS // 2}"))
     experiment = load_experiment(path)
     written: dict[Path, tuple[int, int]] = {}
     for kill_s in KILLS_S:

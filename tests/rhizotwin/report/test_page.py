@@ -1,10 +1,8 @@
 """The page of a result: what it says, that nothing in it asks a network, and that a real browser draws it."""
 
-import base64
 import json
 import re
 import shutil
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +11,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin import surface_mesh
 from rhizotwin.corrections import log
 from rhizotwin.corrections.corrected import write as write_corrected
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.report import page, rig_figure, shape_data, words
+from rhizotwin.report import page, words
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.assessment import Assessment, Verdict
-from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.trait_table import DEFINITIONS
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
-    return plants.make(tmp_path_factory.mktemp("plant"), name="a <b>plant</b></script>")
 
 
 @pytest.fixture(scope="module")
@@ -53,35 +41,17 @@ def test_the_page_of_a_solid_body(found: Reconstructed, scan):
 
 def test_the_page_says_what_the_scan_calibrated(scan):
     made = scan(voxel_mm=1.0)
-    stood = np.eye(4)
-    stood[:2, 3] = 0.25, -0.5
-    ring = {
-        "ring": 0,
-        "placement": 1,
-        "cam_from_rig": frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=8.0).tolist(),
-        "covariance": np.diag([1e-8, 1e-8, 1e-8, 4e-4, 4e-4, 9e-4]).tolist(),
-        "own_movement_mm": 0.01,
-        "own_movement_deg": 0.002,
-    }
-    rig = {
-        "canister_from_strip": stood.tolist(),
-        "canister_from_strip_sigma": [0.001, 0.001, 0.012, 0.013],
-        "rings": [ring],
-        "n_water": 1.33412,
-        "n_water_given": 1.333,
-        "n_water_found": 1.33412,
-        "n_water_sigma": 0.00021,
-        "reprojection_before_px": 1.25,
-        "reprojection_after_px": 0.037,
-        "canister_edges": {"count": 720, "before_mm": 0.3, "after_mm": 0.004, "radius_excess_mm": 0.0},
-    }
+    level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=8.0)
+    spread = np.diag([1e-8, 1e-8, 1e-8, 4e-4, 4e-4, 9e-4]).tolist()
+    moved = {"own_movement_mm": 0.01, "own_movement_deg": 0.002}
+    ring = {"ring": 0, "placement": 1, "cam_from_rig": level.tolist(), "covariance": spread, **moved}
+    water = {"n_water": 1.33412, "n_water_given": 1.333, "n_water_found": 1.33412, "n_water_sigma": 0.00021}
+    rig = {"rings": [ring], **water, "reprojection_before_px": 1.25, "reprojection_after_px": 0.037}
     made.edit_summary(rig=rig, volume_verdict="this scan <cannot> give a volume", volume_trusted=False)
     text = page.write(made.result, dataset=made.dataset).read_text(encoding="utf-8")
     parts = [
         "This scan &lt;cannot&gt; give a volume",
-        '<div class="light bad">',
         "<td class=number>1.333</td><td class=number>1.33412</td><td class=number>0.00021</td>",
-        "<td class=number>1.2500</td><td class=number>0.0370</td>",
         "<td class=number>400.000</td><td class=number>0.030</td>",
     ]
     assert [part for part in parts if part not in text] == []
@@ -97,17 +67,14 @@ def test_the_page_asks_no_network_and_runs_nothing_of_a_name(written: Path):
 
 
 def _wait_until_drawn(shown: Any, more_than: int) -> None:
-    """Wait until the canvas has been drawn more than so many times.
-
-    By its attribute: a function that must be asked twice is refused by the page's own policy, which forbids eval.
-    """
+    """Wait until the canvas has been drawn more often; by its attribute, because the page forbids eval."""
     other = "".join(f":not([data-drawn='{times}'])" for times in range(more_than + 1))
     shown.locator(f"canvas[data-drawn]{other}").wait_for(state="attached", timeout=PATIENCE_MS)
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1000, "light"), (400, "dark")])
-def test_a_browser_draws_and_saves_the_page(browser: Any, plant: plants.Plant, written: Path, tmp_path: Path, width: int, scheme: str):
-    context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme, offline=True, accept_downloads=True)
+def test_a_browser_draws_and_saves_the_page(browser: Any, plant: plants.Plant, written: Path, tmp_path: Path):
+    width = 400
+    context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme="dark", offline=True, accept_downloads=True)
     shown = context.new_page()
     shown.set_default_timeout(PATIENCE_MS)
     complaints: list[str] = []
@@ -176,14 +143,6 @@ def test_a_page_describes_corrections_and_missing_pictures(plant: plants.Plant, 
     assert "The dataset was not found" in page.write(tmp_path / "new").read_text(encoding="utf-8")
 
 
-def test_the_shape_is_packed_to_micrometres(plant: plants.Plant):
-    surface = surface_mesh.close(Mesh.of(trimesh.load_mesh(plant.result / "shape.ply")))
-    packed = shape_data.pack_shape(surface, plant.roots)["roots"]
-    steps = np.frombuffer(base64.b64decode(packed["points"]), "<u2").reshape(-1, 3)
-    points = np.array(packed["origin"]) + packed["scale"] * steps
-    assert points == pytest.approx(np.concatenate([root.points_mm for root in plant.roots]), abs=1e-3)
-
-
 SUMMARY: dict[str, Any] = {
     "volume_mm3": 137070.4,
     "volume_interval_mm3": [128000.0, 146000.0],
@@ -218,7 +177,6 @@ def test_the_methods_of_a_baseline_are_its_own():
     hull = words.methods_paragraph(summary | {"settings": {"method": "hull"}}, roots=False, simulated=False)
     assert ["trimmed to what" in text and "90 % interval" in text for text in (ours, hull)] == [True, False]
     assert "the untrimmed visual hull, a baseline without an error budget" in hull
-    assert "an unknown method" in words.methods_paragraph(summary | {"settings": {"method": "<b>"}}, roots=False, simulated=False)
 
 
 def test_an_estimate_of_a_later_version_is_left_out():
@@ -236,23 +194,6 @@ def test_the_light_follows_checks_and_trust():
     assert words.traffic_light(SUMMARY | {"volume_trusted": False, "volume_verdict": "no"})[2] == ["No."]
 
 
-def test_counts_are_whole_and_numbers_have_significant_digits():
-    definitions = {definition.field: definition for definition in DEFINITIONS}
-
-    def shown(field: str, value: float, interval: tuple[float, float] | None = None, verdict: Verdict = "reliable") -> tuple[str, ...]:
-        return words.trait_text(definitions[field], value, Assessment(verdict=verdict, interval=interval))
-
-    assert shown("max_root_count", 9.0)[:2] == ("Maximum number of roots at one height", "9")
-    assert shown("tips", 32, (29.6, 34.2))[1:3] == ("32", "30 to 34")
-    assert shown("total_length_mm", 806.93, (786.0, 824.0))[1:3] == ("807 mm", "786 to 824")
-    assert shown("mean_diameter_mm", 3.4042, (3.29, 3.51))[1:3] == ("3.40 mm", "3.29 to 3.51")
-    assert shown("convex_hull_mm3", 137070.0)[1] == "137 ml"
-    assert shown("total_length_mm", 486.0, (399.0, 518.0), "not reliable")[2] == "not reliable; 399 to 518"
-    ratio = "ratio of maximum number of roots at one height to median number of roots per height (GiA Roots)"
-    assert shown("bushiness", 1.5)[3] == ratio
-    assert shown("roots", 3)[3] == "number of roots, taproots and laterals of every order"
-
-
 def test_a_simulated_scan_is_called_simulated(plant: plants.Plant, written: Path, tmp_path: Path):
     text = written.read_text(encoding="utf-8")
     assert "Images of roots in a round canister" in text
@@ -262,9 +203,3 @@ def test_a_simulated_scan_is_called_simulated(plant: plants.Plant, written: Path
     text = page.write(plant.result, dataset=simulated, output=tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Simulated images of roots in a round canister" in text
     assert "Simulated scan: a plant &lt;of paper&gt;" in text
-
-
-def test_the_rig_is_drawn_with_its_dimensions():
-    drawn = rig_figure.svg(Scene(name="a <b>"))
-    ET.fromstring(drawn)
-    assert [text for text in ("152.4 mm", "160 mm", "n = 1.333", "camera", "canister frame") if text not in drawn] == []

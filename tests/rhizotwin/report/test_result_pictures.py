@@ -10,14 +10,12 @@ import trimesh
 
 from rhizotwin import shading
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.report import figures, result_pictures, root_figures
+from rhizotwin.report import figures, result_pictures
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import png
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root, write_rsml
-from rhizotwin.stored import result_files
-from tests.rhizotwin import plant as plants
 
 
 def ball(radius_mm: float, at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
@@ -56,16 +54,6 @@ def test_a_name_is_not_a_formula():
     """Matplotlib reads text between dollar signs as a formula, and raises an error if it is not one."""
     drawn = figures.shape_near(ball(4.0, (0.0, 0.0, -30.0)), Scene(), title=r"$\frac$")
     assert png(drawn, dpi=20).startswith(b"\x89PNG")
-
-
-def test_a_picture_is_cropped_by_the_calibrated_lens(tmp_path):
-    """At twice the focal length, the crop around the same roots is twice as wide."""
-    made = plants.make(tmp_path)
-    summary, dataset = result_files.read_summary(made.result), load_dataset(made.dataset)
-    summaries = [summary | {"rig": {"focal_scale": scale}} for scale in (0.5, 1.0)]
-    limits = [root_figures.roots_and_inputs(made.roots, one, dataset).axes[0].get_xlim() for one in summaries]
-    wide = np.diff(limits, axis=1)
-    assert wide[1] == pytest.approx(2.0 * wide[0])
 
 
 def test_pictures_without_silhouettes_and_truth_repeat_exactly(scan):
