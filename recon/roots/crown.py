@@ -140,9 +140,10 @@ def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
         shown += at.visible[view] & silhouette.usable[row, column]
     hidden = shown < _FEW
     if not system.evidence.tops_mm:
-        base = system.tubes.branches[0]
+        base, *others = system.tubes.branches
+        forks = np.isin(base, [nodes[0] for nodes in others])  # a root keeps the laterals of its hidden base
         held = np.zeros(len(height_mm), bool)
-        held[base[: int(np.argmin(hidden[base]))]] = True
+        held[base[: int(np.argmin(hidden[base] & ~forks))]] = True
         return replace(system, solid=system.solid | held)
     high = height_mm > top_mm - HIDDEN_MM
     held = (height_mm > top_mm) | (high & hidden)

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.roots import orientation
 from rhizotwin.recon.tubes.branch_graph import Index, ancestors, parents_first
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Tubes
+from rhizotwin.recon.tubes.tubes import SPACING_MM, TANGENT_NODES, Tubes
 from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
@@ -68,14 +68,13 @@ class _Tangents:
 def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     """Reconnect the pieces of a tree at minimum cost.
 
-    Nodes are not moved, but duplicate paths are removed. Parents are assigned later (`hierarchy`). The following
-    changes are tried:
+    Nodes are not moved, but duplicate paths are removed. Forks are divided and parents are assigned later
+    (`hierarchy`). The following changes are tried:
 
     - A tip continues in a branch that begins near it.
     - Two tips meet, and one of their branches is reversed.
     - A tip continues in the remainder of a branch that it runs into. The first part of that branch ends there,
       continues in a third branch that begins there, or is removed as a duplicate.
-    - A branch continues in its child, and its former remainder becomes the child.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     for _ in range(_ROUNDS):
         tangents = _tangents(tubes, branches)
         worth = _worth(tangents, branches, marked)
-        changes = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth) + _exchanges(tangents, branches))
+        changes = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth))
         touched: set[int] = set()
         owner = tangents.owner.copy()
         for _, end, node, third, kind in changes:
@@ -128,24 +127,26 @@ def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
     count, centre = len(tubes.centre_mm), tubes.centre_mm
     log_radius = np.log(tubes.radius_mm)
     arriving, leaving = np.zeros((count, 3)), np.zeros((count, 3))
-    before, after = np.zeros(count), np.zeros(count)
+    log_before, log_after = np.zeros(count), np.zeros(count)
     owner, place = np.full(count, -1), np.zeros(count, np.int64)
     for k, nodes in enumerate(branches):
         if nodes is None:
             continue
         number = np.arange(len(nodes))
         first, last = np.maximum(number - TANGENT_NODES, 0), np.minimum(number + TANGENT_NODES, len(nodes) - 1)
+        skip = np.round(tubes.radius_mm[nodes] / SPACING_MM).astype(np.int64)  # within a junction, lines are bent
+        before, behind = np.maximum(first - skip, 0), np.minimum(last + skip, len(nodes) - 1)
         own = number if k == 0 else number[1:]
-        arriving[nodes[own]] = (centre[nodes] - centre[nodes[first]])[own]
-        leaving[nodes[own]] = (centre[nodes[last]] - centre[nodes])[own]
+        arriving[nodes[own]] = (centre[nodes[before + number - first]] - centre[nodes[before]])[own]
+        leaving[nodes[own]] = (centre[nodes[behind]] - centre[nodes[behind - last + number]])[own]
         total = np.concatenate([[0.0], np.cumsum(log_radius[nodes if k == 0 else np.concatenate([nodes[1:2], nodes[1:]])])])
-        before[nodes[own]] = ((total[number + 1] - total[first]) / (number + 1 - first))[own]
-        after[nodes[own]] = ((total[last + 1] - total[number]) / (last + 1 - number))[own]
+        log_before[nodes[own]] = ((total[number + 1] - total[first]) / (number + 1 - first))[own]
+        log_after[nodes[own]] = ((total[last + 1] - total[number]) / (last + 1 - number))[own]
         owner[nodes[own]], place[nodes[own]] = k, own
-    return _Tangents(centre, polyline.unit_vectors(arriving), polyline.unit_vectors(leaving), before, after, owner, place)
+    return _Tangents(centre, polyline.unit_vectors(arriving), polyline.unit_vectors(leaving), log_before, log_after, owner, place)
 
 
-def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
+def _cost(way: Array, arriving: Array, leaving: Array, log_before: Array, log_after: Array) -> Array:
     """Return the cost (M,) of joining each pair of pieces.
 
     It is infinite if the second piece is not ahead of the first.
@@ -154,28 +155,28 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
     ----------
     way : (M, 3) float64 array
         Vector from the end of the first piece to the beginning of the second, mm.
-    log_ratio : (M,) float64 array
-        Logarithm of the ratio of the radii. Pieces of equal thickness are connected first.
+    log_before, log_after : (M,) float64 array
+        Mean logarithms of the radii of the pieces, mm. Pieces of equal thickness are connected first.
     """
     middle = polyline.unit_vectors(arriving + leaving)
     along = (way * middle).sum(axis=1)
     miss = np.linalg.norm(way - along[:, None] * middle, axis=1)
     bend = np.arccos(np.clip((arriving * leaving).sum(axis=1), -1.0, 1.0))
     gap = np.maximum(along - _OVERLAP_MM, 0.0)
-    cost = bend**2 + (miss / _MISS_MM) ** 2 + (gap / _GAP_MM) ** 2 + log_ratio**2
+    radius = np.exp(np.minimum(log_before, log_after))  # within a junction, lines are off by up to their radius
+    cost = bend**2 + (miss / np.maximum(_MISS_MM, radius)) ** 2 + (gap / _GAP_MM) ** 2 + (log_before - log_after) ** 2
     return np.asarray(np.where(along > -_OVERLAP_MM, cost, np.inf))
 
 
 class _Kind(IntEnum):
     """Kind of a change in which one branch continues in another branch.
 
-    The other branch is cut in two, reversed, exchanged with its child, or appended without its beginning.
+    The other branch is cut in two, reversed, or appended without its beginning.
     """
 
     CUT = 0
     TURNED = 1
-    EXCHANGED = 2
-    SPLICED = 3
+    SPLICED = 2
 
 
 _Change = tuple[float, int, int, int, _Kind]
@@ -199,7 +200,8 @@ def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -
             tangents.centre[b] - tangents.centre[a],
             tangents.arriving[a],
             -tangents.arriving[b] if turned else tangents.leaving[b],
-            tangents.log_before[a] - (tangents.log_before[b] if turned else tangents.log_after[b]),
+            tangents.log_before[a],
+            tangents.log_before[b] if turned else tangents.log_after[b],
         )
         gain = cost - (np.maximum(worth[a], worth[b]) if turned else worth[a])
         good = (gain < -_GAIN) & (tangents.owner[a] != tangents.owner[b]) & (tangents.owner[b] > 0)
@@ -247,9 +249,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
     pairs = _pairs(centre, tips, inner)
     a, at = tips[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
-    cost = (
-        _cost(centre[b] - centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a] - tangents.log_after[b]) - held[at]
-    )
+    cost = _cost(centre[b] - centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a], tangents.log_after[b]) - held[at]
     cost += _FRAYED * fray[pairs[:, 0]]
     good = (cost < worth[a] - _GAIN) & (owner[a] != owner[b])
     a, b, at, cost = a[good], b[good], at[good], cost[good]
@@ -281,29 +281,6 @@ def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: in
     return bool(cKDTree(tangents.centre[line]).query(tangents.centre[beside[1:place]])[0].max() < _BESIDE_MM)
 
 
-def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Change]:
-    """Return the changes in which a parent continues in its child, and the rest of the parent becomes the child."""
-    found: list[_Change] = []
-    for k, line in enumerate(branches):
-        if line is None or k == 0 or len(line) <= TANGENT_NODES:
-            continue
-        parent = branches[int(tangents.owner[line[0]])]
-        place = int(tangents.place[line[0]])
-        assert parent is not None
-        if place < 2 or place + TANGENT_NODES >= len(parent):
-            continue
-        here, ways = line[[0, 0]], np.array([line[1], parent[place + 1]])
-        cost = _cost(
-            tangents.centre[ways] - tangents.centre[here],
-            tangents.arriving[here],
-            tangents.leaving[ways],
-            tangents.log_before[here] - tangents.log_after[ways],
-        )
-        if cost[0] - cost[1] < -_GAIN:
-            found.append((float(cost[0] - cost[1]), int(line[1]), int(parent[place]), -1, _Kind.EXCHANGED))
-    return found
-
-
 def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
     """Return the branches in which an interrupted branch could continue, keyed by its last node.
 
@@ -315,7 +292,7 @@ def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Ind
     pairs = _pairs(tangents.centre, nodes, starts)
     a, b = nodes[pairs[:, 0]], starts[pairs[:, 1]]
     cost = _cost(
-        tangents.centre[b] - tangents.centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a] - tangents.log_after[b]
+        tangents.centre[b] - tangents.centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a], tangents.log_after[b]
     )
     found: dict[int, list[tuple[float, int]]] = {}
     for c, node, branch in zip(cost - _BRANCH, a, tangents.owner[b], strict=True):
@@ -342,9 +319,6 @@ def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, n
     whole, second = branches[a], branches[b]
     assert whole is not None
     assert second is not None
-    if kind is _Kind.EXCHANGED:
-        changed[b], changed[a] = np.concatenate([second[: place + 1], whole[1:]]), second[place:]
-        return changed
     first = whole[: tangents.place[end] + 1]  # uncertain end nodes are dropped
     if kind is _Kind.TURNED:
         changed[a], changed[b] = np.concatenate([first, second[place:0:-1]]), None

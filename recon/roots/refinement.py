@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.roots import ghosts, linking, node_support, organs, residual_search, tips
+from rhizotwin.recon.roots import ghosts, hierarchy, linking, node_support, organs, residual_search, tips
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tube_fit, tube_profiles, tubes
 from rhizotwin.recon.tubes.tube_fit import Fit
@@ -90,10 +90,11 @@ class TreeRefinement:
         return organs.is_thick(tree, self.px_a_mm)
 
     def find_duplicates(self, tree: Tubes) -> Mask:
-        """Return the mask (N,) of nodes inside other tubes."""
-        return ghosts.find_duplicates(tree, self.thick(tree), ghosts.FLANK_PX / self.px_a_mm)
+        """Return the mask (N,) of nodes inside other tubes, or along the surface of much thicker ones."""
+        flank_mm = ghosts.FLANK_PX / self.px_a_mm
+        return ghosts.find_duplicates(tree, self.thick(tree), flank_mm) | ghosts.find_flanking(tree, flank_mm)
 
 
 def link_pieces(tree: Tubes) -> Tubes:
-    """Link the pieces of a tree, fill gaps, merge short pieces, and shorten laterals that begin inside a parent."""
-    return tubes.trim_inside_parents(tubes.fill_gaps(tubes.merge_stubs(linking.link(tree)[0])))
+    """Link the pieces of a tree, fill gaps, divide it into roots, and shorten laterals that begin inside a parent."""
+    return tubes.trim_inside_parents(hierarchy.divide(tubes.fill_gaps(tubes.merge_stubs(linking.link(tree)[0]))))

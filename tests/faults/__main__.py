@@ -34,7 +34,7 @@ FAULTS = (
     Fault("a cube is empty at the outline", "recon/hull/marks.py", "(distance < -reach - slack_px)", "(distance < reach - slack_px)"),
     Fault("corners are off by one pixel", "recon/calibration/markers.py", "+ 0.5) * scale - 0.5)", "+ 0.5) * scale + 0.5)"),
     Fault("a one-sided term counts half", "recon/uncertainty/budget.py", "0.5 * max(this - other, 0.0)", "0.0 * max(this - other, 0.0)"),
-    Fault("thickness at a fork is that of all beyond", "recon/roots/hierarchy.py", "[way <= _REACH_MM].mean()", ".mean()"),
+    Fault("directions at a fork are those within it", "recon/roots/hierarchy.py", "skip_mm if way[-1] > skip_mm else 0.0", "0.0"),
     Fault("pixels are half a pixel off", "sim/sensor.py", "sample2.x * width - 0.5 -", "sample2.x * width -"),
     Fault("the strip is upside down", "sim/strip.py", "(strip.rows - 1 - row) * strip.row_pitch_mm", "row * strip.row_pitch_mm"),
     Fault("a servo frame's checksum is not inverted", "rig/arm/lx_bus.py", "(~sum(body) & 0xFF,)", "(sum(body) & 0xFF,)"),

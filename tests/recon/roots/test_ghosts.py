@@ -44,6 +44,17 @@ def test_a_second_tube_and_a_detour_beside_one_explain_little():
     assert last.centre_mm[last.branches[3][0], 2] == pytest.approx(-48.0, abs=1.5)
 
 
+@pytest.mark.parametrize(
+    ("radius_mm", "end", "flanks"),
+    [(0.2, (1.7, 0.0, -46.0), True), (0.9, (1.7, 0.0, -46.0), False), (0.2, (9.0, 0.0, -46.0), False)],
+    ids=["along a thick root", "not much thinner", "away from it"],
+)
+def test_a_thin_branch_along_a_thick_root_is_its_outline(radius_mm: float, end: tuple[float, float, float], *, flanks: bool):
+    found = strung(TRUNK, line((0.0, 0.0, -26.0), (1.7, 0.0, -27.0), end))
+    found = tubes.with_geometry(found, found.centre_mm, np.where(found.owner == 0, 1.5, radius_mm))
+    np.testing.assert_array_equal(ghosts.find_flanking(found, 0.15), (found.owner == 1) & flanks)
+
+
 def test_a_branch_that_no_picture_shows_is_removed_in_the_end() -> None:
     """After the fit, the branch is as thin as tubes can be; without its removal, its length would still count."""
     false = line((0.0, 0.0, -25.0), (-8.0, 4.0, -30.0), (-10.0, 6.0, -45.0))

@@ -15,6 +15,7 @@ from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.strings import root
 
+SWOLLEN = root([0, 0, 0], [0, 0, -40], diameters=(12, 12))
 TAP = root([0, 0, 0], [0, 0, -40], diameters=(1.5, 1.5))
 LATERAL = root([0, 0, -15], [15, 0, -25], order=1, parent=0)
 
@@ -66,7 +67,32 @@ def test_a_lateral_in_the_basal_zone_is_the_grandparents():
     assert [(one.order, one.parent) for one in arrange([TAP, LATERAL, beside, further])] == [(0, -1), (1, 0), (1, 0), (1, 0)]
 
 
-SWOLLEN = root([0, 0, 0], [0, 0, -40], diameters=(12, 12))
+def test_a_line_bent_into_a_lateral_is_left_for_the_axis():
+    """As fitted in a print: the line of the main root turns into a lateral of similar width, and its rest begins beside it."""
+    main = root([0, 0, 0], [0, 0, -26], [0.8, 1.6, -30], [2.4, 4.8, -33], [8, 24, -54], diameters=(5.0, 3.5))
+    rest = root([0.8, 1.6, -30], [0, -0.3, -33], [0, -1, -60], diameters=(4.4, 3.0), order=1, parent=0)
+    axis, lateral = arrange([main, rest])
+    assert axis.points_mm[-1] == pytest.approx([0.0, -1.0, -60.0])
+    assert (lateral.order, lateral.parent) == (1, 0)
+    assert lateral.points_mm[-1] == pytest.approx([8.0, 24.0, -54.0])
+
+
+@pytest.mark.parametrize(("turn_mm", "diameter", "orders"), [(3.0, 0.3, [0, 1, 1]), (3.0, 0.12, [0, 1, 2]), (14.0, 0.3, [0, 1, 2])])
+def test_two_roots_that_ran_along_each_other_are_siblings(turn_mm: float, diameter: float, orders: list[int]):
+    """A lateral is thinner than its parent, or leaves at a large angle."""
+    other = root([7.5, 0, -20], [16.5, turn_mm, -26], order=2, parent=1, diameters=(diameter, diameter))
+    assert [one.order for one in arrange([TAP, LATERAL, other])] == orders
+
+
+def test_a_bulb_ends_where_only_thin_roots_go_on():
+    thin = root([0, 0, -20], [9, 0, -40], diameters=(0.7, 0.7))
+    points, diameters = (np.concatenate([getattr(SWOLLEN, name)[:41], getattr(thin, name)[1:]]) for name in ("points_mm", "diameters_mm"))
+    second = root([0, 0, -20], [-9, 0, -40], diameters=(0.8, 0.8), order=1, parent=0)
+    bulb, *roots = arrange([Root(points_mm=points, diameters_mm=diameters, order=0, parent=-1), second])
+    assert bulb.points_mm[-1] == pytest.approx([0.0, 0.0, -20.0])
+    assert [one.order for one in roots] == [1, 1]
+
+
 LEVEL = root([0, 0, -20], [30, 0, -20], diameters=(0.6, 0.6), order=1, parent=0)
 
 
