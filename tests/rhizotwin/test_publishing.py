@@ -109,7 +109,7 @@ def found_in(folder: Path) -> publishing.Found:
     )
 
 
-@pytest.mark.parametrize("dataset", [".", "data", "wd", "/home/ann/<my> scan \udce9"])
+@pytest.mark.parametrize("dataset", ["wd", "/home/ann/<my> scan \udce9"])
 def test_a_published_report_differs_only_in_its_dataset(plant: plants.Plant, dataset: str, tmp_path: Path) -> None:
     edit_summary(plant.result, dataset=dataset)
     page.write(plant.result, dataset=plant.dataset)
@@ -126,8 +126,6 @@ def test_tables_name_versions_and_the_columns_of_the_traits(plant: plants.Plant,
     assert "volume_mm3" in names
     assert set(names) <= set(stored_traits.spreadsheet([(found.name, found.summary, found.traits)]).splitlines()[0].split(","))
     found = replace(found, summary={key: value for key, value in found.summary.items() if key not in ("versions", "settings")})
-    files = list(csv.DictReader(miappe.tables(read_study(study), [], [found])["data_file.csv"].splitlines()))
-    assert files[0]["Data file version"] == ""
     crate.write(tmp_path, read_study(study), [], [found], files={}, version="9.9")
     (action,) = [one for one in json.loads((tmp_path / "ro-crate-metadata.json").read_bytes())["@graph"] if one["@type"] == "CreateAction"]
     assert action["description"] == "rhizotwin of unknown version"
@@ -136,9 +134,6 @@ def test_tables_name_versions_and_the_columns_of_the_traits(plant: plants.Plant,
 def test_bad_pictures_links_and_missing_words_leave_nothing(made: Path, study: Path, tmp_path: Path, command: Command) -> None:
     goal = tmp_path / "data"
     command.fails("export", made, "--publish", goal, named=["--study", "title", "licence", "authors"])
-    command.fails("export", made, "-o", tmp_path / "x", "--publish", goal, named=["cannot be used with -o"])
-    command.fails("export", made, made, "-o", tmp_path / "x.ply", named=["one result"])
-    command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["does not exist"])
     (tmp_path / "empty").mkdir()
     command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["contains neither a dataset"])
     (tmp_path / "empty" / "elsewhere").symlink_to(made)
@@ -159,9 +154,6 @@ def test_bad_pictures_links_and_missing_words_leave_nothing(made: Path, study: P
     [
         ("CC-BY-4.0", "CC-BY", 'did you mean "CC-BY-4.0"'),
         ("0000-0002-1825-0097", "0000-0002-1825-0098", "check digit"),
-        ("https://university.example", "university.example", "must be a web address"),
-        ("title", "titel", "unknown key"),
-        ('name = "Ada Example"', 'name = " "', "must be a name"),
         ("[[authors]]", 'published = "yesterday"\n[[authors]]', "must be a date"),
         ("[[authors]]", 'publication_doi = "https://doi.org/10.1/2"\n[[authors]]', "must be a DOI"),
     ],
