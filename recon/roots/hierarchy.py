@@ -182,8 +182,9 @@ class _Lines:
         costs = [bend**2 + (log - log_before) ** 2 for bend, (_, log) in zip(bends, sections, strict=True)]
         best = int(np.argmin(costs))
         limit_mm = float(np.exp(log_before)) / SWOLLEN
-        ends = np.exp(sections[best][1]) < limit_mm and length_mm > max(_REACH_MM, skip_mm)
-        return children[best], limit_mm if ends else 0.0
+        if np.exp(sections[best][1]) < limit_mm and length_mm > max(_REACH_MM, skip_mm):
+            return self.onward[here], limit_mm  # the rest of a bulb
+        return children[best], 0.0
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
