@@ -138,10 +138,11 @@ class _Lines:
             path.append(point)
         return _Way(self.points_mm[path], self.diameters_mm[path])
 
-    def divide(self) -> list[tuple[list[int], int]]:
+    def divide(self, *, bulbs_end: bool) -> list[tuple[list[int], int]]:
         """Return the points of each root and the index of its parent, or -1. Parents come before children.
 
-        The first point of a root with a parent is a point of the parent.
+        The first point of a root with a parent is a point of the parent. If ``bulbs_end`` is false, a bulb continues in
+        one of its roots.
         """
         found: list[tuple[list[int], int]] = []
         begun: list[tuple[list[int], int]] = [([base], -1) for base in self.bases[::-1]]
@@ -150,7 +151,7 @@ class _Lines:
             thinnest_mm = 0.0
             while self.children[path[-1]]:
                 following, limit_mm = self._next_point(path)
-                thinnest_mm = max(thinnest_mm, limit_mm)
+                thinnest_mm = max(thinnest_mm, limit_mm * bulbs_end)
                 ends = self.diameters_mm[following] < thinnest_mm
                 begun += [([path[-1], child], len(found)) for child in self.children[path[-1]][::-1] if ends or child != following]
                 if ends:
@@ -194,7 +195,7 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
     """
     lines = _Lines.join(roots)
     made: list[Root] = []
-    for path, parent in lines.divide():
+    for path, parent in lines.divide(bulbs_end=True):
         diameters = lines.diameters_mm[path]
         if parent >= 0:
             diameters[0] = diameters[1]  # at the fork, not that of the parent
@@ -205,8 +206,11 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
 
 def divide(tubes: Tubes) -> Tubes:
-    """Return the same tree with branches that continue at each fork in the line that `arrange` would choose."""
-    return replace(tubes, branches=tuple(np.array(path) for path, _ in _Lines.of_tubes(tubes).divide()))
+    """Return the same tree with branches that continue at each fork in the line that `arrange` would choose.
+
+    Bulbs do not end, since their tubes would then lack the rest below the last fork.
+    """
+    return replace(tubes, branches=tuple(np.array(path) for path, _ in _Lines.of_tubes(tubes).divide(bulbs_end=False)))
 
 
 def _move_up(roots: list[Root]) -> list[Root]:
