@@ -7,7 +7,7 @@ import pytest
 
 from tests.command import Command
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def test_indices_of_a_shoot_are_those_of_its_reflectances(command: Command, tmp_path: Path) -> None:

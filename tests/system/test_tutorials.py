@@ -10,7 +10,7 @@ import pytest
 from rhizotwin import command_line
 from tests.command import Command
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 ROOT = Path(__file__).resolve().parents[2]
 ORDER = ("my-first-root", "correct", "my-own-pictures", "my-own-rig")
