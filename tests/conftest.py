@@ -25,6 +25,12 @@ def pytest_sessionstart() -> None:
     engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that have slow tests, so that no process waits for another at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def nothing_flushed() -> Iterator[None]:
     """Leave out what only a power cut would need: flushing to a disk is most of the time of tests that write files."""

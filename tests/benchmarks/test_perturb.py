@@ -148,7 +148,7 @@ def test_the_command_measures_the_scatter_and_gates_by_it(capsys: pytest.Capture
     assert command.main([*gated, "--change", "lossy:1"]) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_gate_shuts_under_a_real_loss() -> None:
     """By the thesis's method, in a tenth of the time of ours. That it opens under rounding is a step of its own."""
     (case,) = cases.quick(scenes=("printed_8ml",), profiles=("bench",), methods=("thesis",))  # not the ball, which is its own mirror image

@@ -16,7 +16,7 @@ def run(folder: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=300)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
     done = run(
         tmp_path,

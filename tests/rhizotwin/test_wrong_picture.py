@@ -12,7 +12,7 @@ import rhizotwin as rt
 from rhizotwin.recon.results.result import Result
 from rhizotwin.recon.settings import PictureSettings, Settings
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 FIRST_ROW = 80
 """Below the strip of markers, in pictures of 400x300."""
 

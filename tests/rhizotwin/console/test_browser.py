@@ -47,6 +47,7 @@ def take_control(page: Any, name: str) -> None:
     page.get_by_text(f"You ({name}) control the rig").wait_for()
 
 
+@pytest.mark.nightly
 def test_a_scan_survives_the_console(browser: Any, tmp_path: Path) -> None:
     scene = load_scene("sphere_20mm")
     rings = tuple(replace(ring, views=VIEWS) for ring in scene.plan.rings[:1])

@@ -89,7 +89,7 @@ def test_reconstruction_without_its_folder_or_its_time(make_experiment, monkeypa
     assert batch.began == ["P1_day_000.00"] * 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rendered_scans_are_reconstructed(tmp_path: Path):
     """A ball: result and rig numbers are in the catalogue."""
     scene = files.load_scene("sphere_20mm")
