@@ -11,23 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.tubes.tubes import SWOLLEN, Tubes
+from rhizotwin.recon.roots.thick_lines import SWOLLEN
+from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 _REACH_MM = 5.0
 """Minimum length beyond a junction over which directions and diameters are compared, mm. The length is at least the
 diameter of the root."""
-_THICKER = 1.25
-"""Ratio of diameters above which a line without a known direction, at the top of the tree, continues in a thicker
-line. Diameters averaged over 5 mm vary by less than this ratio."""
 _BASAL_MM = 2.0
 """Maximum distance between the base of a lateral and the surface of its grandparent at which the lateral is reassigned
 to the grandparent, mm. Such a lateral runs along its assigned parent at first, but does not originate from it."""
@@ -39,7 +37,7 @@ reassigns 88 of 8,589 mm with a right one."""
 
 @dataclass(frozen=True)
 class _Way:
-    """Points along a path from a junction."""
+    """Points (N, 3) along a path from a junction, canister frame, mm, with their diameters (N,), mm."""
 
     points_mm: Array
     diameters_mm: Array
@@ -54,20 +52,19 @@ class _Way:
         first = skip_mm if way[-1] > skip_mm else 0.0
         last = min(first + reach_mm, float(way[-1]))
         ends = polyline.interpolate(self.points_mm, way, np.array([first, last]))
-        within = np.append((way[1:] >= first) & (way[1:] <= last), False)[: len(way) - 1]
+        within = (way[1:] >= first) & (way[1:] <= last)
         diameters = self.diameters_mm[1:][within] if within.any() else np.interp([last], way, self.diameters_mm)
         return polyline.unit_vectors(ends[1:] - ends[:1])[0], float(np.log(diameters).mean())
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """Centre lines as a tree of points. Points come after the points nearer to the base of the tree."""
+    """Centre lines as a tree of points."""
 
     points_mm: Array
-    """Shape (N, 3)."""
+    """Shape (N, 3), canister frame, mm."""
     diameters_mm: Array
-    line: list[int]
-    """Index of the line of each point."""
+    """Shape (N,), mm."""
     children: list[list[int]]
     """Next points of each point."""
     onward: list[int]
@@ -76,19 +73,12 @@ class _Lines:
     """First points of the lines without a parent."""
 
     @classmethod
-    def of_tubes(cls, tubes: Tubes) -> _Lines:
-        """Return the branches of a tree of tubes."""
-        children: list[list[int]] = [[] for _ in tubes.radius_mm]
-        for branch in tubes.branches:
-            for before, point in pairwise(branch.tolist()):
-                children[before].append(point)
-        base = int(tubes.branches[0][0])
-        return cls.build(tubes.centre_mm, 2.0 * tubes.radius_mm, tubes.owner.tolist(), children, [base])
-
-    @classmethod
-    def build(cls, points_mm: Array, diameters_mm: Array, line: list[int], children: list[list[int]], bases: list[int]) -> _Lines:
-        """Find the path with the largest volume from each point to a tip."""
-        order, volume, onward = list(bases), np.zeros(len(line)), [-1] * len(line)
+    def build(cls, points_mm: Array, diameters_mm: Array, above: Index, bases: list[int]) -> _Lines:
+        """Connect each point with the preceding one, whose index in ``above`` (N,) is -1 if there is none."""
+        children: list[list[int]] = [[] for _ in above]
+        for point in np.flatnonzero(above >= 0).tolist():
+            children[above[point]].append(point)
+        order, volume, onward = list(bases), np.zeros(len(above)), [-1] * len(above)
         for point in order:  # the list grows during the loop
             order += children[point]
         for point in reversed(order):
@@ -96,33 +86,31 @@ class _Lines:
                 more = volume[child] + np.linalg.norm(points_mm[child] - points_mm[point]) * diameters_mm[child] ** 2
                 if onward[point] < 0 or more > volume[point]:
                     volume[point], onward[point] = more, child
-        return cls(points_mm, diameters_mm, line, children, onward, bases)
+        return cls(points_mm, diameters_mm, children, onward, bases)
+
+    @classmethod
+    def of_tubes(cls, tubes: Tubes) -> _Lines:
+        """Return the branches of a tree of tubes."""
+        above = np.full(len(tubes.radius_mm), -1)
+        before, here = tubes.segments.T
+        above[here] = before
+        return cls.build(tubes.centre_mm, 2.0 * tubes.radius_mm, above, [int(tubes.branches[0][0])])
 
     @classmethod
     def join(cls, roots: Sequence[Root]) -> _Lines:
         """Connect lines to the nearest points of their parents."""
-        points: list[Array] = []
-        diameters: list[float] = []
-        above: list[int] = []
-        line: list[int] = []
-        first = np.cumsum([0, *(len(root.points_mm) for root in roots)])  # a shared first point is stored, but not used
-        for index, root in enumerate(roots):
-            base = -1 if root.parent < 0 else int(first[root.parent]) + _nearest(roots[root.parent], root.points_mm[0])
-            above += [base, *range(first[index], first[index + 1] - 1)]
-            points.append(root.points_mm)
-            diameters += root.diameters_mm.tolist()
-            line += [index] * len(root.points_mm)
-        centre = np.concatenate(points)
-        children: list[list[int]] = [[] for _ in line]
-        for point, before in enumerate(above):
-            if before >= 0:
-                children[before].append(point)
-        for index in range(len(roots)):  # a line that begins at a point of its parent begins there, not at a copy
-            copy = int(first[index])
-            if above[copy] >= 0 and np.array_equal(centre[copy], centre[above[copy]]):
-                children[above[copy]].remove(copy)
-                children[above[copy]] += children[copy]
-        return cls.build(centre, np.array(diameters), line, children, [int(first[k]) for k, root in enumerate(roots) if root.parent < 0])
+        first = np.cumsum([0, *(len(root.points_mm) for root in roots)])
+        points = np.concatenate([root.points_mm for root in roots])
+        above, original = np.arange(len(points)) - 1, np.arange(len(points))
+        for root, begin in zip(roots, first.tolist(), strict=False):
+            above[begin] = -1
+            if root.parent >= 0:
+                base = original[first[root.parent] + _nearest(roots[root.parent], root.points_mm[0])]
+                copied = bool(np.array_equal(points[base], points[begin]))
+                above[begin + copied] = base  # the copy of a point of the parent is not used
+                original[begin] = base if copied else begin
+        bases = [begin for root, begin in zip(roots, first.tolist(), strict=False) if root.parent < 0]
+        return cls.build(points, np.concatenate([root.diameters_mm for root in roots]), above, bases)
 
     def ahead(self, point: int, child: int, length_mm: float) -> _Way:
         """Return the path from a point through one of its children, up to a length."""
@@ -176,8 +164,7 @@ class _Lines:
         length_mm = polyline.length_mm(back.points_mm)
         sections = [self.ahead(here, child, skip_mm + reach_mm).beyond(skip_mm, reach_mm) for child in children]
         if length_mm < skip_mm:
-            own = [0.0 if self.line[child] != self.line[here] else np.log(_THICKER) for child in children]
-            return children[int(np.argmax([log + more for (_, log), more in zip(sections, own, strict=True)]))], 0.0
+            return children[int(np.argmax([log for _, log in sections]))], 0.0  # at the top, without a direction
         direction, log_before = back.beyond(skip_mm, reach_mm)
         bends = [np.arccos(np.clip(-direction @ onward, -1.0, 1.0)) for onward, _ in sections]
         costs = [bend**2 + (log - log_before) ** 2 for bend, (_, log) in zip(bends, sections, strict=True)]
@@ -193,16 +180,16 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
     Centre lines are unchanged, but a straight segment is added where a root continues in a lateral that began near it.
     """
-    lines = _Lines.join(roots)
-    made: list[Root] = []
+    lines, made = _Lines.join(roots), list[Root]()
+    line = np.repeat(np.arange(len(roots)), [len(root.points_mm) for root in roots])
     for path, parent in lines.divide(bulbs_end=True):
         diameters = lines.diameters_mm[path]
         if parent >= 0:
             diameters[0] = diameters[1]  # at the fork, not that of the parent
-        begins, ends = (roots[lines.line[point]] for point in (path[parent >= 0], path[-1]))
+        begins, ends = (roots[line[point]] for point in (path[parent >= 0], path[-1]))
         points = lines.points_mm[path]
         made.append(Root(points_mm=points, diameters_mm=diameters, parent=parent, order=0, label=begins.label, tip_seen=ends.tip_seen))
-    return _assign_orders(_move_up(made))
+    return _assign_parents(made)
 
 
 def divide(tubes: Tubes) -> Tubes:
@@ -213,42 +200,33 @@ def divide(tubes: Tubes) -> Tubes:
     return replace(tubes, branches=tuple(np.array(path) for path, _ in _Lines.of_tubes(tubes).divide(bulbs_end=False)))
 
 
-def _move_up(roots: list[Root]) -> list[Root]:
-    """Reassign laterals that do not originate from their parent to the parent of that parent.
-
-    This is repeated until no such lateral is left.
-    """
-    moved = True
-    while moved:
-        moved = False
-        for index, root in enumerate(roots):
-            above = roots[root.parent].parent if root.parent >= 0 else -1
-            if above < 0:
-                continue
-            away = np.linalg.norm(roots[above].points_mm - root.points_mm[0], axis=1) - roots[above].diameters_mm / 2.0
-            if away.min() < _BASAL_MM or _runs_along(roots[root.parent], root):
-                roots[index], moved = replace(root, parent=above), True
-    return roots
-
-
-def _runs_along(parent: Root, root: Root) -> bool:
-    """Return whether a root separates from its parent at a small angle and is about as thick."""
-    way, at = polyline.arc_length_mm(parent.points_mm), _nearest(parent, root.points_mm[0])
-    skip_mm = 0.5 * float(parent.diameters_mm[at])
-    direction, log = _Way(root.points_mm, root.diameters_mm).beyond(skip_mm, _REACH_MM)
-    near = np.abs(way - way[at]) <= _REACH_MM
-    ends = parent.points_mm[near][[-1, 0]]
-    along = polyline.unit_vectors(ends[:1] - ends[1:])[0]
-    as_thick = log > np.log(_AS_THICK * float(np.median(parent.diameters_mm[near])))
-    return bool(as_thick and direction @ along > np.cos(_ALONG_RAD))
-
-
-def _assign_orders(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the roots with the orders that follow from their parents."""
+def _assign_parents(roots: Sequence[Root]) -> tuple[Root, ...]:
+    """Assign roots that do not originate from their parent to the parent of that parent, and set the orders."""
     found: list[Root] = []
     for root in roots:
-        found.append(replace(root, order=found[root.parent].order + 1 if root.parent >= 0 else 0))
+        parent = root.parent
+        while parent >= 0 and (above := found[parent].parent) >= 0 and not _originates(root, found[parent], found[above]):
+            parent = above
+        found.append(replace(root, parent=parent, order=found[parent].order + 1 if parent >= 0 else 0))
     return tuple(found)
+
+
+def _originates(root: Root, parent: Root, grandparent: Root) -> bool:
+    """Return whether a root is a lateral of its parent.
+
+    It is not if it begins in the parent's basal zone, or if it separates from the parent at a small angle and is about
+    as thick.
+    """
+    away = np.linalg.norm(grandparent.points_mm - root.points_mm[0], axis=1) - grandparent.diameters_mm / 2.0
+    if away.min() < _BASAL_MM:
+        return False
+    way, at = polyline.arc_length_mm(parent.points_mm), _nearest(parent, root.points_mm[0])
+    direction, log = _Way(root.points_mm, root.diameters_mm).beyond(0.5 * float(parent.diameters_mm[at]), _REACH_MM)
+    near = np.abs(way - way[at]) <= _REACH_MM
+    ends = parent.points_mm[near][[0, -1]]
+    along = polyline.unit_vectors(np.diff(ends, axis=0))[0]
+    is_thinner = log <= np.log(_AS_THICK * float(np.median(parent.diameters_mm[near])))
+    return bool(is_thinner or direction @ along <= np.cos(_ALONG_RAD))
 
 
 def _nearest(root: Root, point_mm: Array) -> int:

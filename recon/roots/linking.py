@@ -135,10 +135,10 @@ def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
         number = np.arange(len(nodes))
         first, last = np.maximum(number - TANGENT_NODES, 0), np.minimum(number + TANGENT_NODES, len(nodes) - 1)
         skip = np.round(tubes.radius_mm[nodes] / SPACING_MM).astype(np.int64)  # within a junction, lines are bent
-        before, behind = np.maximum(first - skip, 0), np.minimum(last + skip, len(nodes) - 1)
+        back, on = np.minimum(skip, first), np.minimum(skip, len(nodes) - 1 - last)
         own = number if k == 0 else number[1:]
-        arriving[nodes[own]] = (centre[nodes[before + number - first]] - centre[nodes[before]])[own]
-        leaving[nodes[own]] = (centre[nodes[behind]] - centre[nodes[behind - last + number]])[own]
+        arriving[nodes[own]] = (centre[nodes[number - back]] - centre[nodes[first - back]])[own]
+        leaving[nodes[own]] = (centre[nodes[last + on]] - centre[nodes[number + on]])[own]
         total = np.concatenate([[0.0], np.cumsum(log_radius[nodes if k == 0 else np.concatenate([nodes[1:2], nodes[1:]])])])
         log_before[nodes[own]] = ((total[number + 1] - total[first]) / (number + 1 - first))[own]
         log_after[nodes[own]] = ((total[last + 1] - total[number]) / (last + 1 - number))[own]

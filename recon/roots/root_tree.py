@@ -79,8 +79,7 @@ class RootSystem(RootTree):
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
                 number[own[number[own] < 0]] = len(roots)
-                order = roots[parent].order + 1 if parent >= 0 else 0
                 tip_seen = bool(own[-1] == nodes[-1] and not self.uncertain[nodes[-1]])  # a root that enters a solid has no tip there
-                root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=tip_seen)
+                root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=0, parent=parent, tip_seen=tip_seen)
                 roots.append(root)
         return thick_lines.trim_buried(hierarchy.arrange(roots))

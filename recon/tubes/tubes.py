@@ -18,11 +18,6 @@ Array = NDArray[np.float64]
 
 SPACING_MM = 0.6
 """Distance between adjacent nodes of a branch, mm."""
-SWOLLEN = 4.0
-"""Ratio of diameters above which a parent is assumed to have grown in thickness after the lateral formed.
-
-Bulbs and carrots of the library are 6 to 50 times as thick as their laterals. The roots of the printed phantom, which
-have no secondary growth, are 1.2 to 3.1 times as thick."""
 TANGENT_NODES = 4
 """Number of nodes over which the tangent of a branch is computed."""
 SMOOTH_MM = 0.4
@@ -271,8 +266,7 @@ def merge_stubs(tubes: Tubes) -> Tubes:
     """Join each branch with a lateral that begins near its end, since no root ends where a lateral leaves it.
 
     If several laterals begin at the last such place, the one with the smallest bend is chosen. The remainder of the
-    branch beyond its laterals is removed. Branches with a remainder longer than the node spacing are not changed, and
-    neither are bulbs, whose laterals are thinner by more than `SWOLLEN`.
+    branch beyond its laterals is removed. Branches with a remainder longer than the node spacing are not changed.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
@@ -284,16 +278,11 @@ def merge_stubs(tubes: Tubes) -> Tubes:
         if last == 0 or np.linalg.norm(np.diff(centre[line[last:]], axis=0), axis=1).sum() > _STUB_MM:
             continue
         tangent = centre[line[last]] - centre[line[max(last - TANGENT_NODES, 0)]]
-        thickness = float(np.median(tubes.radius_mm[line[max(last - TANGENT_NODES, 0) : last + 1]]))
         onward: list[tuple[float, int]] = []
         for j in np.array(children[k])[starts == last].tolist():
             nodes = tubes.branches[j]
-            if SWOLLEN * np.median(tubes.radius_mm[nodes[1 : TANGENT_NODES + 1]]) < thickness:
-                continue
             way = centre[nodes[min(TANGENT_NODES, len(nodes) - 1)]] - centre[nodes[0]]
             onward.append((float(tangent @ way) / max(float(np.linalg.norm(way)), 1e-9), j))
-        if not onward:
-            continue
         following = branches[max(onward)[1]]
         assert following is not None
         used[line[last + 1 :]] = False
