@@ -90,9 +90,9 @@ class TreeRefinement:
         return organs.is_thick(tree, self.px_a_mm)
 
     def find_duplicates(self, tree: Tubes) -> Mask:
-        """Return the mask (N,) of nodes inside other tubes, or along the surface of much thicker ones."""
+        """Return the mask (N,) of nodes inside other tubes."""
         flank_mm = ghosts.FLANK_PX / self.px_a_mm
-        return ghosts.find_duplicates(tree, self.thick(tree), flank_mm) | ghosts.find_flanking(tree, flank_mm)
+        return ghosts.find_duplicates(tree, self.thick(tree), flank_mm) | ghosts.find_enclosed(tree, flank_mm)
 
 
 def link_pieces(tree: Tubes) -> Tubes:

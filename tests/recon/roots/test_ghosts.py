@@ -45,14 +45,14 @@ def test_a_second_tube_and_a_detour_beside_one_explain_little():
 
 
 @pytest.mark.parametrize(
-    ("radius_mm", "end", "flanks"),
-    [(0.2, (1.7, 0.0, -46.0), True), (0.9, (1.7, 0.0, -46.0), False), (0.2, (9.0, 0.0, -46.0), False)],
-    ids=["along a thick root", "not much thinner", "away from it"],
+    ("radius_mm", "x", "end", "enclosed"),
+    [(0.2, 1.4, 1.4, True), (0.9, 1.4, 1.4, False), (0.2, 1.7, 1.7, False), (0.2, 1.4, 9.0, False)],
+    ids=["inside a thick root", "not much thinner", "touching it", "it leaves"],
 )
-def test_a_thin_branch_along_a_thick_root_is_its_outline(radius_mm: float, end: tuple[float, float, float], *, flanks: bool):
-    found = strung(TRUNK, line((0.0, 0.0, -26.0), (1.7, 0.0, -27.0), end))
+def test_a_thin_branch_inside_a_thick_root_is_its_outline(radius_mm: float, x: float, end: float, *, enclosed: bool):
+    found = strung(TRUNK, line((0.0, 0.0, -26.0), (x, 0.0, -27.0), (end, 0.0, -46.0)))
     found = tubes.with_geometry(found, found.centre_mm, np.where(found.owner == 0, 1.5, radius_mm))
-    np.testing.assert_array_equal(ghosts.find_flanking(found, 0.15), (found.owner == 1) & flanks)
+    np.testing.assert_array_equal(ghosts.find_enclosed(found, 0.1), (found.owner == 1) & enclosed)
 
 
 def test_a_branch_that_no_picture_shows_is_removed_in_the_end() -> None:
