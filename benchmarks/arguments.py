@@ -154,7 +154,7 @@ def _add_ratios(one: argparse.ArgumentParser) -> None:
 
 
 _INTERVALS = (
-    "small random scans of random subjects: coverage of the 90 % intervals, and the factors that calibrate them; a stopped run is resumed"
+    "small random scans of random subjects: coverage of the 90 %% intervals, and the factors that calibrate them; a stopped run is resumed"
 )
 _DAMAGES = "one clean scan with typical errors of laboratories: is a wrong volume ever trusted?"
 _SCATTER = (
