@@ -1,16 +1,17 @@
 """Steps shared by several commands, such as starting the compute engine and reconstructing a dataset."""
 
-import webbrowser
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rhizotwin import engine
+from rhizotwin import engine, private_page
 from rhizotwin.arguments import Page, Progress
 from rhizotwin.calls import SHARES
 from rhizotwin.front_door import Method, reconstruct
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import read_toml
 from rhizotwin.scenes.folders import contents, new_folder, recover
+from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings, Settings
@@ -29,7 +30,7 @@ def open_page(address: str, port: int, page: Page) -> None:
     print(address, flush=True)
     print(f"to open it on another computer, run ssh -L {port}:localhost:{port} THIS_COMPUTER there, then use the same address", flush=True)
     if not page.no_browser:
-        webbrowser.open(address)
+        private_page.open_page(address)
 
 
 def refuse_place(output: Path, source: Path) -> None:
@@ -79,9 +80,10 @@ def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "
     UserError
         If the file cannot be read or is invalid.
     """
-    from rhizotwin.recon.settings import Settings, load_settings
+    from rhizotwin.recon.settings import Settings
 
-    chosen = Settings() if file is None else load_settings(file)
+    table, text = ({}, "") if file is None else read_toml(file)
+    chosen: Settings = from_plain(Settings, table, Place(str(file), text))
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
     return chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
 

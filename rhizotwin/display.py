@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import webbrowser
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rhizotwin import private_page
 from rhizotwin.calls import dataset_folder, require, require_each, result_folder
 from rhizotwin.front_door import load_result
 from rhizotwin.scenes.errors import UserError
@@ -108,5 +108,5 @@ def view(
         temporary = [folder for folder, one in zip(folders, given, strict=True) if not isinstance(one, str | Path)]
         shown = View(app.start(folders, dataset_folder(dataset), temporary=temporary, port=port), stack.pop_all())
     if open_browser:
-        webbrowser.open(shown.address)
+        private_page.open_page(shown.address)
     return shown

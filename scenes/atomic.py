@@ -173,6 +173,11 @@ def write_error(error: OSError, path: Path | str) -> UserError:
     if is_full(error):
         return UserError(f"{path}: the disk is full, and nothing was written under this name; free some space and run the command again")
     reason = error.strerror or str(error)
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return UserError(
+            f"{path}: not written, because too many files and connections are open ({reason}); "
+            "close some, or raise the limit (ulimit -n), and run the command again"
+        )
     return UserError(f"{path}: this path cannot be written ({reason}); choose a folder with write permission")
 
 

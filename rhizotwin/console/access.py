@@ -28,10 +28,15 @@ MOST_BYTES = 64 * 1024
 """Maximum length of a request's body, bytes."""
 MOST_SESSIONS = 1000
 WAIT_S = 1.0
-"""Delay, in seconds, before another password is checked after a wrong password."""
+"""Delay, in seconds, of the answer to a wrong password."""
+MOST_WAITING = 100
+"""Maximum number of wrong passwords whose answers are delayed at the same time, so that most connections
+(`connections.MOST_CONNECTIONS`) remain for other clients."""
 PUBLIC = ("/console.css", "/login")
 """Paths that are served without authentication, because the login page needs them."""
 REFUSED = "The address is incomplete. Open the complete address printed by `rhizotwin console`, which includes a token.\n"
+FORWARD = '<!doctype html><meta http-equiv="refresh" content="0; url=/"><a href="/">Open the console</a>\n'
+"""Answer to the address with the token, which leads to the same address without it."""
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -54,7 +59,7 @@ class Access:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     sessions: dict[str, str] = field(default_factory=dict)
     """Secret that the console's page must send with each change, keyed by session cookie."""
-    _checking: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _waiting: int = 0
 
     def new_session(self) -> str:
         """Create a session, and return its cookie."""
@@ -67,16 +72,17 @@ class Access:
     async def allows(self, secret: str) -> bool:
         """Return whether a secret is the token or the password.
 
-        If the console has a password, a wrong secret delays further checks by `WAIT_S`.
+        A correct secret is never delayed. If the console has a password, a wrong secret is answered after `WAIT_S`, or
+        at once if `MOST_WAITING` answers are already delayed.
         """
-        if _same(secret, self.token):
+        if _same(secret, self.token) or (self.password and _same(secret, self.password)):
             return True
-        if not self.password:
-            return False
-        async with self._checking:
-            if _same(secret, self.password):
-                return True
-            await asyncio.sleep(WAIT_S)
+        if self.password and self._waiting < MOST_WAITING:
+            self._waiting += 1
+            try:
+                await asyncio.sleep(WAIT_S)
+            finally:
+                self._waiting -= 1
         return False
 
 
@@ -117,7 +123,10 @@ class Guard:
             return
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         if path == "/" and _same(given, self._access.token):
-            await _answer(send, 303, "", **login_headers(cookie_name, self._access.new_session()))
+            # Not a redirect: browsers send a strict cookie only if the site's own page leads to the next one, and the user
+            # may come from a file (`rhizotwin.private_page`).
+            cookie = login_headers(cookie_name, self._access.new_session())["Set-Cookie"]
+            await _answer(send, 200, FORWARD, Content_Type="text/html; charset=utf-8", Set_Cookie=cookie)
             return
         page_secret = self._access.sessions.get(_cookie(scope, cookie_name))
         if page_secret is not None and (not changes or _same(_header(scope, HEADER), page_secret)):

@@ -13,6 +13,7 @@ import uvicorn
 
 from rhizotwin.console.access import Access, Guard
 from rhizotwin.console.api import create_app
+from rhizotwin.console.connections import BACKLOG, Connection, Server
 from rhizotwin.console.console import Console
 from rhizotwin.scenes.errors import UserError
 
@@ -66,9 +67,16 @@ def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
     """
     bound = _bind(host, port)
     config = uvicorn.Config(
-        Guard(create_app(console, access), access), log_level="critical", access_log=False, server_header=False, ws="none", lifespan="off"
+        Guard(create_app(console, access), access),
+        http=Connection,
+        backlog=BACKLOG,
+        log_level="critical",
+        access_log=False,
+        server_header=False,
+        ws="none",
+        lifespan="off",
     )
-    server = uvicorn.Server(config)
+    server = Server(config)
     thread = threading.Thread(target=lambda: server.run(sockets=[bound]), name="console", daemon=True)
     thread.start()
     end_s = time.monotonic() + START_S

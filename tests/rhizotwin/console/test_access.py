@@ -4,13 +4,16 @@ import http.client
 import socket
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from urllib.parse import urlencode
 
 import pytest
 
+from rhizotwin.console import access, connections
 from rhizotwin.console.client import Console
 from rhizotwin.scenes.errors import UserError
-from tests.rhizotwin.console.conftest import Lab
+from tests.rhizotwin.console.conftest import Lab, until
 
 
 def ask(lab: Lab, method: str, path: str, body: str = "", **headers: str) -> tuple[int, dict[str, str], str]:
@@ -28,8 +31,8 @@ CLOSED = ["", "console.js", "api/state", "api/picture.jpg", "api/openapi.json", 
 
 def session(lab: Lab) -> tuple[str, str]:
     """Return the cookie of a browser that opened the address, and the secret of its page."""
-    status, headers, _ = ask(lab, "GET", f"/?token={lab.served.access.token}")
-    assert (status, headers["location"]) == (303, "/")
+    status, headers, text = ask(lab, "GET", f"/?token={lab.served.access.token}")
+    assert (status, 'content="0; url=/"' in text) == (200, True)
     assert "HttpOnly; SameSite=Strict" in headers["set-cookie"]
     cookie = headers["set-cookie"].partition(";")[0]
     status, _, text = ask(lab, "GET", "/", Cookie=cookie)
@@ -75,18 +78,40 @@ def test_password(closed: Lab) -> None:
     assert "Password" in ask(closed, "GET", "/login")[2]
     assert ask(closed, "GET", "/console.css")[0] == 200
     form = {"Content_Type": "application/x-www-form-urlencoded"}
-    begun = time.monotonic()
     status, _, text = ask(closed, "POST", "/login", urlencode({"password": "wrong"}), **form)
     assert status == 401
     assert "The password is wrong" in text
-    assert time.monotonic() - begun >= 1.0
     status, headers, _ = ask(closed, "POST", "/login", urlencode({"password": closed.served.access.password}), **form)
     assert (status, headers["location"]) == (303, "/")
     assert ask(closed, "GET", "/", Cookie=headers["set-cookie"].partition(";")[0])[0] == 200
     address = f"http://127.0.0.1:{closed.served.port}/"
-    Console(address, password=closed.served.access.password).state()
-    with pytest.raises(UserError, match="token or password is wrong"):
-        Console(address, password="another").state()
+    begun, wrong = time.monotonic(), [Console(address, password="another") for _ in range(60)]
+    with ThreadPoolExecutor(60) as pool:
+        refused = [pool.submit(one.state) for one in wrong]
+        until(lambda: closed.served.access._waiting == 60)
+        right = Console(address, password=closed.served.access.password)
+        assert right.state()["activity"] == ""
+        with pytest.raises(UserError, match="no scan is running"):
+            right.stop_scan()
+        assert {one.done() for one in refused} == {False}, "the right one is not behind the wrong ones"
+        assert {str(one.exception()) for one in refused} == {"the token or password is wrong"}
+    assert time.monotonic() - begun >= access.WAIT_S
+
+
+def test_silent_connections_make_room(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_CONNECTIONS", 6)
+    here = ("127.0.0.1", lab.served.port)
+    slow = b"POST /api/control HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer " + lab.served.access.token.encode()
+    sent = [b"", b"GET / HT", slow + b"\r\nX-Rhizotwin-Client: a\r\nContent-Length: 9\r\n\r\n{"]
+    with ExitStack() as stack:
+        lines = [stack.enter_context(socket.create_connection(here, timeout=20)) for _ in range(15)]
+        for k, line in enumerate(lines[-3:]):
+            line.sendall(sent[k])
+        assert {line.recv(1) for line in lines[:9]} == {b""}, "the oldest ones were closed"
+        assert lab.client().state()["activity"] == ""
+        monkeypatch.setattr(connections, "QUIET_S", 0.0)
+        assert {line.recv(1) for line in lines[9:]} == {b""}, "the others after a while"
+        assert lab.client().state()["activity"] == ""
 
 
 CHUNKED = "Transfer-Encoding: chunked"

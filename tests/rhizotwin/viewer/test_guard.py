@@ -1,12 +1,19 @@
 """Connections of browsers, without a browser."""
 
 import http.client
+import os
+import stat
+import tempfile
+import webbrowser
+from pathlib import Path
 
 import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
+from rhizotwin import private_page
 from rhizotwin.viewer import guard
+from tests.rhizotwin.console.conftest import until
 
 SOCKET = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
 
@@ -17,6 +24,21 @@ def test_a_header_that_is_there_twice_is_no_error(twice: str):
     headers[twice.partition(":")[0]] = twice.partition(": ")[2]
     refused = guard.answer("t", lambda *_: None, None, Request("/", headers))
     assert twice[0] == "U" or (refused is not None and refused.status_code == 403)
+
+
+def test_the_browsers_command_line_has_no_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(private_page, "KEPT_S", 1.0)
+    private_page.open_page("http://127.0.0.1:1/?token=secret")
+    (file,) = tmp_path.iterdir()
+    assert opened == [file.as_uri()]
+    assert "secret" not in file.name
+    assert 'content="0; url=http://127.0.0.1:1/?token=secret"' in file.read_text(encoding="utf-8")
+    assert os.name != "posix" or stat.S_IMODE(file.stat().st_mode) == 0o600
+    until(lambda: not file.exists())
 
 
 def test_the_token_is_asked_for_and_pages_wait_for_what_is_shown():

@@ -1,0 +1,154 @@
+"""Load on a running console: idle connections, wrong passwords, slow bodies and many clients, each in a process of its own.
+
+`python -m tests.campaign.server_load FOLDER` measures how much each load slows down a scan with the emulated rig.
+"""
+
+import asyncio
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from rhizotwin.console.client import Console
+from rhizotwin.scenes.errors import UserError
+from tests.rhizotwin.console.conftest import console_process
+
+ROOT = Path(__file__).resolve().parents[2]
+PASSWORD = "a right password"
+DESCRIPTORS = 1024
+"""Limit of open files of the console, which is the default of most Linux distributions."""
+
+
+async def _ask(address: str, request: str, *, hold_s: float = 0.0) -> bytes:
+    """Send a text on a new connection; return the answer, or wait without one."""
+    parts = urlsplit(address)
+    reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
+    try:
+        writer.write(request.encode())
+        if hold_s:
+            await asyncio.sleep(hold_s)
+            return b""
+        head = await reader.readuntil(b"\r\n\r\n")
+        length = int(head.lower().partition(b"content-length:")[2].partition(b"\r\n")[0] or 0)
+        return await reader.readexactly(length)
+    finally:
+        writer.close()
+
+
+async def idle(address: str) -> None:
+    """Open a connection, and send nothing."""
+    await _ask(address, "", hold_s=60.0)
+
+
+async def slow_body(address: str) -> None:
+    """Log in with a body that never ends."""
+    await _ask(address, "POST /login HTTP/1.1\r\nHost: x\r\nContent-Length: 60000\r\n\r\npassword=", hold_s=60.0)
+
+
+async def wrong_password(address: str) -> None:
+    """Try a wrong password."""
+    await _ask(address, "GET /api/state HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer wrong\r\n\r\n")
+
+
+async def page(address: str) -> None:
+    """Do what the page of the console does: wait for the next state, and load its picture."""
+    token, seen = urlsplit(address).query.removeprefix("token="), 0
+    head = f"HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {token}\r\nX-Rhizotwin-Client: {id(asyncio.current_task())}\r\n\r\n"
+    while True:
+        state = json.loads(await _ask(address, f"GET /api/state?after={seen}&wait_s=20 {head}"))
+        seen = state["version"]
+        await _ask(address, f"GET /api/picture.jpg {head}")
+
+
+LOADS = {one.__name__: one for one in (idle, slow_body, wrong_password, page)}
+
+
+async def _repeat(load: Callable, address: str) -> None:
+    while True:
+        with suppress(OSError, asyncio.IncompleteReadError, ValueError):
+            await load(address)
+        await asyncio.sleep(0.02)  # a refused connection is tried again
+
+
+async def _run(name: str, address: str, count: int) -> None:
+    tasks = [asyncio.create_task(_repeat(LOADS[name], address)) for _ in range(count)]
+    print("started", flush=True)
+    await asyncio.gather(*tasks)
+
+
+@contextmanager
+def load(name: str, address: str, count: int) -> Iterator[None]:
+    """Keep a number of connections busy with one of `LOADS`, until the context is left."""
+    words = [sys.executable, "-m", "tests.campaign.server_load", name, address, str(count)]
+    with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.5)  # so that the connections are there
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+def longest_s(action: Callable[[], object], *, times: int = 20) -> float:
+    """Return the longest duration of an action, s."""
+    found = []
+    for _ in range(times):
+        begun = time.monotonic()
+        action()
+        found.append(time.monotonic() - begun)
+    return max(found)
+
+
+def scan_s(console: Console) -> float:
+    """Perform a scan, and return its duration, s."""
+    begun = time.monotonic()
+    console.start_scan(reconstruct=False)
+    console.wait_for_scan(timeout_s=600.0)
+    return time.monotonic() - begun
+
+
+def stop_is_safe(console: Console) -> bool:
+    """Return whether a request to stop the scan was answered, although no scan is running."""
+    with suppress(UserError):
+        console.stop_scan()
+    return True
+
+
+def measure(folder: Path, *, repeats: int = 3) -> dict[str, float]:
+    """Measure the console under each load.
+
+    Returns
+    -------
+    dict of float
+        Shortest duration of a scan under each load, relative to that without a load (``scan under ...``), and longest
+        time until the right password is accepted and a request to stop the scan is answered, s.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, limit[1]))  # the console inherits it
+    words = ["--rig", "twin", "--fidelity", "sketch", "--scene", "radish_day15b", "-o", folder]
+    with console_process(*words, port=8770) as (_, printed):
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+        console = Console(printed[-1])
+        console.take_control("load")
+        found = {}
+        loads = [("nothing", "page", 0), ("1100 idle", "idle", 1100), ("40 clients", "page", 40), ("300 slow bodies", "slow_body", 300)]
+        loads.append(("60 wrong passwords", "wrong_password", 60))
+        alone_s = min(scan_s(console) for _ in range(repeats))
+        for label, name, count in loads:
+            with load(name, printed[-1], count):
+                found[f"scan under {label}"] = min(scan_s(console) for _ in range(repeats)) / alone_s
+                found[f"stop under {label}, s"] = longest_s(lambda: stop_is_safe(console))
+        return found
+
+
+if __name__ == "__main__":
+    if sys.argv[1] in LOADS:
+        asyncio.run(_run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
+    else:
+        print(json.dumps(measure(Path(sys.argv[1])), indent=1))
