@@ -75,8 +75,10 @@ class HttpCamera:
 
     def prepare(self) -> None:
         """Ask the server to open its camera with these settings, and verify them with a picture."""
-        greeting = self._json(self._ask("GET", "/describe", None, timeout_s=ANSWER_S))
-        if greeting.get("program") != protocol.PROGRAM or greeting.get("protocol") != protocol.PROTOCOL:
+        greeting = self._parse(self._ask("GET", "/describe", None, timeout_s=ANSWER_S).data)
+        if greeting.get("program") != protocol.PROGRAM:
+            raise self._foreign("JSON of another program")
+        if greeting.get("protocol") != protocol.PROTOCOL:
             raise RigError(
                 f"{self._name}: the reply is not from a rhizotwin camera of this version; start the same version of rhizotwin camera on "
                 "that computer"
@@ -84,7 +86,7 @@ class HttpCamera:
         session = uuid.uuid4().hex
         body = {"session": session, "settings": to_plain(self._settings)}
         timeout_s = 5.0 * self._settings.exposure_s + OPENING_S
-        self._said = plain_text(str(self._json(self._ask("POST", "/prepare", body, timeout_s=timeout_s)).get("camera")))
+        self._said = plain_text(str(self._parse(self._ask("POST", "/prepare", body, timeout_s=timeout_s).data).get("camera")))
         self._session = session
         self.capture()
 
@@ -134,16 +136,36 @@ class HttpCamera:
             late.args = [connection.sock]  # the connection drops its reference when the reply begins
             headers = {"Content-Type": "application/json", "Connection": "close"}
             connection.request(method, path, body=None if body is None else json.dumps(body), headers=headers)
-            response = stack.enter_context(connection.getresponse())
+            try:
+                response = stack.enter_context(connection.getresponse())
+            except http.client.RemoteDisconnected:
+                raise
+            except http.client.BadStatusLine as error:
+                raise self._foreign(f"not HTTP: {str(error)[:40]}") from error
+            self._check_ours(response, picture)
             answer = _Answer(headers=response.headers, data=self._read(response, self._most_bytes() if picture else MAX_TEXT_BYTES))
         if response.status != http.client.OK:
             kind = LostError if response.status == http.client.CONFLICT else RigError
-            raise kind(f"{self._name}: {_complaint(response.status, answer.data)}")
+            sentence = self._parse(answer.data).get("error")
+            if not isinstance(sentence, str):
+                raise self._foreign(f"HTTP status {response.status}")
+            raise kind(f"{self._name}: {plain_text(sentence)}")
         if picture:
             self._check_whole(answer, picture)
-        else:
-            _parse(answer.data)
         return answer
+
+    def _check_ours(self, response: http.client.HTTPResponse, picture: str) -> None:
+        """Reject a web page, a snapshot or a video stream of another server, which is not worth another request."""
+        kind = response.headers.get("Content-Type")
+        wanted = "image/png" if picture and response.status == http.client.OK else "application/json"
+        if kind is not None and (kind != wanted or response.chunked):  # without it, the header may have been cut off
+            raise self._foreign(kind if response.status == http.client.OK else f"{kind} with HTTP status {response.status}")
+
+    def _foreign(self, what: str) -> RigError:
+        return RigError(
+            f"{self._name}: the reply is not from a rhizotwin camera ({plain_text(what)}); enter the address of a computer that runs "
+            "rhizotwin camera, because snapshots and streams of other cameras do not state their exposure"
+        )
 
     def _read(self, response: http.client.HTTPResponse, most: int) -> bytes:
         """Read the body of a reply, whose length is stated in its header.
@@ -179,8 +201,14 @@ class HttpCamera:
         if answer.headers.get(protocol.SHA256) != hashlib.sha256(answer.data).hexdigest():
             raise _DamagedError("the picture was damaged during transmission")
 
-    def _json(self, answer: _Answer) -> dict[str, Any]:
-        return _parse(answer.data)
+    def _parse(self, data: bytes) -> dict[str, Any]:
+        try:
+            value = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise self._foreign("not JSON") from error
+        if not isinstance(value, dict):
+            raise self._foreign("not a JSON object")
+        return value
 
     def _shot(self, answer: _Answer) -> Shot:
         try:
@@ -240,24 +268,3 @@ def _host_port(address: str) -> tuple[str, int]:
             f"camera: address {address!r} is not of the form http://HOST:PORT; enter the address of the computer that runs rhizotwin camera"
         )
     return host, protocol.DEFAULT_PORT if port is None else port
-
-
-def _parse(data: bytes) -> dict[str, Any]:
-    try:
-        value = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise _DamagedError("the reply is not JSON") from error
-    if not isinstance(value, dict):
-        raise _DamagedError("the reply is not a JSON object")
-    return value
-
-
-def _complaint(status: int, data: bytes) -> str:
-    """Return the error message in a reply."""
-    try:
-        sentence = _parse(data).get("error")
-    except _DamagedError:
-        sentence = None
-    if isinstance(sentence, str):
-        return plain_text(sentence)
-    return f"the reply is not from a rhizotwin camera (HTTP status {status}); check the address"

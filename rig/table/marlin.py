@@ -56,7 +56,9 @@ class MarlinLink:
         Raises
         ------
         NoAnswerError
-            If there is no reply, or the reply is not from Marlin.
+            If there is no reply, or the reply is invalid.
+        RigError
+            If the board runs other firmware, which is named.
         LostError
             If the board resets repeatedly, is halted, or was unplugged.
         """
@@ -135,7 +137,7 @@ class MarlinLink:
                     return found
         heard = repr(output[-1]) if output else "nothing"
         raise NoAnswerError(
-            f"{self._wire.name}: the reply to {text} is not that of a Marlin board ({heard}); check port, baud rate and cable"
+            f"{self._wire.name}: the reply to {text} is not that of a Marlin board ({heard}); check port, baud rate, cable and firmware"
         )
 
     def send_unheard(self, *texts: str) -> None:
@@ -161,7 +163,7 @@ class MarlinLink:
         self._unsettled_s = None
         Exchange(self._wire, self._journal, expect_s=0.0, awaited=None).run()
         self._lost = None
-        self.firmware = self.ask("M115", FIRMWARE)[1]
+        self.firmware = self._ask_firmware()
         self.sessions += 1
         self.command(f"M113 S{BUSY_EVERY_S}", optional=True)
         for reports in ("M155 S0", "M154 S0"):  # unsolicited reports would interfere with the replies
@@ -169,6 +171,18 @@ class MarlinLink:
         self.command("M211 S0", optional=True)  # software endstops
         self.command("M18 S0")  # otherwise the idle motor is released, and the table angle lost
         self.ask("M114", POSITION)
+
+    def _ask_firmware(self) -> str:
+        """Return the name of the firmware.
+
+        A name other than Marlin may be damaged, so that it is queried again.
+        """
+        name = ""
+        for _ in range(ASKS):
+            name = " ".join(filter(None, self.ask("M115", FIRMWARE).groups()))
+            if re.match(r"Marlin\b", name):
+                return name
+        raise self._wire.other_firmware(name)
 
     def _listen_to_greeting(self) -> None:
         """Wait until a starting board has sent its greeting.
@@ -181,6 +195,8 @@ class MarlinLink:
         latest_s = until_s + BOOT_S
         greeted = False
         while (line := self._wire.next(until_s)) is not None:
+            if line.kind is Kind.FOREIGN:
+                self._wire.check(line)
             greeted = greeted or line.kind is Kind.RESET
             if greeted:
                 until_s = min(clock.now_s() + TRAILING_S, latest_s)

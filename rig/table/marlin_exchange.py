@@ -168,6 +168,8 @@ class Exchange:
             self._wanted.add(line.number)
             self._quiet_s = now_s + TRAILING_S
         elif line.kind is Kind.OK:
+            if self._awaited is not None and self._awaited.search(line.text):
+                self._print(line.text)
             self._handle_ok(line)
         elif line.kind is Kind.BUSY:
             if not self._refused:

@@ -14,8 +14,9 @@ MAX_LINE = 96
 POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
 """Pattern of the reply to M114. Depending on the firmware version, the text after X contains no E, or has spaces after
 the colons. A truncated line has no Count and does not match."""
-FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
-"""Pattern of the reply to M115."""
+FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(.+?)(?=,?\s+(?:X-)?[A-Z_]{4,}:|$)(?:.*\bFIRMWARE_VERSION:\s*([^\s,]+))?")
+"""Pattern of the reply to M115: name, and the version if it is not part of the name. Prusa, RepRapFirmware, Repetier,
+Smoothieware, Sprinter, Teacup and Klipper send the reply too, the last two in the line of the ``ok``."""
 
 
 class Kind(Enum):
@@ -38,6 +39,8 @@ class Kind(Enum):
     """Report that the firmware does not support a command. An ``ok`` follows nevertheless."""
     RESET = auto()
     """Line of the greeting that the board sends after a reset."""
+    FOREIGN = auto()
+    """Line that only firmware other than Marlin sends. `Line.text` is the name of the firmware."""
     HALTED = auto()
     """Report that the firmware was killed or halted."""
     OTHER = auto()
@@ -60,6 +63,15 @@ _RESET = re.compile(r"^(?:echo:|[^\w/]*)\s*start$|\b(?:External|Brown out|Watchd
 _LAST = re.compile(r"Last Line:\s*(\d+)")
 _RESEND = re.compile(r"Resend:\s*N?(\d+)")
 _OK = re.compile(r"^ok\b(?:.*?\bN(\d+))?")
+_FOREIGN = [
+    (re.compile(r"^Grbl \S+ \[(FluidNC v\S+)"), r"\1"),
+    (re.compile(r"^(\w+ \d[\w.]*) \['\$'"), r"\1"),  # greeting of Grbl, grblHAL and Grbl_Esp32
+    (re.compile(r"^(?:error|ALARM):\d+$|^error: (?:Unsupported|Expected|Bad|Invalid)|^\[MSG:.*\]$"), "Grbl, grblHAL or FluidNC"),
+    (re.compile(r"^Smoothie$"), "Smoothieware"),
+    (re.compile(r'^\{"(?:r|er|sr|qr)":|^tinyg \['), "TinyG or g2core"),
+]
+"""Lines of firmware that does not answer M115, with its name. Sources: interface.md of Grbl 1.1, report.c of Grbl 0.9
+and grblHAL, the wikis of FluidNC, Smoothieware and g2core."""
 _UNKNOWN = re.compile(r'Unknown command:\s*"?([^"]*)')
 _NOISE = "".join(map(chr, [*range(33), 127, 0xFFFD]))
 
@@ -91,6 +103,9 @@ def read_line(raw: bytes) -> Line:
     change a number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
+    for pattern, name in _FOREIGN:
+        if found := pattern.search(text):
+            return Line(kind=Kind.FOREIGN, text=found.expand(name))
     if _HALTED.search(text):
         return Line(kind=Kind.HALTED, text=text)
     if found := _LAST.search(text):

@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from rhizotwin.rig.errors import LostError, NoAnswerError
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.serial_line.port import Wire
 from rhizotwin.rig.table.marlin_lines import Kind, Line, read_line
 
@@ -74,9 +74,11 @@ class MarlinWire:
         self.forget()
 
     def check(self, line: Line) -> None:
-        """Raise a `LostError` if a line indicates a reset or a halt of the board."""
+        """Raise a `LostError` if a line indicates a reset or a halt, and a `RigError` if it is from other firmware."""
         if line.kind is Kind.RESET:
             raise self.was_reset(f'it sent "{line.text}"')
+        if line.kind is Kind.FOREIGN:
+            raise self.other_firmware(line.text)
         if line.kind is Kind.HALTED:
             raise LostError(f'{self.name}: the board has halted ("{line.text}"); find the cause, then switch the board off and on')
 
@@ -86,6 +88,10 @@ class MarlinWire:
             f"{self.name}: the board was reset ({why}), so that the table angle is lost; check supply and cable, and determine the angle "
             "again"
         )
+
+    def other_firmware(self, firmware: str) -> RigError:
+        """Return the error to be raised if the board runs firmware other than Marlin."""
+        return RigError(f"{self.name}: the board runs {firmware}; Marlin 2.1 is required: install it on the board, or correct the port")
 
     def close(self) -> None:
         """Close the port."""

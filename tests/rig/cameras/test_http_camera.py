@@ -273,22 +273,27 @@ def test_a_picture_has_one_deadline_whatever_trickles_in(pieces: Callable[[int],
     assert time.monotonic() - begun_s < 4.0
 
 
+def strange(body: bytes, *, status: str = "200 OK", kind: str = "application/json", length: int | str = -1) -> bytes:
+    return f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body) if length == -1 else length}\r\n\r\n".encode() + body
+
+
+NOT_OURS = r"the reply is not from a rhizotwin camera \({}\); enter the address"
 STRANGE = {
-    "another program": (b'HTTP/1.0 200 OK\r\nContent-Length: 17\r\n\r\n{"program": "no"}', "not from a rhizotwin camera of this version"),
-    "escapes": (
-        b'HTTP/1.1 503 x\r\nContent-Length: 40\r\n\r\n{"error": "\\u001b[2J\\u001b]0;bad\\u0007"}',
-        r"127.0.0.1:\d+: +\[2J *\]0;bad",
-    ),
-    "length of 5000 digits": (
-        b"HTTP/1.1 200 OK\r\nContent-Length: " + b"9" * 5000 + b"\r\n\r\n",
-        r"the reply has 999999999999\.\.\. bytes",
-    ),
+    "another program": (strange(b'{"program": "no"}'), NOT_OURS.format("JSON of another program")),
+    "another version": (strange(b'{"program": "rhizotwin camera", "protocol": 0}'), "not from a rhizotwin camera of this version"),
+    "snapshot": (strange(b"\xff\xd8" * 60_000, kind="image/jpeg"), NOT_OURS.format("image/jpeg")),
+    "stream": (strange(b"--b\r\n", kind="multipart/x-mixed-replace; boundary=b", length=""), NOT_OURS.format("multipart/x-mixed-.*")),
+    "login page": (strange(b"<html>", kind="text/html", status="401 No"), NOT_OURS.format("text/html with HTTP status 401")),
+    "API": (strange(b'{"detail": 1}', status="404 No"), NOT_OURS.format("HTTP status 404")),
+    "no HTTP": (b"SSH-2.0-OpenSSH_9.2\r\n", NOT_OURS.format("not HTTP: SSH-2.0-OpenSSH_9.2.*")),
+    "escapes": (strange(b'{"error": "\\u001b[2J\\u001b]0;bad\\u0007"}', status="503 x"), r"127.0.0.1:\d+: +\[2J *\]0;bad"),
+    "length of 5000 digits": (strange(b"", length="9" * 5000), r"the reply has 999999999999\.\.\. bytes"),
 }
 
 
 @pytest.mark.parametrize(("answer", "named"), STRANGE.values(), ids=STRANGE)
 def test_what_a_strange_server_says_stays_harmless(answer: bytes, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_module, "ANSWER_S", 1.0)
+    monkeypatch.setattr(http_module, "RETRIES", 0)
     with answering(lambda k: answer if k == 0 else b"") as address, pytest.raises(RigError, match=named) as said:
         remote_of(address).prepare()
     assert str(said.value).isprintable()

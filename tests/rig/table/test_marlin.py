@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from rhizotwin.rig.errors import LostError, NoAnswerError
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_exchange import ANSWER_S, BUSY_S, LONGEST_S
 from rhizotwin.rig.table.marlin_lines import POSITION, Kind, encode_line, read_line
 from tests.rig.table.marlin_script import GREETING, POSITION_LINE, Script, Talk
 
-M400 = "N8 M400"
+M110, M400 = "N0 M110 N0", "N8 M400"
 NEXT = ("N9 M17", ("ok",))
 REFUSED = ("Error:checksum mismatch, Last Line: 7", "Resend: 8", "ok")
 TWICE = ("Error:Line Number is not Last Line Number+1, Last Line: 8", "Resend: 9", "ok")
@@ -140,11 +140,33 @@ def test_a_late_greeting_begins_anew_but_not_for_ever(make_board: Any) -> None:
         MarlinLink(Script(make_board().clock, *[(GREETING[0][0], (0.1, "start"))] * 3)).start()
 
 
-def test_another_firmware_is_named(make_board: Any) -> None:
-    link = MarlinLink(Script(make_board().clock, GREETING[0], *[(f"N{n} M115", ("Grbl 1.1f", "ok")) for n in (1, 2, 3)]))
-    with pytest.raises(NoAnswerError, match=r"the reply to M115 is not that of a Marlin board \('Grbl 1.1f'\)"):
+def reply(name: str, ok: str = "ok") -> list[tuple[str, tuple[str, ...]]]:
+    return [GREETING[0], *[(f"N{n} M115", (name, "Cap:EEPROM:0", "ok") if ok else (f"ok {name}",)) for n in (1, 2, 3)]]
+
+
+FOREIGN: dict[str, list[tuple[str, tuple[str, ...]]]] = {
+    "Grbl 1.1h": [(M110, ("", "Grbl 1.1h ['$' for help]"))],
+    "FluidNC v3.7.17": [(M110, ("Grbl 3.7 [FluidNC v3.7.17 (wifi) '$' for help]",))],
+    "Grbl, grblHAL or FluidNC": [(M110, ("error:20",))],
+    "Grbl 0.9j": [(M110, ("Grbl 0.9j ['$' for help]",))],
+    "TinyG or g2core": [(M110, ('{"r":{"gc":"N0M110"},"f":[1,108,12,1234]}',))],
+    "Prusa-Firmware 3.13.2 based on Marlin": reply("FIRMWARE_NAME:Prusa-Firmware 3.13.2 based on Marlin FIRMWARE_URL:https://x"),
+    "RepRapFirmware for Duet 2 WiFi 3.4.5": reply("FIRMWARE_NAME: RepRapFirmware for Duet 2 WiFi FIRMWARE_VERSION: 3.4.5"),
+    "Smoothieware edge-94de12c": reply("FIRMWARE_NAME:Smoothieware, FIRMWARE_URL:http%3A//x, X-SOURCE:y, FIRMWARE_VERSION:edge-94de12c, Z"),
+    "Repetier_0.92.9": reply("FIRMWARE_NAME:Repetier_0.92.9 FIRMWARE_URL:https://x PROTOCOL_VERSION:1.0"),
+    "Klipper v0.12.0": reply("FIRMWARE_NAME:Klipper FIRMWARE_VERSION:v0.12.0", ""),  # as Klipper 84104bb replies on its terminal
+    "Teacup": reply("FIRMWARE_NAME:Teacup FIRMWARE_URL:http%3A//github.com/traumflug PROTOCOL_VERSION:1.0", ""),
+}
+
+
+@pytest.mark.parametrize(("name", "steps"), FOREIGN.items(), ids=FOREIGN)
+def test_another_firmware_is_named_at_once(name: str, steps: list[Any], make_board: Any) -> None:
+    script = Script(make_board().clock, *steps)
+    link = MarlinLink(script)
+    with pytest.raises(RigError, match=f"^turntable on fake: the board runs {name}; Marlin 2.1 is required"):
         link.start()
     assert not link.ready
+    assert script.clock.now_s() < 5.0
 
 
 SENT = [
