@@ -33,7 +33,7 @@ _COARSE, _FINER = 32, 4
 """Number of coarse cubes along the edge of a cube with the same volume as the water, and number of fine cubes along
 each edge of a coarse cube. There are about 32^3 coarse cubes, and each can be divided into 4^3 fine cubes.
 
-Only coarse cubes that no view or a single view excludes are divided. The views are then compared on the fine cubes. In
+Only coarse cubes of the tolerant hull are divided. The views are then compared on the fine cubes. In
 the canister of the thesis, the fine cubes have an edge of 1 mm, or 4 px in pictures of 800 px."""
 _WRONG, _WRONG_TIMES = 0.1, 4.0
 """Absolute and relative threshold above which a view is wrong. The inconsistency of a wrong view exceeds 0.1, and it
@@ -132,8 +132,8 @@ def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[N
 def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> list[int]:
     """Return the indices of views that contradict all others, such as a mirrored or truncated picture.
 
-    The views are compared with a tolerant hull, from which a cube is removed only if at least two views exclude it. The
-    least consistent view is removed and the comparison is repeated, until no view is wrong.
+    The views are compared with a tolerant hull, from which a cube is removed only if more views exclude it than may be
+    wrong. The least consistent view is removed and the comparison is repeated, until no view is wrong.
 
     Parameters
     ----------
@@ -155,9 +155,14 @@ def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: W
         if found is None:
             return wrong
         wrong.append(left.pop(found))
-        if len(wrong) > max(1.0, MOST_WRONG * bank.count):
+        if len(wrong) > _most_wrong(bank):
             return []
     return []
+
+
+def _most_wrong(bank: ViewBank) -> int:
+    """Return how many views may be wrong."""
+    return max(1, int(MOST_WRONG * bank.count))
 
 
 def _find_worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
@@ -175,12 +180,12 @@ def _find_worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water)
 
 
 def _candidate_cubes(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Select the cubes (M, 3) that enough views show and that no more than one view excludes.
+    """Select the cubes (M, 3) that enough views show and that no more views exclude than may be wrong.
 
     Also return whether each view excludes each of these cubes (V, M).
     """
     found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
-    kept = (found.excluded.sum(axis=0) <= 1) & (found.sees.sum(axis=0) >= least_votes(bank.count))
+    kept = (found.excluded.sum(axis=0) <= _most_wrong(bank)) & (found.sees.sum(axis=0) >= least_votes(bank.count))
     return cubes[kept], found.excluded[:, kept]
 
 
