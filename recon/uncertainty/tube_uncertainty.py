@@ -13,7 +13,6 @@ from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
-from rhizotwin.recon.device import Float, Kernel
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import root_light, tube_fit, tube_profiles
 from rhizotwin.recon.tubes.root_light import HAIRS
@@ -72,7 +71,7 @@ def estimate(system: RootSystem) -> TubeUncertainty:
     gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # derivative of the volume by the radius
     wish = _view_contributions(tubes, profiles, gain)
     total = float(wish.sum())
-    rest = _Residual.compute(system.evidence, drawn.passing, drawn.difference, system.px_a_mm)
+    rest = _Residual.compute(system)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
     hidden = _hidden_radii(tubes, profiles, gain, rest.variance)
@@ -230,19 +229,24 @@ class _Residual:
     unexplained: float
     """Fraction of all covered area that is far from tubes."""
     fill: float
+    """Fraction of the root zone that thin roots cover, outside thick roots. Median of the views."""
 
     @staticmethod
-    def compute(evidence: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Residual:
+    def compute(system: RootSystem) -> _Residual:
         """Compute the residuals of all views.
 
         Views are evaluated one after the other, to limit memory.
         """
+        evidence, drawn, px_a_mm = system.evidence, system.rendering, system.px_a_mm
         (width, height), count = evidence.image_wh, evidence.bank.count
-        pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, passing, difference)]
-        views = [
-            _ViewResidual.compute(evidence, silhouette, known > 0, 1.0 - free, left.astype(np.float32), px_a_mm)
-            for silhouette, known, free, left in zip(evidence.silhouettes, *pictures, strict=True)
-        ]
+        pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, drawn.passing, drawn.difference)]
+        radius_px = np.rint(system.tubes.radius_mm[system.thick] * px_a_mm).astype(np.int64).tolist()
+        views = []
+        for k, (silhouette, known, free, left) in enumerate(zip(evidence.silhouettes, *pictures, strict=True)):
+            thick = np.zeros((height, width), np.uint8)
+            for at, wide in zip(np.rint(drawn.at.px[k, system.thick]).astype(np.int64).tolist(), radius_px, strict=True):
+                cv2.circle(thick, at, wide, 1, thickness=-1)
+            views.append(_ViewResidual.compute(evidence, silhouette, known > 0, thick > 0, 1.0 - free, left.astype(np.float32), px_a_mm))
         area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
         beyond = max(0.0, sum(view.beyond for view in views))
         fills, missing = ([view.fill for view in views if view.has_roots], [view.missing_px3 for view in views if view.has_roots])
@@ -276,13 +280,17 @@ class _ViewResidual:
     missing_px3: float = 0.0
 
     @staticmethod
-    def compute(evidence: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _ViewResidual:
+    def compute(
+        evidence: Evidence, picture: Silhouette, known: Mask, thick: Mask, drawn: Image, left: Image, px_a_mm: float
+    ) -> _ViewResidual:
         """Compare a picture with the tubes.
 
         Parameters
         ----------
         known : (H, W) bool array
             Mask of usable pixels.
+        thick : (H, W) bool array
+            Mask of pixels that thick roots cover.
         drawn, left : (H, W) float32 array
             Coverage by the tubes, and the residual.
         """
@@ -312,4 +320,5 @@ class _ViewResidual:
             depth_px = np.maximum(depth_px, px_a_mm / evidence.mu_per_mm)
         volume = float((far * depth_px).sum(dtype=np.float64))
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
-        return replace(rest, has_roots=True, fill=float(np.where(known, picture.coverage, 0.0)[zone].mean()), missing_px3=missing)
+        thin = np.where(known, picture.coverage, 0.0)[zone][~thick[zone]]
+        return replace(rest, has_roots=True, fill=float(thin.mean()) if thin.size else 0.0, missing_px3=missing)

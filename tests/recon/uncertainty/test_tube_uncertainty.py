@@ -28,6 +28,13 @@ def test_true_tubes_have_little_uncertainty_and_a_twig_is_missed() -> None:
     assert 0.2 < unexplained < 0.4  # a third of the length, aslant and partly beside the trunk
 
 
+def test_a_thick_root_does_not_count_as_crowded_thin_roots() -> None:
+    thick, thin = (strung(TRUNK, radius_mm=radius_mm) for radius_mm in (2.0, 0.25))
+    fills = [tube_uncertainty.estimate(at_rest(found, px_a_mm=4.0, seen=pictured(found))).fill for found in (thick, thin)]
+    assert fills[0] < 0.05
+    assert fills[1] > 0.2
+
+
 def test_swollen_tubes_are_pulled_back() -> None:
     true = strung(TRUNK, radius_mm=0.25)
     terms, _ = estimated(pictured(true), tubes.with_geometry(true, true.centre_mm, 1.1 * true.radius_mm))
