@@ -9,6 +9,14 @@ STEP_S = 1.0
 """Interval, in seconds, at which a waiting clock checks whether the run is to be stopped."""
 
 
+STEP = timedelta(minutes=1)
+"""Step of the computer's clock that is not a correction of its drift. A clock that drifts by 100 ppm, as those of
+computers at most do, gains a minute in a week, and is corrected far more often."""
+SYNCHRONISED = timedelta(minutes=15)
+"""Time after the start of a computer within which its clock may still be set for the first time. A Raspberry Pi has no
+clock of its own, and begins with the time at which it was switched off."""
+
+
 class Calendar(Protocol):
     """Interface of a clock."""
 
@@ -25,12 +33,44 @@ class Calendar(Protocol):
         """
 
 
+def uptime_s() -> float:
+    """Return the time since the computer was started, s.
+
+    Unlike `time.monotonic`, it includes the time for which the computer was suspended, where the system counts it.
+    """
+    counts = getattr(time, "CLOCK_BOOTTIME", None) or getattr(time, "CLOCK_MONOTONIC", None)
+    return time.monotonic() if counts is None else time.clock_gettime(counts)
+
+
 class SystemCalendar:
-    """Clock with the time of the computer."""
+    """Clock with the time of the computer when it was created, plus the time elapsed since.
+
+    Steps of the computer's clock above `STEP` therefore neither skip nor delay a scan. Smaller corrections, and the
+    first synchronisation after the start of a computer, are followed.
+
+    Parameters
+    ----------
+    say : callable
+        Function that receives a message when the computer's clock was set.
+    """
+
+    def __init__(self, say: Callable[[str], None] = lambda _: None) -> None:
+        self._say = say
+        self._zero = self._told = datetime.now(UTC) - timedelta(seconds=uptime_s())
 
     def now(self) -> datetime:
-        """Return the current time of the computer, UTC."""
-        return datetime.now(UTC)
+        """Return the current time, UTC."""
+        elapsed = timedelta(seconds=uptime_s())
+        zero = datetime.now(UTC) - elapsed
+        if abs(zero - self._zero) < STEP or elapsed < SYNCHRONISED:
+            self._zero = self._told = zero
+        elif abs(zero - self._told) >= STEP:
+            self._told = zero
+            self._say(
+                f"the clock of this computer was set from {self._zero + elapsed:%Y-%m-%d %H:%M} to {zero + elapsed:%Y-%m-%d %H:%M} UTC; "
+                "the schedule continues by the elapsed time; if the new time is right, restart the run"
+            )
+        return self._zero + elapsed
 
     def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:
         """Sleep until a given time, or until ``stop`` returns True."""

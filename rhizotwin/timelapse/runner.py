@@ -29,7 +29,7 @@ from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.timelapse.changers import Changer, NobodyError
-from rhizotwin.timelapse.clocks import Calendar, SystemCalendar, VirtualCalendar
+from rhizotwin.timelapse.clocks import STEP, Calendar, SystemCalendar, VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member
 from rhizotwin.timelapse.reconstruction import Reconstructor, growth_page
 from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
@@ -127,6 +127,7 @@ class Runner:
             self._prepare(catalogue)
             calendar = self._calendar = self._calendar or self._usual_calendar(catalogue)
             self.table = self.table or (EmulatedTable if self.experiment.is_emulated else RealTable)(self.experiment)
+            self._reopen(catalogue)
             self._changer = self._changer or changer_of(self.experiment, self.table, ask=self.listener.ask)
             reconstructor, stop = Reconstructor(self.experiment, say=self.listener.say), self.listener.stop
             while (visit := _next_visit(catalogue)) is not None and not stop():
@@ -149,9 +150,24 @@ class Runner:
 
     def _usual_calendar(self, catalogue: Catalogue) -> Calendar:
         if not self.experiment.is_emulated:
-            return SystemCalendar()
+            return SystemCalendar(self.listener.say)
         times = [one for visit in list_visits(catalogue) for one in (visit.began_utc, visit.ended_utc) if one]
         return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
+
+    def _reopen(self, catalogue: Catalogue) -> None:
+        """Plan scans again that were recorded as missed at a later time than now, because the clock was wrong."""
+        now, visits = self._now(), list_visits(catalogue)
+        last = max((one for visit in visits for one in (visit.began_utc, visit.ended_utc)), default="")
+        if not last or datetime.fromisoformat(last) < now + STEP:
+            return
+        wrong = [one for one in visits if one.state == "missed" and datetime.fromisoformat(one.ended_utc) >= now + STEP]
+        again = [one for one in wrong if not self._is_over(one)]
+        self.listener.say(
+            f"the clock of this computer shows {now:%Y-%m-%d %H:%M} UTC, but the catalogue has entries of {last[:16]}, one of which is wrong; "
+            f"{count(len(again), 'scan')} recorded as missed since then can still be taken"
+        )
+        for visit in again:
+            self._change(catalogue, visit, state="due", note="")
 
     def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
         """Perform a planned scan at its time, or record it as missed.
@@ -203,12 +219,15 @@ class Runner:
 
         Time passes while a person places the canister, and between two attempts.
         """
-        if self._now() <= datetime.fromisoformat(visit.due_utc) + timedelta(hours=self.experiment.schedule.late_h):
+        if not self._is_over(visit):
             return False
         begun = (folder / "dataset.json").is_file()
         note = reason or visit.note or f"the scan was {'interrupted and not continued' if begun else 'not started'} in time"
         self._change(catalogue, visit, state="missed", note=note)
         return True
+
+    def _is_over(self, visit: Visit) -> bool:
+        return self._now() > datetime.fromisoformat(visit.due_utc) + timedelta(hours=self.experiment.schedule.late_h)
 
     def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
         """Check the identity of the plant in the first picture, and scan it.

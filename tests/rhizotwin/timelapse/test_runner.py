@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -23,6 +24,7 @@ from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.timelapse import clocks
 from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
 from rhizotwin.timelapse.clocks import VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member, load_experiment
@@ -169,6 +171,37 @@ def test_late_scans_are_missed(make_experiment):
     outcome = Runner(experiment, calendar=calendar).run()
     assert outcome.scanned == 1
     assert [one.due_utc[:10] for one in outcome.missed] == ["2026-12-01", "2026-12-02"]
+
+
+def test_missed_by_a_wrong_clock_is_planned_again(make_experiment):
+    path, lines = make_experiment(plants=1, rounds=3), list[str]()
+    wrong, right = (VirtualCalendar(datetime.fromisoformat(f"{day}T09:00:00+00:00")) for day in ("2027-01-01", "2026-12-02"))
+    assert len(Runner(load_experiment(path), calendar=wrong).run().missed) == 3
+    outcome = Runner(load_experiment(path), calendar=right, listener=Listener(say=lines.append)).run()
+    assert (outcome.scanned, [one.due_utc[:10] for one in outcome.missed]) == (2, ["2026-12-01"])
+    assert "shows 2026-12-02 09:00 UTC, but the catalogue has entries of 2027-01-01T09:00" in lines[0]
+
+
+def test_steps_of_the_clock_do_not_move_the_schedule(monkeypatch: pytest.MonkeyPatch):
+    wall = VirtualCalendar(datetime.fromisoformat("2026-12-01T09:00:00+00:00"))
+    up_s, said = [7200.0], list[str]()
+    monkeypatch.setattr(clocks, "datetime", SimpleNamespace(now=lambda _: wall.now()))
+    monkeypatch.setattr(clocks, "uptime_s", lambda: up_s[0])
+    calendar = clocks.SystemCalendar(said.append)
+
+    def step(step_s: float, elapsed_s: float = 3600.0) -> str:
+        wall.advance(step_s + elapsed_s)
+        up_s[0] += elapsed_s
+        return f"{calendar.now():%d %H:%M:%S}"
+
+    shown = [step(0.0), step(30.0), step(-86400.0), step(86400.0 * 31), step(-86400.0 * 30)]
+    assert shown == ["01 10:00:00", "01 11:00:30", "01 12:00:30", "01 13:00:30", "01 14:00:30"]
+    assert [re.findall(r"-(\d\d) (\d\d):", line) for line in said] == [[("01", "12"), ("30", "12")], [("01", "13"), ("31", "13")]]
+    up_s[0] = 60.0
+    early = clocks.SystemCalendar(said.append)
+    wall.advance(86400.0)  # a Raspberry Pi learns the time soon after it was switched on
+    assert early.now() == wall.now()
+    assert len(said) == 2
 
 
 def run_slowly(experiment: Experiment, hours: float, **callbacks: Any) -> Outcome:
