@@ -163,7 +163,7 @@ class Runner:
         wrong = [one for one in visits if one.state == "missed" and datetime.fromisoformat(one.ended_utc) >= now + STEP]
         again = [one for one in wrong if not self._is_over(one)]
         self.listener.say(
-            f"the clock of this computer shows {now:%Y-%m-%d %H:%M} UTC, but the catalogue has entries of {last[:16]}, one of which is wrong; "
+            f"the clock of this computer shows {now:%Y-%m-%d %H:%M} UTC, but the catalogue has entries of {last[:16]}, and one is wrong; "
             f"{count(len(again), 'scan')} recorded as missed since then can still be taken"
         )
         for visit in again:
