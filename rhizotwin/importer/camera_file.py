@@ -1,14 +1,16 @@
-"""Cameras of the imported pictures, from a file in nerfstudio's format."""
+"""Cameras of the imported pictures, from a file in nerfstudio's format or from a COLMAP model."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from rhizotwin.given_lens import Lens
+from rhizotwin.importer.colmap_model import read_colmap
 from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import FAR_MM, Scene
 
 
 def pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
@@ -20,15 +22,21 @@ def pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
     return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
 
 
+def lens_of(path: Path, given: GivenCameras) -> Lens:
+    """Return the lens of a picture that has a camera in the camera file."""
+    return given.lenses[path.name if path.name in given.lenses else path.stem]
+
+
 def read_camera_file(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
-    """Read a camera file.
+    """Read a camera file or a COLMAP model.
 
     Parameters
     ----------
     scene : Scene
         Scene with the canister, and with the properties of the camera that the format does not include.
     cameras : Path
-        File in nerfstudio's format (see `rhizotwin.nerfstudio`).
+        File in nerfstudio's format (see `rhizotwin.nerfstudio`), or folder of a COLMAP model (see
+        `rhizotwin.importer.colmap_model`).
 
     Returns
     -------
@@ -38,9 +46,10 @@ def read_camera_file(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
     Raises
     ------
     UserError
-        If the file is unreadable or invalid, or a camera is inside the canister.
+        If the file is unreadable or invalid, or a camera is inside the canister or does not show it.
     """
-    given = read_cameras(cameras, scene.camera)
+    read = read_colmap if cameras.is_dir() else read_cameras
+    given = read(cameras, scene.camera)
     changed = replace(scene, camera=given.camera)
     scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
     _check_cameras(given, scene, cameras)
@@ -86,14 +95,50 @@ def with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: l
     return kept
 
 
+def lens_notes(given: GivenCameras) -> list[str]:
+    """Return notes about values of the camera file that were assumed or ignored, and about replaced lenses."""
+    lenses, camera = set(given.lenses.values()), given.camera
+    kinds = "a fisheye lens" if any(lens.is_fisheye for lens in lenses) else "a lens with k4, k5 or k6"
+    if len(lenses) > 1:
+        kinds = f"{len(lenses)} different lenses"
+    if given.is_resampled:
+        model = "the lens of most pictures" if any(camera.distortion) else "one lens without distortion"
+        said = [
+            f"the pictures have {kinds}, which one camera of this program cannot describe. They were resampled to {model} with "
+            f"{camera.image_wh[0]}x{camera.image_wh[1]} px, without the margins that only some of them show, or that are more than 65 "
+            "degrees from the optical axis"
+        ]
+    elif all(lens == Lens.of(camera) for lens in lenses):
+        said = []
+    else:
+        terms = ", ".join(f"{value:.6g}" for value in camera.distortion)
+        off_px = max(lens.difference_px(camera) for lens in lenses)
+        said = [f"{kinds} replaced by OpenCV's ordinary model with k1, k2, p1, p2, k3 = {terms}; it differs by at most {off_px:.2g} px"]
+    return [*given.notes, *said]
+
+
 def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
-    """Raise UserError if a camera is inside the canister, which indicates a wrong unit or coordinate frame."""
+    """Raise UserError if a camera cannot belong to the scene, which indicates a wrong unit, frame or projection."""
+    must = "coordinates must be given in the canister frame in millimetres"
+    radius_mm, height_mm = scene.canister.outer_radius_mm, scene.canister.height_mm
+    corners = np.array(
+        [[x, y, z] for x in (-radius_mm, 0.0, radius_mm) for y in (-radius_mm, 0.0, radius_mm) for z in np.linspace(-height_mm, 0.0, 9)]
+    )
     for name, cam_from_canister in given.cam_from_canister.items():
         centre_mm = frames.invert(cam_from_canister)[:3, 3]
-        inside = np.hypot(centre_mm[0], centre_mm[1]) < scene.canister.outer_radius_mm
-        if inside and scene.water.n_water > 1.0 and -scene.canister.height_mm < centre_mm[2] < 0.0:
-            x, y, z = centre_mm
+        x, y, z = centre_mm
+        inside = np.hypot(x, y) < radius_mm
+        if inside and scene.water.n_water > 1.0 and -height_mm < z < 0.0:
+            raise UserError(f"{cameras}: the camera of {name} is inside the canister, at ({x:.3g}, {y:.3g}, {z:.3g}) mm; {must}")
+        if scene.camera.kind == "telecentric" and np.linalg.norm(centre_mm) < 0.5 * FAR_MM:
             raise UserError(
-                f"{cameras}: the camera of {name} is inside the canister, at ({x:.3g}, {y:.3g}, {z:.3g}) mm; "
-                "coordinates must be given in the canister frame in millimetres"
+                f"{cameras}: the camera of {name} is a perspective camera, but that of the scene is telecentric; set camera.kind of "
+                'the scene to "pinhole"'
+            )
+        in_cam = frames.apply(cam_from_canister, corners)
+        px = Lens.of(given.camera).pixels(in_cam[in_cam[:, 2] > 0.0, :2] / in_cam[in_cam[:, 2] > 0.0, 2:])
+        if not ((px > 0.0) & (px < np.array(given.camera.image_wh))).all(axis=1).any():
+            raise UserError(
+                f"{cameras}: the camera of {name}, at ({x:.3g}, {y:.3g}, {z:.3g}) mm, does not show the canister; {must}, and rotations "
+                "with the axes of the format"
             )

@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import TypeAlias
 
 from rhizotwin import raw_pictures
-from rhizotwin.importer.camera_file import pose_of
+from rhizotwin.importer.camera_file import lens_of, pose_of
 from rhizotwin.importer.damaged_rows import DamageCheck
+from rhizotwin.importer.resampling import Resampler
 from rhizotwin.importer.silhouettes import encode_silhouette
 from rhizotwin.nerfstudio import GivenCameras
 from rhizotwin.picture_files import read_picture
@@ -14,8 +15,9 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Frame, file_sha256
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.picture_codec import Grey, encode_light_png
+from rhizotwin.scenes.picture_codec import Grey, decode_light, encode_light_png, encode_png
 from rhizotwin.scenes.picture_damage import is_sealed
+from rhizotwin.scenes.transfer import LINEAR, camera_curve, read_stated_curve
 
 Placed: TypeAlias = tuple[int, str, int, float | None]
 """View, band, ring and table angle (deg, or None if it is unknown) of a picture."""
@@ -41,6 +43,8 @@ class PictureCopier:
     def __init__(self, scene: Scene, folder: Path, *, raw: bool, white: int | None, given: GivenCameras | None) -> None:
         self._scene, self._folder = scene, folder
         self._raw, self._white, self._given = raw, white, given
+        self._picture_wh = scene.camera.image_wh if given is None else given.picture_wh
+        self._resampler = Resampler(given.camera) if given is not None and given.is_resampled else None
         self._gains: tuple[float, float] | None = None
         self._damage = DamageCheck()
         self._count = 0
@@ -48,7 +52,9 @@ class PictureCopier:
         """Fraction of saturated pixels in each overexposed picture, keyed by file name."""
 
     def copy(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
-        """Copy all pictures to the dataset. Photographs are stored unchanged, and all other pictures as PNG.
+        """Copy all pictures to the dataset.
+
+        Photographs are stored unchanged, and all other pictures and those with another lens as PNG.
 
         Parameters
         ----------
@@ -82,16 +88,20 @@ class PictureCopier:
         """Write one picture to the dataset, and check its exposure."""
         view, band, ring, table_deg = placed
         if self._raw:
-            grey, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
+            grey, self._gains = raw_pictures.read_raw(path, image_wh=self._picture_wh, gains=self._gains)
             data = encode_light_png(grey)
         else:
-            data, grey = read_picture(path, image_wh=self._scene.camera.image_wh)
+            data, grey = read_picture(path, image_wh=self._picture_wh)
             if self._white is not None:
                 data = encode_silhouette(grey, self._white, path)
-        name = f"images/{path.stem}{'.png' if self._raw or self._white is not None else path.suffix.lower()}"
+        sealed = self._raw or is_sealed(data)
+        if self._resampler is not None:
+            data = self._resample(path, grey if self._raw else data)
+        kept = not self._raw and self._white is None and self._resampler is None
+        name = f"images/{path.stem}{path.suffix.lower() if kept else '.png'}"
         write_bytes(self._folder / name, data)
         if self._white is None:
-            self._damage.add(path, (ring, band), grey, sealed=self._raw or is_sealed(data))
+            self._damage.add(path, (ring, band), grey, sealed=sealed)
             if (share := _clipped(grey)) > MOST_SATURATED:
                 self.clipped[name] = round(share, 4)
         pose = None if self._given is None else pose_of(path, self._given)
@@ -105,6 +115,17 @@ class PictureCopier:
             table_deg=table_deg,
             cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
         )
+
+    def _resample(self, path: Path, picture: bytes | Grey) -> bytes:
+        """Return a picture as PNG, resampled from its own lens to that of the dataset, and linear in light."""
+        assert self._resampler is not None
+        assert self._given is not None
+        lens, masks = lens_of(path, self._given), self._white is not None
+        if isinstance(picture, bytes):
+            curve = LINEAR if masks else read_stated_curve(picture) or camera_curve(self._scene.camera)
+            picture = decode_light(picture, curve, where=str(path))
+        resampled = self._resampler.resample(picture, lens, masks=masks)
+        return encode_png(resampled) if masks else encode_light_png(resampled)
 
     def notes(self) -> list[str]:
         """Return notes about overexposed pictures and about pictures that could not be checked for damage."""

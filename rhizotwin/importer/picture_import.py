@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin import raw_pictures
-from rhizotwin.importer.camera_file import read_camera_file, with_cameras
+from rhizotwin.importer.camera_file import lens_notes, read_camera_file, with_cameras
 from rhizotwin.importer.picture_copy import PictureCopier
 from rhizotwin.importer.silhouettes import white_level
 from rhizotwin.nerfstudio import GivenCameras
@@ -52,8 +52,9 @@ def import_pictures(
     out : Path
         New or empty dataset folder, which is written atomically.
     cameras : Path or None
-        File in nerfstudio's format transforms.json, in the canister frame, mm (see `rhizotwin.nerfstudio`). Pictures
-        without a camera are excluded and listed in a note. None: poses are estimated from the marker strip.
+        File in nerfstudio's format transforms.json (see `rhizotwin.nerfstudio`), or folder of a COLMAP model, in the
+        canister frame, mm. Pictures without a camera are excluded and listed in a note. If one camera cannot describe
+        the lenses, the pictures are resampled. None: poses are estimated from the marker strip.
     masks : bool
         The pictures are silhouettes with white roots on black; requires ``cameras``.
     no_strip : bool
@@ -76,10 +77,11 @@ def import_pictures(
     if cameras is not None:
         scene, given = read_camera_file(scene, cameras)
         paths = with_cameras(paths, given, cameras, notes)
+        notes += lens_notes(given)
     bands = _bands_of(paths, scene)
     angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
     table = [(view, band, *angles[view]) for view, band in bands]
-    white = white_level(paths, image_wh=scene.camera.image_wh) if masks else None
+    white = white_level(paths, image_wh=given.picture_wh) if masks and given is not None else None
     notes += [_curve_note(paths, scene, raw=raw)] if white is None else []
     origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
     with new_folder(out) as building:

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.building.measures import load_measures
+from rhizotwin.importer.colmap_model import read_colmap
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes.dataset import load_dataset
@@ -29,6 +30,10 @@ READERS: dict[str, Callable[[Path], object]] = {
     "rig.toml": load_rig,
     "measures.toml": load_measures,
     "transforms.json": lambda path: read_cameras(path, Camera()),
+    **{
+        f"colmap_{kind}/{name}.{kind}": lambda path: read_colmap(path.parent, Camera())
+        for kind, name in (("bin", "cameras"), ("bin", "images"), ("txt", "images"))
+    },
     "dataset/dataset.json": lambda path: load_dataset(path.parent),
     "result/result.json": lambda path: load_result(path.parent),
     "result/shape.npz": lambda path: result_files.read_leaves(path.parent),

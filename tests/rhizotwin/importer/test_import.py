@@ -1,4 +1,4 @@
-"""Pictures from elsewhere: order, sizes, silhouettes, and the two conventions of given cameras (axes, pixel centres)."""
+"""Pictures from elsewhere: order, sizes, formats, damage and silhouettes."""
 
 import json
 from dataclasses import replace
@@ -12,14 +12,13 @@ from PIL import Image
 
 from rhizotwin.importer.damaged_rows import LEAST, RingPictures
 from rhizotwin.importer.picture_import import import_pictures
-from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from tests.command import Command
 
 WH = (64, 48)
@@ -102,45 +101,6 @@ def test_damage_without_a_checksum_is_shown_by_neighbours(tmp_path: Path, scene:
     assert any("without a checksum" in note for note in import_pictures(tmp_path / "in", scene, tmp_path / "out").notes)
 
 
-def test_given_cameras_project_like_opencv(tmp_path: Path, scene: Scene) -> None:
-    """A point's pixel by our dataset equals the one by the file's own rules: OpenGL axes, pixel corners at integers."""
-    names = ["a.png", "b.png", "c.png"]
-    cameras = write_cameras(tmp_path / "transforms.json", names, p1=0.001)
-    made = import_pictures(write_pictures(tmp_path / "in", *names), scene, tmp_path / "out", cameras=cameras)
-    file = json.loads(cameras.read_text())
-    point_mm = np.array([12.0, -7.0, -55.0])
-    assert [frame.table_deg for frame in made.dataset.frames] == [None] * 3
-    for frame, pose in zip(made.dataset.frames, file["frames"], strict=True):
-        gl_from_world = np.linalg.inv(np.array(pose["transform_matrix"]))
-        x, y, z = (gl_from_world @ [*point_mm, 1.0])[:3]
-        u, v = x / -z, -y / -z
-        r2 = u * u + v * v
-        radial = 1.0 + file["k1"] * r2
-        corner_px = [
-            file["fl_x"] * (u * radial + 2.0 * file["p1"] * u * v) + file["cx"],
-            file["fl_y"] * (v * radial + file["p1"] * (r2 + 2.0 * v * v)) + file["cy"],
-        ]
-        cam_from_canister = np.array(frame.cam_from_canister)
-        camera = made.dataset.scene.camera
-        matrix = np.array([[camera.focal_px[0], 0, camera.principal_px[0]], [0, camera.focal_px[1], camera.principal_px[1]], [0, 0, 1.0]])
-        rotation, _ = cv2.Rodrigues(cam_from_canister[:3, :3])
-        px, _ = cv2.projectPoints(point_mm[None], rotation, cam_from_canister[:3, 3], matrix, np.array(camera.distortion))
-        np.testing.assert_allclose(px.ravel() + 0.5, corner_px, atol=1e-9)
-        assert -z > 300.0
-
-
-def test_applied_transform_is_taken_back(tmp_path: Path) -> None:
-    plain = read_cameras(write_cameras(tmp_path / "a.json", ["a.png", "b.png"]), Camera())
-    applied = np.array([[0.0, 1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0.0, 0.0, -1.0, 7.0]])
-    file = json.loads((tmp_path / "a.json").read_text())
-    for frame in file["frames"]:
-        frame["transform_matrix"] = (np.vstack([applied, [0, 0, 0, 1]]) @ np.array(frame["transform_matrix"])).tolist()
-    (tmp_path / "b.json").write_text(json.dumps(file | {"applied_transform": applied.tolist()}))
-    moved = read_cameras(tmp_path / "b.json", Camera())
-    assert list(moved.cam_from_canister) == list(plain.cam_from_canister) == ["a.png", "b.png"]
-    np.testing.assert_allclose(*(list(read.cam_from_canister.values()) for read in (moved, plain)), atol=1e-9)
-
-
 def test_pictures_without_a_camera_or_name_of_their_own(tmp_path: Path, scene: Scene) -> None:
     cameras = write_cameras(tmp_path / "transforms.json", ["a.png", "c"])
     folder = write_pictures(tmp_path / "in", "a.png", "b.png", "c.png")
@@ -150,36 +110,6 @@ def test_pictures_without_a_camera_or_name_of_their_own(tmp_path: Path, scene: S
     assert cv2.imwrite(str(folder / "a.jpg"), picture(0))
     with pytest.raises(UserError, match=r"a\.jpg and a\.png, whose names differ only in the suffix"):
         list_pictures(folder)
-
-
-def frame(file: str = "a.png", pose: Any = None, **more: Any) -> dict[str, Any]:
-    """Return a change of a transforms.json that leaves one frame, 400 mm from the axis unless another pose is given."""
-    matrix = frames.translation(400.0, 0.0, 0.0).tolist() if pose is None else pose
-    return {"frames": [{"file_path": file, "transform_matrix": matrix, **more}]}
-
-
-BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
-    "fisheye": ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
-    "no focal length": ({"fl_x": None}, "fl_x is missing"),
-    "lens that folds the picture": ({"k1": -9.0}, "[camera] distortion"),
-    "k4": ({"k4": 0.1}, "k4 is not supported"),
-    "scaled world": ({"applied_scale": 0.5}, "applied_scale must be 1"),
-    "mirrored world": ({"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "mirroring"),
-    "lens per frame": (frame(fl_x=2.0), "fl_x is set for a single picture"),
-    "scaled pose": (frame(pose=(2 * np.eye(4)).tolist()), "frames[0]"),
-    "metres": (frame(pose=frames.translation(0.4, 0.0, -0.04).tolist()), "inside"),
-    "unknown picture": (frame("z.png"), "z.png"),
-}
-
-
-@pytest.mark.parametrize(("changed", "named"), BAD_CAMERAS.values(), ids=BAD_CAMERAS.keys())
-def test_bad_cameras_are_refused_by_name(changed: dict[str, Any], named: str, tmp_path: Path, scene: Scene) -> None:
-    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"], **changed)
-    with pytest.raises(UserError) as refused:
-        import_pictures(write_pictures(tmp_path / "in", "a.png"), scene, tmp_path / "out", cameras=cameras)
-    assert named in str(refused.value)
-    assert str(cameras) in str(refused.value)
-    assert not (tmp_path / "out").exists()
 
 
 def test_masks_are_stretched_and_other_pictures_refused(tmp_path: Path, scene: Scene) -> None:
