@@ -17,7 +17,7 @@ from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError, parser_message
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.reading import read_file
+from rhizotwin.scenes.reading import read_text
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen, Specimen
 
@@ -169,10 +169,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """Read a TOML file, and return its table and its text."""
     if path.is_dir():
         raise UserError(f"{path}: the path is a folder, but a TOML file is required")
-    try:
-        text = read_file(path).decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: the file is not UTF-8 text (see byte {error.start}); save it as UTF-8") from error
+    text = read_text(path)
     try:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers with thousands of digits

@@ -1,5 +1,6 @@
 """Reading of files of unknown origin. Only regular files whose size is below a limit are read."""
 
+import codecs
 import os
 import stat
 from pathlib import Path
@@ -17,9 +18,19 @@ has 763 MiB."""
 MOST_MESH_MIB = 128
 """Maximum size of a mesh file, MiB. It is sufficient for 2.7 million triangles in binary STL."""
 
+_ENCODINGS = {
+    codecs.BOM_UTF32_LE: "utf-32",
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+"""Encodings by byte order mark. That of UTF-32 is compared first, because it begins with that of UTF-16."""
+
 
 def read_file(path: Path | str, *, most_mib: int = MOST_TEXT_MIB) -> bytes:
-    """Read a file of unknown origin, and return its bytes.
+    """Read a file of unknown origin, and return its bytes without the byte order mark of UTF-8.
+
+    Notepad, PowerShell and Excel write this mark. No binary format that is read begins with its three bytes.
 
     Parameters
     ----------
@@ -36,13 +47,38 @@ def read_file(path: Path | str, *, most_mib: int = MOST_TEXT_MIB) -> bytes:
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | NO_WAIT)) as stream:
             check_size(path, os.fstat(stream.fileno()), most_mib=most_mib)
-            return stream.read()
+            return stream.read().removeprefix(codecs.BOM_UTF8)
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no such file") from error
     except IsADirectoryError as error:
         raise UserError(f"{path}: the path is a folder, but a file is required") from error
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: the file cannot be read ({getattr(error, 'strerror', None) or error})") from error
+
+
+def read_text(path: Path | str) -> str:
+    """Read a text file of unknown origin, see `read_file` and `decode_text`."""
+    return decode_text(read_file(path), path)
+
+
+def decode_text(data: bytes, path: Path | str) -> str:
+    """Decode the content of a text file in UTF-8, or in UTF-16 or UTF-32 with a byte order mark.
+
+    Line breaks of Windows (CR LF) become those of Unix.
+
+    Raises
+    ------
+    UserError
+        If the content is not text in one of these encodings.
+    """
+    encoding = next((name for mark, name in _ENCODINGS.items() if data.startswith(mark)), "utf-8-sig")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: the file is not UTF-8 text (see byte {error.start}); save it as UTF-8") from error
+    if "\0" in text:
+        raise UserError(f"{path}: the file is not UTF-8 text (it contains zero bytes); save it as UTF-8")
+    return text.replace("\r\n", "\n")
 
 
 def check_size(path: Path | str, status: os.stat_result, *, most_mib: int) -> None:

@@ -26,10 +26,26 @@ UPPER_SHARE = 1.0 / 3.0
 """Depth at which the lower part of a root system begins, as a fraction of the total depth (GiA Roots)."""
 EMERGENCE_MM = 5.0
 """Length of a lateral over which its angle to the parent is measured, mm."""
+ROOT_G_PER_ML = (0.5, 1.5)
+"""Plausible range of the fresh mass per volume of roots, g/ml. Roots of wetland plants contain up to about one half of
+gas (Justin and Armstrong 1987, New Phytologist 106:465), and nothing in a root is denser than cellulose (1.5 g/ml)."""
 DEPTH_BIN_MM = 10.0
 DIAMETER_BIN_MM = 0.1
 """Width of the bins of the histogram over diameter, mm. It is half a pixel at 800x600 pixels. The width of the bins
 over depth is 10 mm."""
+
+
+def density_note(g_per_ml: float) -> str:
+    """Return words about a fresh root mass per volume outside `ROOT_G_PER_ML`, and about the units that may be wrong.
+
+    They are empty if the value is plausible.
+    """
+    low, high = ROOT_G_PER_ML
+    if low <= g_per_ml <= high:
+        return ""
+    slips = {1e-3: "g under a heading in mg, or mm3 under one in ml", 1e3: "mg under a heading in g, or ml under one in mm3"}
+    cause = next((f" ({words})" for factor, words in slips.items() if low <= g_per_ml / factor <= high), "")
+    return f"{g_per_ml:.2g} g/ml, outside {low:g} to {high:g} g/ml; check the units of masses and volumes{cause}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.scenes.errors import UserError, parser_message
-from rhizotwin.scenes.reading import read_file
+from rhizotwin.scenes.reading import decode_text, read_file
 
 
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
         If the file is damaged, or has another version.
     """
     try:
-        mapping = json.loads(data.decode("utf-8"))
+        mapping = json.loads(decode_text(data, path))
     except (ValueError, RecursionError) as error:
         raise UserError(
             f"{path}: the file is damaged, because it is not valid JSON ({parser_message(error)}); restore it or create it again"

@@ -15,6 +15,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import count_pictures
+from rhizotwin.scenes.reading import read_text
 
 _PIXELS = 20e6
 """Number of pixels that is assumed if the file dataset.json of a dataset cannot be read. The error is reported later,
@@ -111,10 +112,10 @@ def _head(dataset: str) -> bytes:
 
 def _checked(settings: Path) -> str:
     """Validate a settings file, and return its text."""
-    from rhizotwin.recon.settings import load_settings
+    from rhizotwin.command_steps import settings_of
 
-    load_settings(settings)
-    return settings.read_text(encoding="utf-8")
+    settings_of(settings)
+    return read_text(settings)
 
 
 def _pixels(data: bytes) -> float:

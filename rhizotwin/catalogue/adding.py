@@ -10,10 +10,10 @@ from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.store import Catalogue, now_utc
 from rhizotwin.experiment import drift, measured
 from rhizotwin.experiment.masses import BALANCE_G, has_masses, read_masses
-from rhizotwin.experiment.tables import read_table
 from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.scenes.table_file import read_table
 from rhizotwin.stored import result_files
 
 EDITS = "edits.json"

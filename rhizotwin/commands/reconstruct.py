@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from rhizotwin import command_steps
 from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, option, with_metavar
+from rhizotwin.scenes.traits import density_note
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings
@@ -98,7 +99,10 @@ def reconstruct(
     settings = command_steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
     kept: dict[str, Any] = {"keep_stages": study.keep_stages, "method": study.method}
     written = command_steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
-    _print_summary(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
+    summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
+    _print_summary(summary, progress)
+    if mass_g is not None and (note := density_note(1000.0 * mass_g / summary["volume_mm3"]) if summary["volume_mm3"] else ""):
+        print(f"note: with {mass_g:g} g, the fresh mass per volume is {note}")
     if progress.quiet:
         return
     if progress.verbose:

@@ -16,6 +16,7 @@ from rhizotwin.experiment.measured import Measured, exclusion_notes, one_species
 from rhizotwin.experiment.york import Line, fit_line
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
+from rhizotwin.scenes.traits import density_note
 
 Array = NDArray[np.float64]
 
@@ -124,7 +125,7 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
     notes += [f"{m.who}: the table contains no mass that matches this result" for m in measured if id(m) not in met]
     notes += exclusion_notes([pair.measured for pair in found], TRAITS)
     _check_units(found)
-    return found, notes
+    return found, [*notes, *_density_notes(found)]
 
 
 def _check_days(found: Sequence[Pair]) -> None:
@@ -146,6 +147,17 @@ def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, 
     """Return each pair that has a mass and a volume, with the mass per volume, g/ml (thesis, table 4.1)."""
     with_both = [(pair, pair.measured.usable("volume")) for pair in found if kind in pair.weighed.grams]
     return [(pair, pair.weighed.grams[kind] / (volume / 1000.0)) for pair, volume in with_both if volume is not None]
+
+
+def _density_notes(found: Sequence[Pair]) -> list[str]:
+    """Return a sentence about the plants whose fresh root mass per volume is not plausible."""
+    known = ratios(found)
+    strange = [(pair, ratio) for pair, ratio in known if density_note(ratio)]
+    if not strange:
+        return []
+    pair, ratio = sorted(strange, key=lambda one: one[1])[len(strange) // 2]
+    share = f"{len(strange)} of {len(known)} plants"
+    return [f"root_fresh: the mass per volume of {share} is not plausible: {pair.measured.who} has {density_note(ratio)}"]
 
 
 def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -> Model:

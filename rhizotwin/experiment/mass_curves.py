@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rhizotwin.experiment import tables
 from rhizotwin.experiment.compare import Observation, Point, means
 from rhizotwin.experiment.growth_page import plot_curve
 from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, Weighed, has_masses, read_masses
-from rhizotwin.scenes import assessment, subject
+from rhizotwin.scenes import assessment, subject, table_file
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.formatting import count
@@ -90,7 +89,7 @@ def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> 
         If a table is damaged, a mass is listed twice, or a plant has two treatments.
     """
     predicted = [path for path in paths if _head(path) >= _PREDICTED]
-    rows = [row for path in predicted for row in tables.read_table(path)]
+    rows = [row for path in predicted for row in table_file.read_table(path)]
     weighed = [one for path in paths if path not in predicted for one in read_masses(path, balance_g=BALANCE_G)]
     known = {plant: name for plant, name in (treatments or {}).items() if name}
     grams: dict[tuple[str, float], dict[str, float]] = {}
@@ -165,13 +164,13 @@ def draw(curves: Curves) -> bytes:
 
 
 def _head(path: Path) -> set[str]:
-    return set(tables.read_table(path)[0].cells)
+    return set(table_file.read_table(path)[0].cells)
 
 
-def _read_predicted(rows: Sequence[tables.Row]) -> list[Weighed]:
+def _read_predicted(rows: Sequence[table_file.Row]) -> list[Weighed]:
     found = []
     for row in rows:
-        kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
+        kind, grams = row.cells.get("mass", ""), table_file.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
             raise UserError(f"{row.where}: the row is not a predicted mass; specify a table written by 'rhizotwin biomass predict'")
         if not _is_unreliable(row):
@@ -179,11 +178,11 @@ def _read_predicted(rows: Sequence[tables.Row]) -> list[Weighed]:
     return found
 
 
-def _is_unreliable(row: tables.Row) -> bool:
+def _is_unreliable(row: table_file.Row) -> bool:
     return row.cells.get("verdict") == "not reliable"
 
 
-def _notes(rows: Sequence[tables.Row]) -> list[str]:
+def _notes(rows: Sequence[table_file.Row]) -> list[str]:
     """Return sentences about predicted masses that are excluded, because they are not reliable, or extrapolated."""
     reasons = [f"the {row.cells.get('from', 'trait')} is not reliable" for row in rows if _is_unreliable(row)]
     notes = [assessment.left_out("predicted mass", reasons, total=len(rows))] if reasons else []

@@ -11,8 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rhizotwin.experiment import tables
-from rhizotwin.scenes import subject
+from rhizotwin.scenes import subject, table_file
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
 
@@ -59,7 +58,7 @@ def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
         If masses have different units, a plant occurs twice on a day, a mass has no plant, a dry mass exceeds the fresh
         mass, or a value is invalid.
     """
-    rows = tables.read_table(path)
+    rows = table_file.read_table(path)
     columns = _columns(path, list(rows[0].cells))
     weighed = [one for row in rows if (one := _read_row(row, columns, balance_g)).grams]
     seen: dict[tuple[str, float | None], str] = {}
@@ -95,9 +94,9 @@ def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
     return found
 
 
-def _read_row(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance_g: float) -> Weighed:
+def _read_row(row: table_file.Row, columns: Mapping[str, tuple[str, float]], balance_g: float) -> Weighed:
     whose = subject.from_cells(row.cells, row.where)
-    given = {kind: (column, tables.number(row, column), scale) for kind, (column, scale) in columns.items()}
+    given = {kind: (column, table_file.number(row, column), scale) for kind, (column, scale) in columns.items()}
     grams: dict[str, float] = {}
     for kind, (column, value, scale) in given.items():
         if value is not None and not value > 0.0:
@@ -121,7 +120,7 @@ def _read_row(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance
     return Weighed(where=row.where, subject=whose, grams={kind: grams[kind] for kind in KINDS if kind in grams}, residue_g=residue)
 
 
-def _residue(row: tables.Row, organ: str, grams: Mapping[str, float], balance_g: float) -> float | None:
+def _residue(row: table_file.Row, organ: str, grams: Mapping[str, float], balance_g: float) -> float | None:
     """Return the mass of the residue on the foil after scraping, g. It is None if the foil was not weighed."""
     empty, scraped, dry = (grams.get(f"{organ}_{what}") for what in ("foil", "foil_scraped", "dry"))
     if empty is None or scraped is None or dry is None:

@@ -11,9 +11,8 @@ from math import log
 from pathlib import Path
 from typing import get_args
 
-from rhizotwin.experiment import tables
 from rhizotwin.recon.results import result_traits
-from rhizotwin.scenes import assessment, solution, subject, trait_table
+from rhizotwin.scenes import assessment, solution, subject, table_file, trait_table
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment, Verdict
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
@@ -80,7 +79,7 @@ def read_all(sources: Sequence[Path]) -> list[Measured]:
     found = []
     for source in sources:
         if source.suffix.lower() == ".csv":
-            found += [_read_row(row) for row in tables.read_table(source)]
+            found += [_read_row(row) for row in table_file.read_table(source)]
         elif (source / "result.json").is_file():
             found += _read_folder(source)
         else:
@@ -172,7 +171,7 @@ def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[st
     return [sentence for sentence in sentences if sentence]
 
 
-def _read_row(row: tables.Row) -> Measured:
+def _read_row(row: table_file.Row) -> Measured:
     """Read a row of a table of traits. Column names of earlier versions, such as ``volume (mm3)``, are accepted."""
     definitions = trait_table.definitions_by_column()
     numbers: dict[str, float] = {}
@@ -181,7 +180,7 @@ def _read_row(row: tables.Row) -> Measured:
         stem, end = ("", "") if match is None else _split(match[1])
         if match is None or end == "_verdict" or stem not in definitions:
             continue
-        value = tables.number(row, column)
+        value = table_file.number(row, column)
         if value is None:
             continue
         own, factor = definitions[stem], 1.0
@@ -210,19 +209,19 @@ def _split(column: str) -> tuple[str, str]:
     return (column, "") if match is None else (match[1], match[2] or "")
 
 
-def _ions(row: tables.Row) -> dict[str, float]:
+def _ions(row: table_file.Row) -> dict[str, float]:
     """Return the ion concentrations in a row of a table in mmol/l, keyed by ion.
 
     The dictionary is empty if there are none.
     """
     headings = {ion: f"{ion} ({solution.UNIT})" for ion in solution.IONS}
-    found = {ion: value for ion, heading in headings.items() if (value := tables.number(row, heading)) is not None}
+    found = {ion: value for ion, heading in headings.items() if (value := table_file.number(row, heading)) is not None}
     if low := [ion for ion, value in found.items() if value < 0.0]:
         raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must be at least 0")
     return found
 
 
-def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
+def _assessment(row: table_file.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
     """Read the interval and the verdict of a trait.
 
     In tables of earlier versions, the verdict on the volume is the column ``trusted`` (yes or no).

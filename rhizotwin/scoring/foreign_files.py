@@ -1,11 +1,8 @@
 """Read the output files of other methods: meshes, voxels, points and tables of traits."""
 
-import csv
-import io
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +14,8 @@ from numpy.typing import NDArray
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import printable
-from rhizotwin.scenes.reading import check_size, read_file
+from rhizotwin.scenes.reading import check_size
+from rhizotwin.scenes.table_file import number, read_table
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.stored import result_files
 
@@ -126,7 +124,7 @@ def read_points(path: Path) -> Floats:
         points = np.asarray(getattr(loaded, "vertices", ()), np.float64).reshape(-1, 3)
     else:
         try:
-            points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+            points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2), encoding="utf-8-sig")
         except (ValueError, IndexError) as error:
             raise UserError(f"{path} could not be read as points: {printable(str(error))[:200]}") from None
     if not len(points) or not np.isfinite(points).all():
@@ -147,35 +145,21 @@ def read_traits(path: Path) -> dict[str, Stated]:
         If the file, the column ``trait`` or the column ``value`` is missing, or a number is invalid.
     """
     names = {column: name for one in DEFINITIONS for column, name in ((one.name, one.name), (one.column, one.name))}
-    text = read_file(path).decode("utf-8", errors="replace")
-    rows = csv.DictReader(io.StringIO(text))
-    if not {"trait", "value"} <= set(rows.fieldnames or ()):
+    rows = read_table(path)
+    if not {"trait", "value"} <= rows[0].cells.keys():
         raise UserError(f"{path}: the first line must contain the columns 'trait' and 'value' (and 'low' and 'high' for intervals)")
     found: dict[str, Stated] = {}
-    for line, row in enumerate(rows, start=2):
-        if row["trait"] in names and row["value"]:
-            value, low, high = (_number(row, name, f"{path}, line {line}") for name in ("value", "low", "high"))
-            if value is not None:
-                found[names[row["trait"]]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
+    for row in rows:
+        name = names.get(row.cells["trait"])
+        value, low, high = (number(row, column) if name else None for column in ("value", "low", "high"))
+        if name and value is not None:
+            found[name] = Stated(value=value, interval=None if low is None or high is None else (low, high))
     if not found:
         raise UserError(
             f"{path} contains no known trait, such as {', '.join(one.column for one in DEFINITIONS[:4])}; "
             "'rhizotwin traits' prints all names"
         )
     return found
-
-
-def _number(row: Mapping[str, str | None], name: str, where: str) -> float | None:
-    text = row.get(name)
-    if not text:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        raise UserError(f"{where}: {name} is {text[:40]!r}, which is not a number") from None
-    if not math.isfinite(value):
-        raise UserError(f"{where}: {name} is {text!r}; leave the cell empty if the value is unknown")
-    return value
 
 
 def _check(path: Path) -> None:

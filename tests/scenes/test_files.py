@@ -6,11 +6,13 @@ from typing import Any
 
 import pytest
 
+from rhizotwin.command_steps import settings_of
 from rhizotwin.scenes import files
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
+from rhizotwin.scenes.versioned_json import read_versioned_json
 
 MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [
     ("unknown key", "[canister]\n\nwal_mm = 3.0", ("line 3", "[canister] wal_mm", "unknown key", '"wall_mm"')),
@@ -42,14 +44,20 @@ def test_files_of_any_editor_are_read_and_1_is_a_float(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text("")
     assert files.load_scene(path) == Scene(name="mine")
-    path.write_bytes(b"\xef\xbb\xbf[water]\r\nn_water = 1\r\n[canister]\r\nn_wall=1\r\n")
-    scene = files.load_scene(str(path))
-    assert type(scene.water.n_water) is float
-    assert scene.water.n_water == scene.canister.n_wall == 1.0
+    for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-32"):
+        path.write_bytes("[water]\r\nn_water = 1\r\n[canister]\r\nn_wall=1\r\n".encode(encoding))
+        scene = files.load_scene(str(path))
+        assert type(scene.water.n_water) is float
+        assert scene.water.n_water == scene.canister.n_wall == 1.0
+        path.write_bytes("[hull]\r\nfinest_mm = 0.2\r\n".encode(encoding))
+        assert settings_of(path).hull.finest_mm == 0.2
+        path.write_bytes('{"schema_version": 1}'.encode(encoding))
+        assert read_versioned_json(path, 1) == {"schema_version": 1}
 
 
 UNREADABLE = {
     "UTF-16": (b"\xff\xfe\x00", "UTF-8"),
+    "UTF-16 without a mark": (b"a\x00=\x001\x00", "UTF-8"),
     "5000 digits": (b"views = " + b"9" * 5000, "is not valid TOML"),
     "deep": (b"a = " + b"[" * 100_000, "is not valid TOML"),
 }

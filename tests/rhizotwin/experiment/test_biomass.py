@@ -13,6 +13,7 @@ from rhizotwin.experiment.measured import IN_90, Measured, read_all
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.scenes.table_file import read_table
 from tests.command import Command
 
 HEAD = "plant,root_fresh_g,root_dry_g\n"
@@ -49,7 +50,7 @@ def masses_of(path: Path, text: str) -> list[Weighed]:
 def test_the_thesis_table_gives_its_densities_and_waters(tmp_path: Path) -> None:
     masses, volumes = tables.write_shipped(tmp_path)
     found, _ = biomass.pairs(read_all([volumes]), read_masses(masses, balance_g=1e-4))
-    printed = {row.cells["plant"]: row.cells for row in tables.read_table(volumes)}
+    printed = {row.cells["plant"]: row.cells for row in read_table(volumes)}
     known = {pair.measured.subject.plant: ratio for pair, ratio in biomass.ratios(found)}
     assert len(known) == 16
     # printed with three decimals, from masses with three
@@ -109,7 +110,10 @@ MISTAKES = {
     "exceeds its fresh mass": ("plant,root_fresh_g,root_dry_g\nA,1,34\n", "exceeds its fresh mass"),
     "torn foil": ("plant,root_dry_g,root_foil_g,root_foil_scraped_g\nA,1,5,4\n", "was torn"),
     "comma decimals": ("plant,root_fresh_g\nA,0,5\n", "replace decimal commas by points"),
-    "semicolons": ("plant;root_fresh_g\nA;1\n", "must be separated by commas, not by semicolons or tabs"),
+    "two decimal marks": ("plant;root_fresh_g;day\nA;0,5;1.5\n", "root_fresh_g is '0,5', which is not a number with a decimal point"),
+    "fraction or thousand": ("plant;root_fresh_mg\nA;1.234\nB;567\n", "is 1.234, which may be a fraction or 1234"),
+    "thousands": ('plant,root_fresh_mg\nA,"1,234"\n', "without separators of thousands"),
+    "open quotation mark": ('plant,notes\nA,"fell\n', "check its quotation marks"),
 }
 
 
@@ -120,7 +124,29 @@ def test_mistakes_in_the_table_are_one_sentence(text: str, named: str, tmp_path:
     assert named in str(refused.value)
 
 
-def test_one_mass_in_milligrams_is_noticed(tmp_path: Path, command: Command) -> None:
+DIALECTS = {
+    "German": "plant;day;root_fresh_g;notes\r\nA;15,5;0,300;ok\r\nB;15,5;1,234;\r\n".encode("utf-8-sig"),
+    "Unicode text": "plant\tday\troot_fresh_g\nA\t15,5\t0,3\nB\t15,5\t1,234\n".encode("utf-16"),
+    "line break": b'# "\nplant,day,root_fresh_g,notes\nA,15.5,0.3,"fell\n\n# over"\nB,15.5,1.234,\n',
+    "sep": b'sep=;\nplant;day;"root_fresh_g"\nA;15.5;0.3\nB;15.5;1.234;;\n',
+    "quoted": b'plant,day,root_fresh_g\rA,"15,5","0,3"\rB,"15,5","1,234"\r',
+}
+
+
+@pytest.mark.parametrize("content", DIALECTS.values(), ids=DIALECTS.keys())
+def test_tables_of_spreadsheets_in_any_dialect_are_read(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_bytes(content)
+    found = read_masses(tmp_path / "m.csv", balance_g=1e-4)
+    assert [(one.subject.plant, one.subject.day, one.grams["root_fresh"]) for one in found] == [("A", 15.5, 0.3), ("B", 15.5, 1.234)]
+    assert found[0].subject.notes in ("", "ok", "fell # over")
+
+
+def test_masses_in_milligrams_are_noticed(twins: list[Measured], tmp_path: Path, command: Command) -> None:
+    notes = [biomass.pairs(twins, weigh(tmp_path / "m.csv", twins, density))[1] for density in (1e3, 30.0, 0.95)]
+    assert notes[0][0].startswith("root_fresh: the mass per volume of 20 of 20 plants is not plausible: P")
+    assert notes[0][0].endswith("check the units of masses and volumes (mg under a heading in g, or ml under one in mm3)")
+    assert [note.endswith("volumes") for note in notes[1]] == [True]
+    assert notes[2] == []
     masses, volumes = tables.write_shipped(tmp_path)
     text = masses.read_text(encoding="utf-8").replace("12,Raphanus sativus,20,0.5903", "12,Raphanus sativus,20,590.3")
     masses.write_text(text, encoding="utf-8")
