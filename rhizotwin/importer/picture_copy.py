@@ -15,8 +15,7 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Frame, file_sha256
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.picture_codec import Grey, decode_light, encode_light_png, encode_png
-from rhizotwin.scenes.picture_damage import is_sealed
+from rhizotwin.scenes.picture_codec import Grey, decode_light, encode_light_png, encode_png, is_sealed
 from rhizotwin.scenes.transfer import LINEAR, camera_curve, read_stated_curve
 
 Placed: TypeAlias = tuple[int, str, int, float | None]

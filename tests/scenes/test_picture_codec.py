@@ -10,14 +10,20 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+import tifffile
+from PIL import Image, ImageOps
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_codec import decode_grey
-from rhizotwin.scenes.picture_damage import UnfitError, check_picture
 
 RNG = np.random.default_rng(7)
 GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)
+
+
+def tiff(image: Any, **options: Any) -> bytes:
+    file = BytesIO()
+    tifffile.imwrite(file, image, **options)
+    return file.getvalue()
 
 
 def encoded(image: Any, suffix: str = ".png", *options: int) -> bytes:
@@ -59,6 +65,11 @@ NO_PICTURE = {
     "empty": (b"", "empty"),
     "png without pixels": (b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND")), "is not a supported picture"),
     "floats": (encoded(np.ones((4, 4), np.float32), ".tiff"), "8- or 16-bit"),
+    "signed": (tiff(np.ones((4, 4), np.int16)), "int16 pixels"),
+    "stack": (tiff(np.ones((3, 4, 4), np.uint8), photometric="minisblack"), "several pictures"),
+    "three grey planes": (tiff(np.ones((3, 9, 9), np.uint8), photometric="minisblack", planarconfig="separate"), "3 channels"),
+    "CMYK": (tiff(np.ones((4, 4, 4), np.uint8), photometric="separated"), "SEPARATED"),
+    "multiplied by alpha": (tiff(np.ones((4, 4, 4), np.uint8), photometric="rgb", extrasamples=["assocalpha"]), "transparency"),
 }
 
 
@@ -96,10 +107,49 @@ def test_tiffs_are_read_whole_and_refused_truncated(compression: str, kind: type
             decode_grey(data[: int(kept * len(data))], where="a")
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     if compression == "LZW":
-        with pytest.raises(UnfitError, match=r"TIFF with LZW compression, .* run pip install 'rhizotwin\[tiff\]', or convert it to PNG"):
-            check_picture(data)
+        with pytest.raises(UserError, match=r"TIFF with LZW compression, .* run pip install 'rhizotwin\[tiff\]', or convert it to PNG"):
+            decode_grey(data, where="a")
     else:
-        assert check_picture(data) == data
+        np.testing.assert_array_equal(decode_grey(data, where="a"), grey)
+
+
+DEEP = RNG.integers(0, 65536, (40, 60, 4), dtype=np.uint16)
+WEIGHTS = np.array([0.299, 0.587, 0.114])
+LUMINANCE = DEEP[..., :3] @ WEIGHTS
+PLANES = np.moveaxis(DEEP, -1, 0)
+TIFFS: dict[str, tuple[Any, dict[str, Any], Any]] = {
+    "planes": (PLANES[:3], {"photometric": "rgb", "planarconfig": "separate", "compression": "lzw", "predictor": True}, LUMINANCE),
+    "four planes in tiles": (PLANES, {"photometric": "rgb", "planarconfig": "separate", "tile": (16, 32)}, LUMINANCE),
+    "big-endian BigTIFF": (DEEP[..., :3], {"photometric": "rgb", "byteorder": ">", "bigtiff": True, "rowsperstrip": 7}, LUMINANCE),
+    "white is zero": (DEEP[..., 0], {"photometric": "miniswhite"}, 65535 - DEEP[..., 0]),
+    "grey and alpha": (DEEP[..., :2], {"photometric": "minisblack", "extrasamples": ["unassalpha"]}, DEEP[..., 0]),
+    "8-bit colours and alpha": ((DEEP >> 8).astype(np.uint8), {"photometric": "rgb"}, (DEEP[..., :3] >> 8) @ WEIGHTS),
+    "12 bits": (DEEP[..., 0] >> 4, {"bitspersample": 12}, np.rint((DEEP[..., 0] >> 4) * (65535 / 4095))),
+    "one bit": (GREY > 99, {"photometric": "miniswhite"}, 255 * (GREY <= 99)),
+    "palette": (GREY, {"photometric": "palette", "colormap": np.tile(np.arange(256)[::-1] * 257, (3, 1)).astype(np.uint16)}, 255 - GREY),
+}
+
+
+@pytest.mark.parametrize(("stored", "options", "expected"), TIFFS.values(), ids=TIFFS)
+def test_every_kind_of_tiff_has_its_value(stored: Any, options: dict[str, Any], expected: Any) -> None:
+    np.testing.assert_allclose(decode_grey(tiff(stored, **options), where="a"), expected, atol=1.0, rtol=5e-5)
+
+
+ORIENTED = {"PNG": "exif", "JPEG": "exif", "TIFF": "tiffinfo"}
+
+
+@pytest.mark.parametrize("kind", ORIENTED)
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_all_formats_are_turned_as_their_tag_states(tag: int, kind: str) -> None:
+    said = Image.Exif()
+    said[274] = tag
+    file = BytesIO()
+    Image.fromarray(GREY).save(file, kind, **{ORIENTED[kind]: said})
+    shown = np.array(ImageOps.exif_transpose(Image.open(file)))
+    np.testing.assert_array_equal(decode_grey(file.getvalue(), where="a", image_wh=(60, 40) if tag < 5 else (40, 60)), shown)
+    if tag >= 5:
+        with pytest.raises(UserError, match=rf"40x60 pixels \(60x40, .*orientation tag {tag} states\), but .* 60x40; correct the scene"):
+            decode_grey(file.getvalue(), where="a", image_wh=(60, 40))
 
 
 def test_flipped_bytes_in_a_compressed_tiff() -> None:
