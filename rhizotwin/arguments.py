@@ -344,6 +344,8 @@ negative z; for files with other coordinates see --place."""
 such as '0.1 mm'."""
     specimen_diameter_mm: DiameterMm | None = None
     """Diameter in mm of roots for which the RSML file has no diameter."""
+    vertical_axis: Literal["x", "y", "z"] | None = None
+    """Axis of an RSML file along which the depth is measured; default: z, or y in drawings with two coordinates."""
     placing: Placing = Placing()
     """Position of the specimen."""
     views: Views | None = None

@@ -19,7 +19,7 @@ from rhizotwin.scenes.plants import NAMELESS
 Array = NDArray[np.float64]
 
 TIP_SEEN = "tip-seen"
-"""Property of a root in RSML files: whether its last point is its tip."""
+"""Property of a root in RSML files: 1 if its last point is its tip, otherwise 0."""
 DIAMETER_SIGMA = "diameter-sigma"
 """Function along a root in RSML files: standard deviation of its diameter."""
 
@@ -114,10 +114,11 @@ def write_rsml(
     """Write roots, grouped by plant, to an RSML file with coordinates in mm. The file is written atomically.
 
     Numbers are written exactly, as decimals without exponents according to the schema. Each root has the property
-    ``parent-node``, the index of the parent's point at which it is attached, which CPlantBox and OpenAlea read. The
-    index is 0 for taproots, because both programs require a number for every root. Roots with hidden tips have the
-    property ``tip-seen`` = false. Standard deviations of diameters are written as the function ``diameter-sigma``.
-    `scenes.rsml_reader.read_rsml` returns the roots in depth-first order.
+    ``parent-node``, the index of the parent's point at which it is attached, and ``tip-seen``, which is 0 if the tip is
+    hidden and otherwise 1. Every root has both, because CPlantBox 2.1.1 reads a property as a list without gaps, and
+    ``tip-seen`` is a number, because OpenAlea (RSML 7ffc35b) reads properties as Python literals. The ``parent-node``
+    of taproots is 0, see docs/datasets.md. Standard deviations of diameters are written as the function
+    ``diameter-sigma``. `scenes.rsml_reader.read_rsml` returns the roots in depth-first order.
 
     Parameters
     ----------
@@ -185,8 +186,7 @@ def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
     node = 0 if parent is None else int(np.argmin(np.sum((parent.points_mm - root.points_mm[0]) ** 2, axis=1)))
     properties = ET.SubElement(element, "properties")
     ET.SubElement(properties, "parent-node", {"value": str(node)})
-    if not root.tip_seen:
-        ET.SubElement(properties, TIP_SEEN, {"value": "false"})
+    ET.SubElement(properties, TIP_SEEN, {"value": str(int(root.tip_seen))})
     polyline = ET.SubElement(ET.SubElement(element, "geometry"), "polyline")
     for point in root.points_mm:
         ET.SubElement(polyline, "point", dict(zip("xyz", map(_decimal, point), strict=True)))

@@ -6,15 +6,15 @@ is unknown, the error message states the option with which it can be specified.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.scenes import polyline, rsml_units, rsml_xml
+from rhizotwin.scenes import polyline, rsml_hierarchy, rsml_units, rsml_xml
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.plants import NAMELESS
 from rhizotwin.scenes.rsml import DIAMETER_SIGMA, TIP_SEEN, Array, Root
+from rhizotwin.scenes.rsml_hierarchy import Entry
 from rhizotwin.scenes.rsml_units import Units
 
 
@@ -29,7 +29,7 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         Unit of the coordinates, and of diameters without a unit: mm, cm, m, um or inch, or a number and one of these
         units for the size of one step, as in ``0.1 mm``. None for the unit stated in the file. If the file states a
         resolution above 1, it is interpreted as steps per unit (inch with 300: 300 dpi). If it is below 1, it is
-        interpreted as units per step (m with 0.0001: steps of 0.1 mm).
+        interpreted as units per step (m with 0.0001: steps of 0.1 mm). With pixel(um), the size of a pixel is read.
     diameter_mm : float or None
         Diameter of roots for which the file states none; None to reject such files.
 
@@ -38,13 +38,15 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
     tuple of Root
         Roots of all plants in the order of the file, parents before children, with the name of the plant if it has a
         label. Coordinates are the x, y, z of the file converted to mm, without rotation or translation. Points in 2-D
-        (x, y), with y downwards as in a picture, become (x, 0, -y). Roots with fewer than two points are omitted, and
-        their children are assigned to their parent.
+        (x, y), with y downwards as in a picture, become (x, 0, -y). Roots that are not nested in their parents can
+        state the parent's id. Roots with fewer than two points are omitted, and their children are assigned to their
+        parent.
 
     Raises
     ------
     UserError
-        If the file cannot be read, is not RSML, or has no roots, or if its unit or diameters are unknown.
+        If the file cannot be read, is not RSML, or has no roots, or if its unit, diameters or a stated parent are
+        unknown.
     """
     return read_file(path, unit=unit, diameter_mm=diameter_mm).roots
 
@@ -62,6 +64,10 @@ class RsmlFile:
     """Unit that is stated in the file. It is empty if none is stated."""
     resolution: str
     """Resolution that is stated in the file. It is empty if none is stated."""
+    dimensions: int = 3
+    """Number of coordinates of the points in the file, 2 or 3."""
+    notes: tuple[str, ...] = ()
+    """Sentences on how the file was interpreted."""
 
 
 def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
@@ -91,6 +97,8 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         step_mm=reader.step_mm,
         unit=reader.units.metadata("unit"),
         resolution=reader.units.metadata("resolution"),
+        dimensions=reader.dimensions,
+        notes=tuple(reader.notes),
     )
 
 
@@ -120,36 +128,33 @@ class _Reader:
         self.units = Units(path, self.document)
         self.step_mm = self.units.step_mm(unit)
         self.property_mm = self.units.properties_mm()
+        self._functions_mm: dict[str, float] = {}
+        self.dimensions = 2
+        self.notes: list[str] = []
 
     def roots(self) -> tuple[Root, ...]:
         """Return the roots. Parents precede their laterals."""
+        entries = rsml_hierarchy.list_entries(self.document)
+        for entry in entries:
+            entry.root = self._root(entry)
+        parents = rsml_hierarchy.find_parents(self.path, entries)
         found: list[Root] = []
-        stack: list[tuple[ET.Element, int, str]] = [(self.document, -1, "")]
-        number = 0
-        while stack:
-            element, parent, plant = stack.pop()
-            below = parent
-            if rsml_xml.local_name(element) == "plant":
-                plant = rsml_xml.attribute(element, "label") or ""
-                plant = "" if plant == NAMELESS else plant
-            if rsml_xml.local_name(element) == "root":
-                number += 1
-                order = found[parent].order + 1 if parent >= 0 else 0
-                root = self._root(element, f"root {number}", order, parent, plant)
-                if root is not None:
-                    below = len(found)
-                    found.append(root)
-                    node = rsml_xml.read_property(list(rsml_xml.own_elements(element)), "parent-node")
-                    self.parent_nodes.append(int(node) if node.isdecimal() else None)
-            stack.extend((child, below, plant) for child in reversed(element))
+        above: dict[int, int] = {-1: -1}  # index in ``found`` of each entry or, if it has no line, of its parent
+        for index in rsml_hierarchy.parents_first(self.path, entries, parents):
+            entry, parent = entries[index], above[parents[index]]
+            above[index] = parent
+            if entry.root is not None:
+                above[index] = len(found)
+                found.append(replace(entry.root, parent=parent, order=found[parent].order + 1 if parent >= 0 else 0))
+                node = rsml_xml.read_property(entry.own, "parent-node").removesuffix(".0")
+                self.parent_nodes.append(int(node) if node.isdecimal() else None)
         if not found:
             raise UserError(f"{self.path}: the file contains no root with at least two points")
         return tuple(found)
 
-    def _root(self, element: ET.Element, name: str, order: int, parent: int, plant: str) -> Root | None:
-        label = rsml_xml.attribute(element, "label") or ""
-        name = f'{name} ("{label}")' if label else name
-        own = list(rsml_xml.own_elements(element))
+    def _root(self, entry: Entry) -> Root | None:
+        """Return the root of an element without its parent, or None if it has fewer than two points."""
+        own, name = entry.own, entry.name
         polylines = [p for p in own if rsml_xml.local_name(p) == "polyline" and any(rsml_xml.local_name(q) == "point" for q in p)]
         if not polylines:
             return None
@@ -158,21 +163,21 @@ class _Reader:
         points = [p for p in polylines[0] if rsml_xml.local_name(p) == "point"]
         if len(points) < 2:
             return None
-        axes = "xyz" if rsml_xml.attribute(points[0], "z") is not None else "xy"
+        prefix = "" if rsml_xml.attribute(points[0], "coord_x") is None else "coord_"  # of RootSystemTracker
+        axes = "xyz" if rsml_xml.attribute(points[0], prefix + "z") is not None else "xy"
+        self.dimensions = max(self.dimensions, len(axes))
         number = self.units.number
-        given = np.array([[number(rsml_xml.attribute(p, axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
+        given = np.array([[number(rsml_xml.attribute(p, prefix + axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
         points_mm = xyz * self.step_mm
-        diameters_mm = self._diameters(own, points_mm, name)
-        seen = (rsml_xml.read_property(own, TIP_SEEN) or "").lower() not in ("false", "0")
         return Root(
             points_mm=points_mm,
-            diameters_mm=diameters_mm,
-            order=order,
-            parent=parent,
-            label=label,
-            tip_seen=seen,
-            plant=plant,
+            diameters_mm=self._diameters(own, points, points_mm, name),
+            order=0,
+            parent=-1,
+            label=entry.label,
+            tip_seen=rsml_xml.read_property(own, TIP_SEEN).lower() not in ("false", "0"),
+            plant=entry.plant_name,
             diameter_sigma_mm=self._sigma(own, points_mm, name),
         )
 
@@ -183,11 +188,11 @@ class _Reader:
                 return np.abs(self._along(element, samples, points_mm, f"{DIAMETER_SIGMA} of {name}")) * self.step_mm
         return None
 
-    def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
+    def _diameters(self, own: list[ET.Element], points: list[ET.Element], points_mm: Array, name: str) -> Array:
         """Return the diameters of a root (N,), mm.
 
-        They are read from a function along the root or, if there is none, from a property of the root. Otherwise, the
-        diameter given by the user is used.
+        They are read from a function along the root or, if there is none, from a property of the root or from the
+        points. Otherwise, the diameter given by the user is used.
         """
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
@@ -195,19 +200,46 @@ class _Reader:
                 match = rsml_units.THICKNESS.fullmatch(written)
                 if match is None or match[1].lower() != word:
                     continue
-                scale_mm = to_diameter * (self.units.unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
+                scale_mm = to_diameter * (self.units.unit_mm(match[2], f"function of {name}") if match[2] else self._function_mm(word))
                 return self._check_diameters(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
             text = rsml_xml.read_property(own, word)
             if text:
                 value = self.units.number(text, f"{word} of {name}")
                 scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
                 return self._check_diameters(np.full(len(points_mm), value * scale_mm), name)
+        of_points = [rsml_xml.attribute(point, "diameter") for point in points]
+        if None not in of_points:
+            values = np.array([self.units.number(text, f"diameter of a point of {name}") for text in of_points])
+            if np.median(values) > 0.0:  # RootSystemTracker (4679932) writes 0 if it did not measure the diameter
+                return self._check_diameters(values * self.step_mm, name)
         if self.diameter_mm is None:
             raise UserError(
                 f"{self.path}: {name} has no diameter; specify a diameter with --specimen-diameter-mm D, or with diameter_mm in a scene "
                 "file"
             )
         return np.full(len(points_mm), self.diameter_mm)
+
+    def _function_mm(self, word: str) -> float:
+        """Return the unit of a function along the root whose name states none, mm.
+
+        It is the unit of the coordinates, which SmartRoot uses although it defines a property of the same name in cm.
+        If that makes implausible roots, it is the unit of this definition.
+        """
+        defined_mm = self.property_mm.get(word)
+        if defined_mm is None:
+            return self.step_mm
+        if word not in self._functions_mm:
+            samples = [s for name, _, part in _functions(self.document.iter()) if name.strip().lower() == word for s in part]
+            values = [self.units.number(rsml_xml.attribute(s, "value") or s.text, f"{word} of a root") for s in samples]
+            median = float(np.median(values)) * (1.0 if word == "diameter" else 2.0)
+            defined_fits = rsml_units.is_thickness(median * defined_mm) and not rsml_units.is_thickness(median * self.step_mm)
+            self._functions_mm[word] = defined_mm if defined_fits else self.step_mm
+            if defined_fits:
+                self.notes.append(
+                    f"{self.path}: the {word} of the roots is read in the unit of its definition in the file, because a median "
+                    f"diameter of {median * self.step_mm:.2g} mm in the unit of the coordinates is implausible."
+                )
+        return self._functions_mm[word]
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
         """Return the values of a function at the points of a root (N,).

@@ -15,7 +15,20 @@ _UNITS_MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1000.0),
     **dict.fromkeys(("inch", "inches", "in"), 25.4),
 }
-_SET_UNIT = "give the size of one coordinate unit, such as '0.1 mm', with --specimen-unit, or as unit in a scene file"
+_SET_UNIT = (
+    "state it in the file, or give the size of one coordinate unit, such as '0.1 mm', to simulate with --specimen-unit, or as unit in a "
+    "scene file"
+)
+_PIXEL = re.compile(r"(?:px|pixels?)(?:\s*[\[(]\s*([^\])\s]*)\s*[\])])?", re.IGNORECASE)
+"""Regular expression for a unit in pixels. RootSystemTracker (4679932) writes "pixel(um)", and the size of a pixel as
+the metadata entry "size"."""
+_PIXEL_SIZES = ("size", "pixel_size", "pixel-size", "resolution")
+SIZE_MM = (10.0, 3000.0)
+"""Plausible largest extent of a root system, mm: seedlings of a few days, and the deepest roots of field crops
+(2 to 3 m)."""
+THICKNESS_MM = (0.05, 30.0)
+"""Plausible mean diameter of the roots of a plant, mm. The finest laterals of cereals and Arabidopsis are about 0.05 mm
+thick. A storage root without its laterals, such as a carrot, is about 30 mm thick."""
 THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 """Regular expression for the name of a property or function that states the thickness, such as "diameter". The name can
 include the unit, such as "radius [m]"."""
@@ -65,6 +78,15 @@ class Units:
             if len(marked) == 1:  # "radius [m]": the only unit in the file is also used for its points
                 return self.unit_mm(marked.pop(), "a function's name")
             raise UserError(f"{self.path}: the file states no unit; {_SET_UNIT}")
+        pixel = _PIXEL.fullmatch(written)
+        if pixel:
+            size_text = next((text for key in _PIXEL_SIZES if (text := self.metadata(key))), "")
+            if not pixel[1] or not size_text:
+                raise UserError(f"{self.path}: the coordinates are in pixels, and the file does not state the size of a pixel; {_SET_UNIT}")
+            size = self.number(size_text, "size of a pixel")
+            if size <= 0.0:
+                raise UserError(f"{self.path}: the file has pixels of {size_text} {pixel[1]}, which must be above 0; {_SET_UNIT}")
+            return size * self.unit_mm(pixel[1], "size of a pixel")
         if written.lower() not in _UNITS_MM:
             raise UserError(f'{self.path}: the file has the unknown unit "{written}"; {_SET_UNIT}')
         unit_mm = _UNITS_MM[written.lower()]
@@ -116,3 +138,42 @@ class Units:
         if not math.isfinite(value):
             raise UserError(f'{self.path}: the {what} is "{text or ""}", which is not a finite number')
         return value
+
+
+def is_thickness(diameter_mm: float) -> bool:
+    """Return whether a mean diameter of roots is plausible, mm."""
+    return THICKNESS_MM[0] <= diameter_mm <= THICKNESS_MM[1]
+
+
+def doubt_unit(*, step_mm: float, unit: str, resolution: str, size_mm: float, diameter_mm: float) -> str | None:
+    """Return a sentence if a root system has an implausible size, with a unit that makes it plausible.
+
+    Parameters
+    ----------
+    step_mm : float
+        Length that corresponds to one unit of the coordinates, mm.
+    unit, resolution : str
+        Unit and resolution that are stated in the file. They are empty if they are not used.
+    size_mm : float
+        Largest extent of the root system, mm.
+    diameter_mm : float
+        Mean diameter of the roots, weighted by length, mm.
+    """
+
+    def plausible(factor: float) -> bool:
+        return SIZE_MM[0] <= factor * size_mm <= SIZE_MM[1] and is_thickness(factor * diameter_mm)
+
+    if plausible(1.0):
+        return None
+    said = f"an extent of {size_mm:.2g} mm and a mean root diameter of {diameter_mm:.2g} mm are implausible"
+    steps_mm = {unit.lower(): _UNITS_MM[unit.lower()]} if unit.lower() in _UNITS_MM else {}
+    if re.fullmatch(r"[0-9.]+", resolution) and float(resolution) > 1.0:
+        steps_mm[f"{25.4 / float(resolution):.4g} mm"] = 25.4 / float(resolution)  # dots per inch
+    for name, mm in {**steps_mm, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}.items():
+        if plausible(mm / step_mm):
+            size, thick = mm / step_mm * size_mm, mm / step_mm * diameter_mm
+            return (
+                f"{said}. If one unit of the coordinates is {name if name[0].isdigit() else '1 ' + name} (total {size:.3g} mm, "
+                f"{thick:.2g} mm thick), set --specimen-unit '{name}', or correct the unit in the file."
+            )
+    return f"{said}; check the unit of the coordinates and that of the diameters."

@@ -63,15 +63,21 @@ def own_elements(root: ET.Element) -> Iterator[ET.Element]:
             stack.extend(reversed(element))
 
 
-def read_property(own: list[ET.Element], name: str) -> str:
-    """Return the text of the first property with a given name that is not empty.
+def read_property(own: list[ET.Element], *names: str) -> str:
+    """Return the text of the first property with one of the given names that is not empty.
 
-    The result is empty if there is none.
+    The names are compared without regard to case, hyphens and underscores (``parent-node``, ``parentNode``). The result
+    is empty if there is none.
     """
+    keys = [_letters(name) for name in names]
     for holder in (element for element in own if local_name(element) == "properties"):
         for child in holder:
-            called = (attribute(child, "name") or "").lower() or local_name(child)
+            called = _letters(attribute(child, "name") or local_name(child))
             text = (attribute(child, "value") or child.text or "").strip()
-            if called == name and text:
+            if called in keys and text:
                 return text
     return ""
+
+
+def _letters(name: str) -> str:
+    return name.lower().replace("-", "").replace("_", "")

@@ -52,6 +52,9 @@ class RsmlSpecimen(PlacedFile):
     metadata of the file is used, and a file without a unit is rejected."""
     diameter_mm: float | None = field(default=None, metadata={"limits": (0.01, 50.0)})
     """Diameter of roots for which the file states no diameter. If it is None, such files are rejected."""
+    vertical_axis: Literal["x", "y", "z"] | None = None
+    """Axis of the file along which the depth is measured. If it is None, it is z, or y in drawings: files with two
+    coordinates, and with ``place = "auto"`` files with almost constant z."""
 
 
 @dataclass(frozen=True, kw_only=True)

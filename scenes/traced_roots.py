@@ -1,7 +1,7 @@
 """Preparation of manually traced roots, so that they can be used as truth.
 
-If the file states the node at which a root is attached to its parent, the gap between them is closed. Stretches that
-several roots share are counted once.
+Gaps between laterals and their parents are closed where the file states the node of the parent, or where the first
+point of the lateral is missing. Stretches that several roots share are counted once.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,10 @@ Array = NDArray[np.float64]
 
 FARTHEST = 2.0
 """Maximum ratio of two distances from the base of a root: to the node stated in the file, and to the nearest node of
-the parent. If the ratio is larger, the file numbers its nodes differently, and the gap is not closed."""
+the parent. If the ratio is larger, the file numbers its nodes differently, and the stated node is ignored."""
+MISSING_STEPS = 2.0
+"""Maximum gap between a root and its parent, in lengths of the first segment of the root, that is closed without a
+stated node. If a program omits the first point of laterals, as CPlantBox 2.1.1 does, the gap is one such length."""
 SHARED = 0.5
 """Maximum distance between two lines that count as tracings of the same root, as a fraction of the radius of the
 thinner line. The centre lines of two different roots are at least one radius apart."""
@@ -34,7 +37,11 @@ STEP_MM = 0.2
 
 
 def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
-    """Connect each root that begins at a distance from its parent to the node of the parent stated in the file.
+    """Connect roots that begin at a distance from their parents to nodes of the parents.
+
+    The node is the one stated in the file or one of its neighbours, whichever is nearest to the root: RSWMS counts
+    nodes from 1, and CPlantBox from 0. Without a usable node, it is the nearest node, if only the first point of the
+    root can be missing (`MISSING_STEPS`).
 
     Returns
     -------
@@ -43,17 +50,42 @@ def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
         Number of roots that were connected.
     """
     closed, roots = 0, list(file.roots)
-    for index, (root, node) in enumerate(zip(file.roots, file.parent_nodes, strict=True)):
-        if root.parent < 0 or node is None or node >= len(file.roots[root.parent].points_mm):
+    for index, (root, stated) in enumerate(zip(file.roots, file.parent_nodes, strict=True)):
+        if root.parent < 0:
             continue
         parent = file.roots[root.parent]
         away_mm = np.linalg.norm(parent.points_mm - root.points_mm[0], axis=1)
+        node = int(away_mm.argmin())
+        limit_mm = MISSING_STEPS * float(np.linalg.norm(root.points_mm[1] - root.points_mm[0]))
+        if stated is not None and stated < len(away_mm):
+            first = max(stated - 1, 0)
+            near = first + int(away_mm[first : stated + 2].argmin())
+            if away_mm[near] <= FARTHEST * away_mm.min():
+                node, limit_mm = near, np.inf
         reach_mm = (parent.diameters_mm[node] + root.diameters_mm[0]) / 2.0
-        if reach_mm < away_mm[node] <= FARTHEST * away_mm.min():
+        if reach_mm < away_mm[node] <= limit_mm:
             points_mm = np.concatenate([parent.points_mm[node : node + 1], root.points_mm])
-            roots[index] = replace(root, points_mm=points_mm, diameters_mm=np.concatenate([root.diameters_mm[:1], root.diameters_mm]))
+            sigma_mm = root.diameter_sigma_mm if root.diameter_sigma_mm is None else _repeat_first(root.diameter_sigma_mm)
+            diameters_mm = _repeat_first(root.diameters_mm)
+            roots[index] = replace(root, points_mm=points_mm, diameters_mm=diameters_mm, diameter_sigma_mm=sigma_mm)
             closed += 1
     return tuple(roots), closed
+
+
+def _repeat_first(values: Array) -> Array:
+    return np.concatenate([values[:1], values])
+
+
+def main_root(roots: Sequence[Root]) -> Root:
+    """Return the root with the largest volume: the longest root, if all are equally thick."""
+    return max(roots, key=lambda root: float(polyline.steps_mm(root.points_mm) @ (root.diameters_mm[:-1] + root.diameters_mm[1:]) ** 2))
+
+
+def growth_direction(root: Root) -> Array:
+    """Return the vector (3,) from the base of a root to the centre of its line, mm."""
+    steps_mm = polyline.steps_mm(root.points_mm)
+    middles_mm = (root.points_mm[:-1] + root.points_mm[1:]) / 2.0
+    return np.asarray(steps_mm @ middles_mm / max(float(steps_mm.sum()), 1e-12) - root.points_mm[0])
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ of the net pot.
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -24,6 +25,12 @@ FREE_MM = 0.5
 (`GrownSpecimen`)."""
 _UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 """Diagonal of the matrix that rotates by 180 degrees about the x axis."""
+_UPRIGHT = {
+    "x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),  # (x, y, z) -> (-z, y, x)
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),  # (x, y, z) -> (x, -z, y)
+    "z": np.eye(3),
+}
+"""Rotation that makes an axis of the file vertical."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,14 @@ class Placement:
         return tuple(replace(root, points_mm=self.of(root.points_mm), diameters_mm=self.scale * root.diameters_mm) for root in roots)
 
 
-def find_placement(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array | None = None) -> Placement:
+def find_placement(
+    specimen: PlacedFile,
+    points_mm: Array,
+    scene: Scene,
+    *,
+    growth_mm: Array | None = None,
+    vertical_axis: Literal["x", "y", "z"] | None = None,
+) -> Placement:
     """Compute the placement of a specimen.
 
     Parameters
@@ -58,26 +72,28 @@ def find_placement(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base
         Points of the specimen's surface, mm, in the frame of the file.
     scene : Scene
         Scene with the net pot.
-    base_mm : (M, 3) float64 or None
-        Bases of the roots, mm, which determine the upward direction. None: unknown.
+    growth_mm : (3,) float64 or None
+        Vector from the base of the main root to its centre, which points down (`traced_roots.growth_direction`). None:
+        unknown, for meshes.
+    vertical_axis : {"x", "y", "z"} or None
+        Axis of the file along which the depth is measured. None: z or, with ``place = "auto"``, y if z is constant.
 
     Returns
     -------
     Placement
-        Placement of the specimen. With ``place = "auto"``, flat traced roots (constant z) are rotated upright, with y
-        pointing down, and roots whose base is below the centre are turned upside down. The highest point is `FREE_MM`
-        below the grid, and the smallest enclosing circle, seen from above, is centred on the axis.
+        Placement of the specimen. With ``place = "auto"``, flat traced roots (constant z) are rotated upright, and
+        roots whose main root grows upwards are turned upside down. The highest point is `FREE_MM` below the grid, and
+        the smallest enclosing circle, seen from above, is centred on the axis.
     """
     shift = np.array(specimen.shift_mm)
-    turn = np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)
-    if specimen.place == "given":
+    is_auto = specimen.place == "auto"
+    axis = vertical_axis or ("y" if is_auto and growth_mm is not None and _is_flat(points_mm) else "z")
+    turn = (np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)) @ _UPRIGHT[axis]
+    if not is_auto:
         return Placement(turn, specimen.scale, shift)
-    if base_mm is not None and _is_flat(points_mm):
-        turn = turn @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # (x, y, z) -> (x, z, -y)
-    turned = points_mm @ turn.T
-    if base_mm is not None and float(np.mean(base_mm @ turn.T, axis=0)[2]) < float(turned[:, 2].mean()) and not specimen.flip:
+    if growth_mm is not None and float((turn @ growth_mm)[2]) > 0.0 and not specimen.flip:
         turn = np.diag(_UPSIDE_DOWN) @ turn
-        turned = points_mm @ turn.T
+    turned = points_mm @ turn.T
     return Placement(turn, specimen.scale, translation_below_grid(specimen.scale * turned, scene) + shift)
 
 

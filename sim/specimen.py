@@ -16,11 +16,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root, mean_diameter_mm
 from rhizotwin.scenes.rsml_reader import RsmlFile, read_file
+from rhizotwin.scenes.rsml_units import doubt_unit
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
-from rhizotwin.scenes.traced_roots import close_gaps, merge_shared_stretches
+from rhizotwin.scenes.traced_roots import close_gaps, growth_direction, main_root, merge_shared_stretches
 from rhizotwin.scenes.traits import measure_traits
 from rhizotwin.sim import growth, meshes, placement, solids
 from rhizotwin.sim.placement import TOUCH_MM, check_in_water
@@ -30,6 +31,9 @@ from rhizotwin.sim.solids import Array, Faces
 SPHERE_SUBDIVISIONS = 6
 """Number of subdivisions of the icosahedron that approximates a sphere. After scaling to the volume of the ball, its
 81920 faces deviate from the ball by at most 0.0045 % of the radius."""
+MOST_SIDEWAYS = 0.5
+"""Cosine of the angle between a main root and the vertical below which it is said to run sideways: 60 degrees. Seminal
+roots of cereals grow at up to about 50 degrees."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
 """Common resolutions of scanners and screens, dots per inch. A resolution in a file that equals one of them is probably
 in dots per inch."""
@@ -242,10 +246,26 @@ def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tupl
     """
     file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
     roots, closed = close_gaps(file)
-    base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])
-    roots = placement.find_placement(specimen, _extreme_points(roots), scene, base_mm=base_mm).roots(roots)
+    growth_mm = growth_direction(main_root(roots))
+    drawn_upright = file.dimensions == 2 and specimen.vertical_axis == "y"  # the reader has set the drawing upright
+    axis = None if drawn_upright else specimen.vertical_axis
+    placed = placement.find_placement(specimen, _extreme_points(roots), scene, growth_mm=growth_mm, vertical_axis=axis)
+    roots = placed.roots(roots)
     reach_mm = _extreme_points(roots)
-    check_in_water(reach_mm, scene, what=str(path))
+    stated = ("", "") if specimen.unit else (file.unit, file.resolution)
+    doubt = doubt_unit(
+        step_mm=file.step_mm,
+        unit=stated[0],
+        resolution=stated[1],
+        size_mm=float(np.ptp(reach_mm, axis=0).max()),
+        diameter_mm=mean_diameter_mm(roots),
+    )
+    try:
+        check_in_water(reach_mm, scene, what=str(path))
+    except UserError as error:
+        if doubt is None:
+            raise
+        raise UserError(f"{path}: {doubt}") from error
     diameters_mm = np.concatenate([root.diameters_mm for root in roots])
     said = "specified unit" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
     resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") and not specimen.unit else ""
@@ -254,16 +274,42 @@ def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tupl
         f"{diameters_mm.min():.2g} to {diameters_mm.max():.2g} mm thick; "
         f"one unit of the coordinates in the file is {file.step_mm:.4g} mm ({said}{resolution})."
     ]
-    if resolution and not specimen.unit and _is_dpi(file):
+    notes += file.notes
+    if doubt is not None:
+        notes.append(f"{path}: {doubt}")
+    elif resolution and not specimen.unit and _is_dpi(file):
         notes.append(
             f"{path}: the resolution of {file.resolution} is interpreted as coordinate units per {file.unit}. "
             f"If it is in dots per inch, set the unit '{25.4 / float(file.resolution):.4g} mm'."
         )
     if closed:
-        notes.append(
-            f"{path}: {closed} roots that begin at a distance from their parents were connected to the parent nodes specified in the file."
-        )
+        notes.append(f"{path}: {closed} roots that begin at a distance from their parents were connected to nodes of their parents.")
+    if (sideways := _sideways_note(placed.turn, growth_mm, "xyy" if file.dimensions == 2 else "xyz")) is not None:
+        notes.append(f"{path}: {sideways}")
     return roots, notes
+
+
+def _sideways_note(turn: Array, growth_mm: Array, axes: str) -> str | None:
+    """Return a sentence if the main root runs sideways, with the axis of the file along which it runs.
+
+    Parameters
+    ----------
+    turn : (3, 3) float64
+        Rotation from the frame of the file to that of the canister.
+    growth_mm : (3,) float64
+        Vector from the base of the main root to its centre, in the frame of the file.
+    axes : str
+        Names of the axes in the file.
+    """
+    length_mm = float(np.linalg.norm(growth_mm))
+    along_vertical = abs(float((turn @ growth_mm)[2])) / max(length_mm, 1e-12)
+    if length_mm == 0.0 or along_vertical >= MOST_SIDEWAYS:
+        return None
+    axis = axes[int(np.abs(growth_mm).argmax())]
+    return (
+        f"the main root runs sideways, {np.degrees(np.arccos(along_vertical)):.0f} degrees from the vertical. If the axis {axis} of the "
+        f"file is vertical, set --vertical-axis {axis}."
+    )
 
 
 def _is_dpi(file: RsmlFile) -> bool:

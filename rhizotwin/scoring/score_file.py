@@ -17,8 +17,10 @@ from rhizotwin.recon.hull import surface
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.rsml_reader import read_rsml
+from rhizotwin.scenes.rsml import Root, mean_diameter_mm
+from rhizotwin.scenes.rsml_reader import read_file, read_rsml
+from rhizotwin.scenes.rsml_units import doubt_unit
+from rhizotwin.scenes.traced_roots import close_gaps
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import Truth, load_truth
 from rhizotwin.scoring import foreign_files, surface_distance, voxelise
@@ -223,11 +225,20 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         If the file cannot be read, or the dataset has no true centre lines.
     """
     known = _Known.of(dataset)
-    roots = read_rsml(Path(file))
+    foreign = read_file(Path(file))
+    roots, closed = close_gaps(foreign)
     if not known.roots:
         raise UserError(f"{known.folder}: the specimen has no true centre lines with which an RSML file could be compared")
-    if not roots:
-        raise UserError(f"{file} contains no roots")
+    doubt = doubt_unit(
+        step_mm=foreign.step_mm,
+        unit=foreign.unit,
+        resolution=foreign.resolution,
+        size_mm=float(np.ptp(np.concatenate([root.points_mm for root in roots]), axis=0).max()),
+        diameter_mm=mean_diameter_mm(roots),
+    )
+    notes = [*foreign.notes, *([f"{file}: {doubt}"] if doubt else [])]
+    if closed:
+        notes.append(f"{closed} roots that begin at a distance from their parents were connected to nodes of their parents")
     compared = compare_traits(_traits_of(roots), _traits_of(known.roots))
     traits = {
         name: StatedScore(value=float(one.found), true=float(one.true), error=one.error)
@@ -241,6 +252,7 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         roots=compare_roots(roots, known.roots),
         topology=compare_topology(roots, known.roots),
         traits=traits,
+        notes=tuple(notes),
     )
 
 

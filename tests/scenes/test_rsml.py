@@ -40,6 +40,7 @@ def one(path: Path, unit: str | None = None, diameter_mm: float | None = None) -
 
 DECLARED = '<rsml xmlns="http://x" xmlns:po="http://www.plantontology.org/xml-dtd/po.dtd">'
 SPELT = {"schema": ("", ""), "prefixes": ("<rsml>", DECLARED), "capital point": ("<point x=", "<Point X="), "capital y": (" y=", " Y=")}
+SPELT["RootSystemTracker"] = ('<point x="0" y="0" z=', '<point coord_t="3" coord_x="0" coord_y="0" coord_z=')
 
 
 @pytest.mark.parametrize(("old", "new"), SPELT.values(), ids=SPELT)
@@ -70,12 +71,14 @@ THICKNESS: dict[str, tuple[str, list[float]]] = {
     "uniform": (TWO.format("uniform", "", ""), [1.0, 0.8, 0.4]),
     "as many as the points, but elsewhere": (THREE, [2.0, 1.0, 0.4]),
     "halfway": (THREE.replace("position='1'", "position='1.5'"), [2.0, 2.0 - 1.0 / 1.5, 0.4]),
+    "0 of points that RootSystemTracker did not measure": (AS_TEXT.format("age"), [0.7] * 3),
 }
 
 
 @pytest.mark.parametrize(("thickness", "expected"), THICKNESS.values(), ids=THICKNESS)
 def test_thickness_in_many_forms(write: Write, thickness: str, expected: list[float]) -> None:
-    np.testing.assert_allclose(one(write(f"<root>{LINE}{thickness}</root>")).diameters_mm, expected)
+    line = LINE.replace("<point", "<point diameter='0'")
+    np.testing.assert_allclose(one(write(f"<root>{line}{thickness}</root>"), diameter_mm=0.7).diameters_mm, expected)
 
 
 UNITS: dict[str, tuple[str, str, float, list[float]]] = {
@@ -83,6 +86,9 @@ UNITS: dict[str, tuple[str, str, float, list[float]]] = {
     "steps per cm": ("<metadata><unit>cm</unit><resolution>40</resolution></metadata>", THICK, 0.25, [0.125, 0.1, 0.025]),
     "m in steps of 0.1 mm": ("<metadata><unit>m</unit><resolution>0.0001</resolution></metadata>", THICK, 0.1, [0.05, 0.04, 0.01]),
     "of a property": (DEFINED, '<properties><diameter value="0.03"/></properties>', 1.0, [0.3] * 3),
+    "of a definition that fits": (DEFINED.replace("mm", "um"), THICK, 0.001, [5, 4, 1]),
+    "SmartRoot's definition does not fit": (DEFINED, THICK.replace("0.", "10"), 1.0, [105, 104, 101]),
+    "pixel(um)": ("<metadata><unit>pixel(um)</unit><size>76.0</size></metadata>", THICK, 0.076, [0.038, 0.0304, 0.0076]),
     "a function's serves the points": ("", THICK.replace("diameter", "radius [m]"), 1000.0, [1000, 800, 200]),
 }
 
@@ -97,6 +103,8 @@ def test_units(write: Write, metadata: str, thickness: str, step_mm: float, diam
 UNKNOWN = {
     "no metadata": "",
     "inch without dpi": "<metadata><unit>inch</unit></metadata>",
+    "pixel": "<metadata><unit>pixel</unit><resolution>300</resolution></metadata>",
+    "pixel(um) without size": "<metadata><unit>pixel(um)</unit></metadata>",
 }
 
 
@@ -151,12 +159,48 @@ def test_roots_without_a_line_are_left_out(write: Write) -> None:
     assert (root.order, root.parent) == (0, -1)
 
 
+FLAT_FILES = {
+    "own id, as RSWMS": [("3", "parent-branch", "2"), ("2", "parent-branch", "1"), ("1", "parent-branch", "1")],
+    "-1 and decimals": [("3", "parentBranch", "2.0"), ("2", "parentBranch", "1.0"), ("1", "parentBranch", "-1")],
+    "ids of OpenAlea": [("1.1.1", "Parent_ID", "1.1"), ("1.1", "Parent_ID", "1"), ("1", "age", "3")],
+    "numbers from 1": [("", "parent", "2"), ("", "parent", "3"), ("", "parent", "0")],
+    "numbers from 0": [("", "parent", "1"), ("", "parent", "2"), ("", "parent", "-1")],
+}
+
+
+@pytest.mark.parametrize("stated", FLAT_FILES.values(), ids=FLAT_FILES)
+def test_flat_file_states_its_parents(write: Write, stated: list[tuple[str, str, str]]) -> None:
+    roots = [
+        f'<root {f"ID={own!r}" if own else ""} label="{2 - k}"><properties><{name}>{value}</{name}></properties>{LINE}{THICK}</root>'
+        for k, (own, name, value) in enumerate(stated)
+    ]
+    read = read_rsml(write("".join(roots)))
+    assert [(root.label, root.order, root.parent) for root in read] == [("0", 0, -1), ("1", 1, 0), ("2", 2, 1)]
+
+
+WRONG_PARENTS = {
+    "unknown": (("1", "7"), 'root 1 states the parent "7", but no root has this id'),
+    "ambiguous": (("1", "2"), 'states the parent "2", but 2 roots have this id'),
+    "cycle": (("3", "1"), "root 1 is its own ancestor"),
+}
+
+
+@pytest.mark.parametrize(("first", "says"), WRONG_PARENTS.values(), ids=WRONG_PARENTS)
+def test_impossible_parents_are_refused(write: Write, first: tuple[str, str], says: str) -> None:
+    stated = (first, ("2", ""), ("2", ""), *([("1", "3")] if first[0] == "3" else []))
+    roots = [f'<root id="{own}"><properties><parent-branch value="{above}"/></properties>{LINE}{THICK}</root>' for own, above in stated]
+    with pytest.raises(UserError, match=says):
+        read_rsml(write("".join(roots)))
+
+
 def test_two_dimensions_hang_down_at_depth_0(write: Write) -> None:
     np.testing.assert_array_equal(one(write(f"<root>{FLAT}{THICK}</root>")).points_mm, [[3, 0, -1], [4, 0, -2], [5, 0, -7]])
 
 
 def test_a_tip_was_seen_unless_the_file_says_no(write: Write) -> None:
-    said = {f'<properties><tip-seen value="{value}"/></properties>': value == "true" for value in ("false", "true")} | {"": True}
+    said = {f'<properties><tip-seen value="{value}"/></properties>': value in "true 1" for value in ("false", "true", "0", "1")} | {
+        "": True
+    }
     assert {text: one(write(f"<root>{LINE}{THICK}{text}</root>")).tip_seen for text in said} == said
 
 
@@ -212,6 +256,7 @@ def test_written_file_is_valid_by_the_schema(tmp_path: Path) -> None:
     schema.validate(text)
     assert "<last-modified>2024-01-02T00:00:00+00:00</last-modified>" in text
     assert [part.split('"')[1] for part in text.split("<parent-node value=")[1:]] == ["0", "1", "0"]  # where laterals leave
+    assert [part.split('"')[1] for part in text.split("<tip-seen value=")[1:]] == ["1", "1", "0"]  # OpenAlea reads numbers only
     wrong = {'z="-2.0"': 'z="-2e0"', 'id="1.2"': 'id="1.1"', "<geometry>": "<functions/><geometry>", ' y="': ' w="'}
     assert [schema.is_valid(text.replace(good, bad, 1)) for good, bad in wrong.items()] == [False] * 4
 

@@ -11,9 +11,9 @@ from rhizotwin.scenes.rsml import Root, length_mm
 from rhizotwin.scenes.rsml_reader import read_file
 
 FILE = """<rsml><metadata><unit>mm</unit></metadata><scene><plant><root><geometry><polyline>
-<point x="0" y="0" z="-10"/><point x="0" y="0" z="-20"/><point x="0" y="0" z="-30"/></polyline></geometry>
-<root><properties><parent-node value="{node}"/></properties><geometry><polyline>
-<point x="4" y="0" z="-21"/><point x="14" y="0" z="-21"/></polyline></geometry></root></root></plant></scene></rsml>"""
+<point x="0" y="0" z="1"/><point x="0" y="0" z="-5"/><point x="0" y="0" z="-11"/><point x="0" y="0" z="-20"/><point x="0" y="0" z="-30"/>
+</polyline></geometry><root><properties>{node}</properties><geometry><polyline>
+<point x="4" y="0" z="{z}"/><point x="14" y="0" z="{z}"/></polyline></geometry></root></root></plant></scene></rsml>"""
 
 
 def line(*points: tuple[float, float, float], parent: int = -1, diameter_mm: float = 1.0) -> Root:
@@ -24,14 +24,28 @@ def line(*points: tuple[float, float, float], parent: int = -1, diameter_mm: flo
     return Root(points_mm=nodes, diameters_mm=np.full(len(nodes), diameter_mm), order=0 if parent < 0 else 1, parent=parent)
 
 
-@pytest.mark.parametrize(("node", "closed"), [("1", 1), ("0", 0), ("7", 0)], ids=["near", "far", "beyond"])
-def test_a_gap_is_closed_where_the_file_names_a_node_nearby(tmp_path: Path, node: str, closed: int) -> None:
-    (tmp_path / "gap.rsml").write_text(FILE.format(node=node))
+GAPS = {
+    "stated": ('<parent-node value="3"/>', -21, -20.0),
+    "counted from 1, as in RSWMS": ('<parent-node value="4.0"/>', -21, -20.0),
+    "not stated, one point missing": ("", -21, -20.0),
+    "stated node far away": ('<parent-node value="0"/>', -21, -20.0),
+    "too far for a missing point": ('<parent-node value="99"/>', -300, None),
+}
+
+
+@pytest.mark.parametrize(("node", "z_mm", "closed_mm"), GAPS.values(), ids=GAPS)
+def test_a_gap_is_closed_to_a_node_of_the_parent(tmp_path: Path, node: str, z_mm: int, closed_mm: float | None) -> None:
+    (tmp_path / "gap.rsml").write_text(FILE.format(node=node, z=z_mm))
     roots, count = traced_roots.close_gaps(read_file(tmp_path / "gap.rsml", diameter_mm=0.5))
-    assert count == closed
-    first = roots[1].points_mm[0]
-    assert first == pytest.approx([0.0, 0.0, -20.0] if closed else [4.0, 0.0, -21.0])
+    assert count == (closed_mm is not None)
+    assert roots[1].points_mm[0] == pytest.approx([4.0, 0.0, z_mm] if closed_mm is None else [0.0, 0.0, closed_mm])
     assert len(roots[1].diameters_mm) == len(roots[1].points_mm)
+
+
+def test_the_longest_thick_root_is_the_main_root() -> None:
+    tap, fine = line((0, 0, -10), (0, 0, -60)), line((0, 0, -10), (200, 0, -10), diameter_mm=0.3)
+    assert traced_roots.main_root([fine, tap, line((0, 0, -10), (0, 0, -20), diameter_mm=2.0)]) is tap
+    assert traced_roots.growth_direction(tap) == pytest.approx([0.0, 0.0, -25.0])
 
 
 def test_a_stretch_that_two_roots_share_counts_once() -> None:
