@@ -3,7 +3,7 @@
 The board is a chessboard with ArUco markers in its white squares.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -27,7 +27,7 @@ length. Corners cannot be measured if the margin is narrower."""
 
 @dataclass(frozen=True, kw_only=True)
 class CharucoBoard:
-    """ChArUco board with the current pattern of OpenCV: the top left square is black, and ids increase along the rows.
+    """ChArUco board of OpenCV: the top left square is black, and ids increase along the rows.
 
     The origin of the board's frame is the top left corner of the pattern, with x to the right, y down and z away from
     the viewer.
@@ -39,6 +39,14 @@ class CharucoBoard:
     marker_mm: float = bounded(22.0, 0.5, 1000.0)
     dictionary: str = "5X5_100"
     """ArUco dictionary of the markers, which must differ from the dictionary of the strip."""
+    legacy_pattern: bool = False
+    """Pattern of OpenCV before 4.6, which calib.io still offers: with an even number of rows, the top left square is
+    white. With an odd number of rows, both patterns are the same."""
+
+    @property
+    def other_pattern(self) -> "CharucoBoard | None":
+        """Return the board with the other pattern; None if both patterns are the same."""
+        return None if self.squares_xy[1] % 2 else replace(self, legacy_pattern=not self.legacy_pattern)
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -62,7 +70,9 @@ class CharucoBoard:
 
 def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
     """Convert the board to an OpenCV object with dimensions in mm."""
-    return cv2.aruco.CharucoBoard(board.squares_xy, board.square_mm, board.marker_mm, get_dictionary(board.dictionary))
+    made = cv2.aruco.CharucoBoard(board.squares_xy, board.square_mm, board.marker_mm, get_dictionary(board.dictionary))
+    made.setLegacyPattern(board.legacy_pattern)
+    return made
 
 
 def black_parts(board: CharucoBoard) -> Array:
@@ -72,11 +82,11 @@ def black_parts(board: CharucoBoard) -> Array:
     """
     columns, rows = board.squares_xy
     gap_mm = (board.square_mm - board.marker_mm) / 2.0
-    parts, marker = [], 0
+    parts, marker, first_black = [], 0, int(board.legacy_pattern and rows % 2 == 0)
     for row in range(rows):
         for column in range(columns):
             left_mm, top_mm = column * board.square_mm, row * board.square_mm
-            if (row + column) % 2 == 0:
+            if (row + column) % 2 == first_black:
                 parts.append(np.array([[left_mm, top_mm, left_mm + board.square_mm, top_mm + board.square_mm]]))
             else:
                 at = {"left_mm": left_mm + gap_mm, "top_mm": top_mm + gap_mm, "side_mm": board.marker_mm}

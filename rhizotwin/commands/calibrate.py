@@ -161,6 +161,11 @@ def camera(
             files.save_scene(calibrated, building / "scene.toml")
             written.append(building / "scene.toml")
         names = [path.name for path in written]
+    if made.board != shown:
+        pattern, value = ("before", "true") if made.board.legacy_pattern else ("since", "false")
+        print(
+            f"note: the board has the pattern of OpenCV {pattern} 4.6, which was used; write legacy_pattern = {value} into the board file"
+        )
     _print_calibration(made, of=len(paths))
     for name in names:
         print(f"  {output / name}")

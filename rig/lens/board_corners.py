@@ -3,7 +3,7 @@
 OpenCV identifies the corners, and `rig.lens.saddle_fit` measures their positions.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -34,6 +34,7 @@ OTHER_DICTIONARIES: Final = (
     "ARUCO_ORIGINAL",
     "APRILTAG_16h5",
     "APRILTAG_25h9",
+    "ARUCO_MIP_36h12",
 )
 
 
@@ -174,21 +175,36 @@ def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int)
     """Return the reason why too few corners were found in a picture."""
     if corners:
         return f"the picture shows only {corners} corners of the board, but at least {LEAST_CORNERS} are needed; show more of the board"
-    if markers >= 3:
-        return (
-            f"the picture shows {markers} markers of {board.dictionary}, but not in the arrangement of a board of {_size(board)} squares; "
-            "check --squares, and that the board is flat"
-        )
     picture = _tone(image, 1.0)
-    if _count(np.ascontiguousarray(picture[:, ::-1]), board.dictionary) >= 3:
+    if markers >= 3:
+        highest = int(_ids(picture, board.dictionary).max(initial=-1))
+        if highest >= board.markers:
+            cure = (
+                f"it has 0 to {board.markers - 1}, but the picture shows marker {highest}; check --squares, and that the first marker is 0"
+            )
+        elif (fitting := _turned(image, board)) is not None:
+            cure = f"the board has {_size(fitting)} squares (columns x rows); give --squares {_size(fitting)}"
+        else:
+            cure = "check --squares, and that the board is flat"
+        found = (
+            f"the picture shows {markers} markers of {board.dictionary}, but not in the arrangement of a board of {_size(board)} squares"
+        )
+        return f"{found}; {cure}"
+    if len(_ids(np.ascontiguousarray(picture[:, ::-1]), board.dictionary)) >= 3:
         return "the picture is mirrored: the board is found only in its mirror image"
     for name in OTHER_DICTIONARIES:
-        if name != board.dictionary and _count(picture, name) >= 3:
+        if name != board.dictionary and len(_ids(picture, name)) >= 3:
             return f"the picture shows markers of {name} instead of {board.dictionary}; show only the board, or check --dictionary"
     return "no board was found; it may be too dark, too blurred, too far away, or missing"
 
 
-def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
-    """Return the number of detected markers of a dictionary in a picture."""
+def _turned(image: Picture, board: CharucoBoard) -> CharucoBoard | None:
+    """Return the board with columns and rows exchanged, in one of its patterns, if the picture shows it."""
+    turned = replace(board, squares_xy=(board.squares_xy[1], board.squares_xy[0]))
+    return next((one for one in (turned, turned.other_pattern) if one and len(_search(image, one)[0]) >= LEAST_CORNERS), None)
+
+
+def _ids(picture: NDArray[np.uint8], dictionary: str) -> NDArray[np.int64]:
+    """Return the ids (N,) of the detected markers of a dictionary in a picture."""
     ids = cv2.aruco.ArucoDetector(get_dictionary(dictionary)).detectMarkers(picture)[1]
-    return 0 if ids is None else len(ids)
+    return np.zeros(0, np.int64) if ids is None else np.ravel(ids).astype(np.int64)

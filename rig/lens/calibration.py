@@ -73,7 +73,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
         Pictures (PNG, JPG or TIFF, 8 or 16 bits) from one camera, with constant focus and size.
     board : CharucoBoard
         Printed board. The number of squares and the markers must be correct, whereas the scale does not affect the
-        lens.
+        lens. If the pictures show it in the other pattern (`CharucoBoard.legacy_pattern`), that pattern is used.
     monitor : Monitor or None
         Receiver of progress reports.
 
@@ -106,6 +106,10 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
                 rejected[path.name] = str(error).removeprefix(f"{path.name}: ")
                 continue
             found = find_board(image, board)
+            if isinstance(found, NoBoard) and not seen and board.other_pattern is not None:
+                other = find_board(image, board.other_pattern)
+                if isinstance(other, BoardView):
+                    found, board = other, board.other_pattern
             if isinstance(found, NoBoard):
                 rejected[path.name] = found.reason
                 continue

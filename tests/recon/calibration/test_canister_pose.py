@@ -24,7 +24,8 @@ def picture(cam_from_canister: np.ndarray, rng: np.random.Generator, *, radius_m
     """Draw the bare panel outside the wall, darkness at the edge and a brighter middle inside, with noise."""
     width, height = CAMERA.image_wh
     px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
-    undone = cv2.undistortPoints(px, matrix(CAMERA), np.array(CAMERA.distortion)).reshape(-1, 2)
+    many = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
+    undone = cv2.undistortPoints(px, matrix(CAMERA), np.array(CAMERA.distortion), criteria=many).reshape(-1, 2)
     rays = np.concatenate([undone, np.ones((len(undone), 1))], axis=1) @ cam_from_canister[:3, :3]
     start = frames.invert(cam_from_canister)[:3, 3]
     mm_per_px = np.linalg.norm(start[:2]) / CAMERA.focal_px[0]

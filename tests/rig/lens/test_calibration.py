@@ -29,8 +29,9 @@ BENCH = (-0.05, 0.02, 0.0003, -0.0002, 0.0)
 SMALL = Scene(camera=Camera().resized((400, 300)))
 
 
-def test_the_board_is_opencv_s_pattern() -> None:
-    board = CharucoBoard(squares_xy=(6, 8), square_mm=24.0, marker_mm=18.0, dictionary="4X4_50")
+@pytest.mark.parametrize(("squares_xy", "legacy"), [((6, 8), False), ((6, 8), True), ((7, 5), True)])
+def test_the_board_is_opencv_s_pattern(squares_xy: tuple[int, int], legacy: bool) -> None:
+    board = CharucoBoard(squares_xy=squares_xy, square_mm=24.0, marker_mm=18.0, dictionary="4X4_50", legacy_pattern=legacy)
     theirs = opencv_board(board)
     np.testing.assert_allclose(theirs.getChessboardCorners(), board.corners_mm)
     wide, high = (round(side) for side in board.size_mm)
@@ -68,7 +69,8 @@ def test_corners_of_a_board_straight_on_even_large_and_dark() -> None:
 USELESS = {
     "mirrored": (np.ascontiguousarray(flat_picture()[:, ::-1]), "mirrored"),
     "other dictionary": (flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), "markers of APRILTAG_36h11"),
-    "other board": (flat_picture(CharucoBoard(squares_xy=(5, 7))), "not in the arrangement of a board of 7x5"),
+    "other board": (flat_picture(CharucoBoard(squares_xy=(5, 7))), "not in the arrangement of a board of 7x5 squares; the board has 5x7"),
+    "larger board": (flat_picture(CharucoBoard(squares_xy=(8, 6))), "0 to 16, but the picture shows marker 23"),
     "few corners": (flat_picture()[:160, :260], "8 are needed"),
 }
 
@@ -78,6 +80,20 @@ def test_a_useless_picture_is_refused_with_its_reason(picture: NDArray[np.uint8]
     found = find_board(picture, BOARD)
     assert isinstance(found, NoBoard)
     assert reason in found.reason
+
+
+def test_the_pattern_of_the_pictures_is_used(tmp_path: Path) -> None:
+    """A board with an even number of rows in the pattern of OpenCV before 4.6, which the board file does not state."""
+    board = CharucoBoard(squares_xy=(6, 4), square_mm=30.0, legacy_pattern=True)
+    flat, (width, height) = flat_picture(board), board.size_mm
+    ends_mm = np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
+    for k in range(4):
+        seen_px = project(SMALL.camera, draw_pose(SMALL, board, seed=0, index=k), ends_mm)
+        warp = cv2.getPerspectiveTransform(((ends_mm[:, :2] + 12.0) * 3.0 - 0.5).astype(np.float32), seen_px.astype(np.float32))
+        write_image(tmp_path / f"{k}.png", cv2.warpPerspective(flat, warp, (400, 300), flags=cv2.INTER_AREA, borderValue=255))
+    made = calibrate(sorted(tmp_path.iterdir()), replace(board, legacy_pattern=False))
+    assert made.board == board
+    np.testing.assert_allclose(made.camera.focal_px, SMALL.camera.focal_px, rtol=0.01)
 
 
 def seen_views(
