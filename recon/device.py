@@ -3,6 +3,9 @@
 Dr.Jit uses NumPy arrays without copying them. It compiles a separate kernel for every combination of inputs that are
 aligned to 64 bytes and inputs that are not. Small NumPy arrays have arbitrary alignment, so a kernel with twenty inputs
 would be compiled many times, at one second each. This module therefore copies arrays to aligned memory.
+
+A number from Python is a literal of the kernel, so that another value requires another kernel. Numbers that depend on
+the scan, such as the size of the pictures, are therefore passed as inputs (`drjit.opaque`).
 """
 
 import ctypes
@@ -56,12 +59,12 @@ _BELOW_HALF = 1e-9
 half-precision number, 6e-8, and cannot itself be represented in half precision."""
 
 
-def readable(px: Vector2f, width: int, height: int) -> Bool:
+def readable(px: Vector2f, width: UInt32, height: UInt32) -> Bool:
     """Return whether each position lies within a picture, so that it can be interpolated bilinearly.
 
     The result is mi.Bool, with one element per position.
     """
-    return (px.x > 0) & (px.x < width - TO_LAST) & (px.y > 0) & (px.y < height - TO_LAST)
+    return (px.x > 0) & (px.x < mi.Float(width) - TO_LAST) & (px.y > 0) & (px.y < mi.Float(height) - TO_LAST)
 
 
 def numbers(values: NDArray[np.generic]) -> Float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.silhouettes import TRACE, UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, Window, blur_coverage
-from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, select_parts, vectors
+from rhizotwin.recon.device import Float, Kernel, UInt32, Vector3f, halves, select_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
 
@@ -129,19 +129,23 @@ class Evidence:
         return self.window.size_px
 
     @property
+    def size(self) -> tuple[UInt32, UInt32]:
+        """Return the width and height of the window, px, as inputs of a kernel (mi.UInt32)."""
+        width, height = (dr.opaque(mi.UInt32, edge) for edge in self.image_wh)
+        return width, height
+
+    @property
     def pixels(self) -> int:
         """Return the number of pixels per view."""
         return self.image_wh[0] * self.image_wh[1]
 
     def project(self, points_mm: Array) -> Nodes:
         """Project points (N, 3), canister frame, mm, into all views."""
-        views, count = self.bank.count, len(points_mm)
-        point = mi.Point3f(*(dr.tile(numbers(part), views) for part in points_mm.T))
-        p = projection.project(self.bank, dr.repeat(dr.arange(mi.UInt32, views), count), point, mi.Bool(True))
-        width, height = self.image_wh
+        p = projection.project_into_all(self.bank, points_mm)
+        width, height = (mi.Float(edge) for edge in self.size)
         p.visible &= (p.px.x > 1.0) & (p.px.x < width - 2.0) & (p.px.y > 1.0) & (p.px.y < height - 2.0)
         dr.eval(p.px, p.du, p.dv, p.visible)  # evaluated together, to project once
-        return Nodes((views, count), p)
+        return Nodes((self.bank.count, len(points_mm)), p)
 
 
 @dataclass(frozen=True)
@@ -189,7 +193,8 @@ class Nodes:
 
         ``values`` is a mi.Vector3f (N,), and the result is a flattened mi.Vector3f (V, N).
         """
-        return mi.Vector3f(*(dr.tile(part, self.shape[0]) for part in values))
+        views, count = self.shape
+        return dr.gather(mi.Vector3f, values, dr.arange(mi.UInt32, views * count) % dr.opaque(mi.UInt32, count))
 
 
 def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:

@@ -223,8 +223,8 @@ class _ProjectedCubes:
     def project(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _ProjectedCubes:
         p = projection.project(bank, dr.zeros(mi.UInt32, len(middles_mm)), points(middles_mm), mi.Bool(True))
         dr.eval(p.px, p.du, p.dv, p.visible)
-        px = np.array(p.px, np.float64).T
-        scale = np.maximum(np.linalg.norm(np.array(p.du), axis=0), np.linalg.norm(np.array(p.dv), axis=0))
+        px, *gradients = (np.stack([np.array(part, np.float64) for part in vector], axis=-1) for vector in (p.px, p.du, p.dv))
+        scale = np.maximum(*(np.linalg.norm(by_point, axis=1) for by_point in gradients))
         inside = np.array(dr.select(p.visible, mi.UInt32(1), mi.UInt32(0))) > 0
         inside &= (px > 0.0).all(axis=1) & (px < np.array([shape[1] - 1, shape[0] - 1])).all(axis=1)
         column, row = np.round(np.where(inside[:, None], px, 0.0)).astype(np.int64).T

@@ -171,7 +171,7 @@ class _Carving:
         """
         grid, slack_px, water = self.grid, self.slack_px, self.water
         units, edge_mm = 2 ** (grid.levels - level), grid.edge_mm(level)
-        half_mm = dr.opaque(mi.Float, 0.5 * edge_mm)
+        half_mm, least = dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.UInt32, self.min_votes)
         if not by_parent:
             part = _compress(part, self._inside(_centres(grid, part, edge_mm), edge_mm))
             if dr.width(part[0]) == 0:
@@ -184,17 +184,17 @@ class _Carving:
         empty, partial, votes, depth, scale = marked.empty, marked.partial, marked.votes, marked.depth, marked.scale
         if by_parent:
             empty |= ~self._inside(point, edge_mm)
-        blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # 1.01: rounding
+        blind = ~empty & (votes < least) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # 1.01: rounding
         if level < grid.levels:
             blind &= ~marks.find_partly_visible(self.bank, self.maps, point, half_mm, blind, self.min_votes)
-        full = ~empty & ~blind & ~partial & (votes >= self.min_votes)
+        full = ~empty & ~blind & ~partial & (votes >= least)
         split = ~empty & ~blind & ~full
         in_radius = dr.square(point.x) + dr.square(point.y) < water.radius_mm**2
         chosen, measured = full, None
         if units == 1:
             # occupancy of the finest nodes that no view classifies
             moves = (0.0, -slack_px / scale, slack_px / scale)
-            measured = [dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0)) for move in moves]
+            measured = [dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / dr.opaque(mi.Float, grid.size_mm), 0.0, 1.0)) for move in moves]
             chosen = full | (split & in_radius & (measured[2] > 0))
             dr.eval(blind, chosen, measured)
         else:

@@ -21,7 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers
+from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers, points
 from rhizotwin.recon.optics import ray_kernel, window
 from rhizotwin.recon.optics.cameras import View, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
@@ -177,6 +177,16 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
         by_point.z -= by_point.x * aside + by_point.y * along
         by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
     return found
+
+
+def project_into_all(bank: ViewBank, points_mm: Array) -> Projected:
+    """Project points (N, 3), canister frame, mm, into all views.
+
+    The result is flattened (V, N), and is not evaluated.
+    """
+    lane, count = dr.arange(mi.UInt32, bank.count * len(points_mm)), dr.opaque(mi.UInt32, len(points_mm))
+    view = lane // count
+    return project(bank, view, dr.gather(mi.Point3f, points(points_mm), lane - view * count), mi.Bool(True))
 
 
 def px_a_mm(bank: ViewBank, point_mm: Array) -> float:

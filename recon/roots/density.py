@@ -126,14 +126,14 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
         covered = Table(organ, table.windows).shadows(every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
         del organ
     dr.eval(covered)
-    shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * (_START * cells.grid.size_mm**2)
+    shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * dr.opaque(mi.Float, _START * cells.grid.size_mm**2)
     dr.eval(shadow)
     done = 0
     for count in schedule(evidence.bank.count):
         for views in _subsets(evidence.bank.count, count):
             shadow = _improve(table, views, coverage, covered, shadow)
         if any(done < step <= done + count for step in _THIN_OUT):
-            kept = dr.compress(shadow > _NOTHING * cells.grid.size_mm**2)
+            kept = dr.compress(shadow > dr.opaque(mi.Float, _NOTHING * cells.grid.size_mm**2))
             number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.select(kept)
             dr.eval(shadow)
             release()  # kernels of later passes process more views

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, is_positive, numbers, points, readable
+from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, is_positive, numbers, readable
 from rhizotwin.recon.optics import projection
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Footprints:
     count: int
     """Number of cells."""
     image_wh: tuple[int, int]
-    steps_a_px: float
+    steps_a_px: Float
     place: UInt32
     """Column and row of each cell in each view, in steps of a fraction of a pixel, 16 bits each (mi.UInt32, flattened
     (V, N))."""
@@ -87,20 +87,17 @@ class Footprints:
     @staticmethod
     def project(evidence: Evidence, centre_mm: Array) -> Footprints:
         """Project cell centres (N, 3) into all views."""
-        count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
-        steps_a_px = _STEPS / max(width, height)
-        point = points(centre_mm)
-        lane = dr.arange(mi.UInt32, count * views)
-        view = lane // dr.opaque(mi.UInt32, count)
-        point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
-        p = projection.project(evidence.bank, view, point, mi.Bool(True))
+        count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.size
+        steps_a_px = dr.opaque(mi.Float, _STEPS / max(evidence.image_wh))
+        p = projection.project_into_all(evidence.bank, centre_mm)
+        view = dr.arange(mi.UInt32, count * views) // dr.opaque(mi.UInt32, count)
         visible = p.visible & readable(p.px, width, height)
         px = dr.select(visible, p.px, mi.Vector2f(0.0))
-        usable = dr.gather(mi.Float16, evidence.usable, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
+        usable = dr.gather(mi.Float16, evidence.usable, view * (width * height) + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
         area = mi.Float16(dr.select(visible & is_positive(usable), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)
-        return Footprints(views, count, (width, height), steps_a_px, place, area)
+        return Footprints(views, count, evidence.image_wh, steps_a_px, place, area)
 
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the lowest and the highest column and row of the footprints in each view, two arrays (V, 2).

@@ -137,17 +137,17 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
     margin_px : float
         Margin around the core within which the whole solid lies, px.
     """
-    (width, height), views = evidence.image_wh, evidence.bank.count
+    (width, height), views, (columns, rows) = evidence.image_wh, evidence.bank.count, evidence.size
     covered = np.zeros((views, height, width), bool)
     rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # the rim hides all inner cells
     points = vectors(rim.centre_mm)
     for view in range(views if len(rim.index) else 0):
         p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))
-        lane = dr.compress(p.visible & readable(p.px, width, height))
+        lane = dr.compress(p.visible & readable(p.px, columns, rows))
         if dr.width(lane):
             column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
             empty = dr.full(mi.Float, 1.0, width * height)
-            dr.scatter(empty, mi.Float(0.0), dr.gather(mi.UInt32, row * width + column, lane))
+            dr.scatter(empty, mi.Float(0.0), dr.gather(mi.UInt32, row * columns + column, lane))
             away = cv2.distanceTransform(np.array(empty).reshape(height, width).astype(np.uint8), cv2.DIST_L2, 5)
             covered[view] = away <= margin_px
     return covered

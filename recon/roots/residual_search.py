@@ -70,13 +70,12 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> tupl
     """
     left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.usable)
     dr.eval(left)
-    width, height = evidence.image_wh
-    point, pixels = points(points_mm), dr.opaque(mi.UInt32, evidence.pixels)
+    (width, height), point = evidence.size, points(points_mm)
 
     def body(view: UInt32, top: Float, weight: Float, square: Float) -> tuple[UInt32, Float, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
         visible = p.visible & readable(p.px, width, height)
-        px, base = dr.select(visible, p.px, mi.Vector2f(0.0)), view * pixels
+        px, base = dr.select(visible, p.px, mi.Vector2f(0.0)), view * (width * height)
         usable = bilinear(evidence.usable, base, width, px.x, px.y, visible)
         good = visible & (usable > 0.99)
         u, d = (dr.select(good, bilinear(source, base, width, px.x, px.y, visible), 0.0) for source in (free, left))

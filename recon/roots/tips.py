@@ -95,7 +95,7 @@ def _measure_offsets(evidence: Evidence, explained_there: Kernel, tip_mm: Array,
     views, p = at.shape[0], at.on_device
     start = wholes(np.repeat(np.arange(views), at.shape[1]) * evidence.pixels)
     measured, explained, usable = (
-        np.array(bilinear(picture, start, evidence.image_wh[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
+        np.array(bilinear(picture, start, evidence.size[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
         for picture in (evidence.coverage, explained_there, evidence.usable)
     )
     clear = (at.visible.reshape(usable.shape) & (usable > 0.99)).all(axis=2)

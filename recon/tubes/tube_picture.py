@@ -76,8 +76,8 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     dr.eval(depth)
     if strips is None:
         return dr.exp(-depth)
-    (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way
-    # Opaque, since every literal value of the blur would require a new kernel.
+    size, (x, y), (t_x, t_y) = evidence.size, strips.begin, strips.way
+    width, height = (mi.Float(edge) for edge in size)
     sigma, spread = dr.opaque(mi.Float, float(np.hypot(evidence.blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * evidence.blur_px**2)
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
@@ -115,7 +115,7 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
         before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
         c *= dr.select(is_tip, 0.5 * (1 - dr.erf((beyond - strips.cap_px) * scale)), 1.0)
         value, own = -dr.log(1 - dr.minimum(c, FULLEST)), (before >= 0) & ((beyond < 0) | is_tip)
-        place = strips.start + mi.UInt32(v * width + u)
+        place = strips.start + mi.UInt32(v) * size[0] + mi.UInt32(u)
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, own & (value > _NOTHING) & (u <= end), mode=dr.ReduceMode.Direct)
         ended, (low, high) = u >= end, row_span(v + 1)
         return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)

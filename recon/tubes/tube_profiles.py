@@ -250,8 +250,8 @@ class Profiles:
 
         ``terms`` yields the contributions of one view, ``size`` in number.
         """
-        views, count = self.shape
-        nodes = dr.opaque(mi.UInt32, count)
+        count = self.shape[1]
+        views, nodes = (dr.opaque(mi.UInt32, size) for size in self.shape)
 
         def body(view: UInt32, at: UInt32, *sums: Float) -> tuple[Kernel, ...]:
             return view + 1, at + nodes, *(total + term for total, term in zip(sums, terms(at), strict=True))

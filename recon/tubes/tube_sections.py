@@ -36,8 +36,8 @@ class Sections:
     """Index of each cross-section in a flattened array of shape (V, N) (mi.UInt32)."""
     start: UInt32
     """Offset of the view's picture in flattened pictures (mi.UInt32)."""
-    columns: int
-    rows: int
+    columns: UInt32
+    rows: UInt32
     px: Vector2f
     """Pixel coordinates of the node (mi.Vector2f)."""
     normal: Vector2f
@@ -76,7 +76,7 @@ class Sections:
         half_px, sine = radius_mm * scale, sine_to_sight(du, dv, t)
         layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine, half_px, index=evidence.index)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, sine, layers)
+        return Sections(at.shape, place, start, *evidence.size, px, normal, across, scale, half_px, sine, layers)
 
     @property
     def count(self) -> int:
@@ -111,8 +111,8 @@ class Sections:
 
         The samples are at the distance ``offset_px`` from the tube's centre line.
         """
-        u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
-        v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
+        u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, mi.Float(self.columns) - TO_LAST)
+        v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, mi.Float(self.rows) - TO_LAST)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
 
     def spread(self, value: Float) -> Float:
