@@ -16,11 +16,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import Root, mean_diameter_mm
+from rhizotwin.scenes.rsml import Root, length_mm, mean_diameter_mm
 from rhizotwin.scenes.rsml_reader import RsmlFile, read_file
 from rhizotwin.scenes.rsml_units import doubt_unit
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
+from rhizotwin.scenes.thickened_roots import trim_buried
 from rhizotwin.scenes.traced_roots import close_gaps, growth_direction, main_root, merge_shared_stretches
 from rhizotwin.scenes.traits import measure_traits
 from rhizotwin.sim import growth, meshes, placement, solids
@@ -222,6 +223,9 @@ def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: M
     roots, shared_mm = merge_shared_stretches(roots)
     if shared_mm > 0.0:
         notes.append(f"{what}: {shared_mm:.0f} mm of centre lines are shared by several roots and counted once.")
+    whole_mm, roots = length_mm(roots), trim_buried(roots)
+    if (buried_mm := whole_mm - length_mm(roots)) > 0.5:
+        notes.append(f"{what}: {buried_mm:.0f} mm of laterals deep inside thickened parents are not counted.")
     if (bodies := len(solid.decompose())) > 1:
         notes.append(f"{what}: the roots form {bodies} separate bodies, because gaps in the file are not closed.")
     return _Part(what, solid, tuple(replace(root, plant="") for root in roots), tuple(notes))

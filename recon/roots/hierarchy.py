@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.roots.thick_lines import SWOLLEN
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.thickened_roots import SWOLLEN
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.roots import hierarchy, organs, thick_lines
+from rhizotwin.recon.roots import hierarchy, organs
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes import thickened_roots
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -66,7 +67,7 @@ class RootSystem(RootTree):
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots. Parents come before children.
 
-        Laterals begin on the centre line of their parent, or at most `thick_lines.BURIED_MM` below the surface of a
+        Laterals begin on the centre line of their parent, or at most `thickened_roots.BURIED_MM` below the surface of a
         thickened parent.
         """
         number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm  # index of each node's root
@@ -82,4 +83,4 @@ class RootSystem(RootTree):
                 tip_seen = bool(own[-1] == nodes[-1] and not self.uncertain[nodes[-1]])  # a root that enters a solid has no tip there
                 root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=0, parent=parent, tip_seen=tip_seen)
                 roots.append(root)
-        return thick_lines.trim_buried(hierarchy.arrange(roots))
+        return thickened_roots.trim_buried(hierarchy.arrange(roots))

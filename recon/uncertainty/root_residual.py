@@ -12,16 +12,15 @@ from functools import cached_property
 
 import cv2
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import label
 from skimage.morphology import skeletonize
 
-from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.device import numbers
+from rhizotwin.recon.coverage.silhouettes import Mask, Silhouette
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.roots.organs import THICK_PX
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
@@ -139,11 +138,11 @@ class Places:
         """Project roots into all views."""
         points = np.concatenate([root.points_mm for root in roots])
         step = np.concatenate([[*polyline.steps_mm(root.points_mm), 0.0] for root in roots])
-        view = dr.repeat(dr.arange(mi.UInt32, bank.count), len(points))
-        at = projection.project(bank, view, mi.Point3f(*(dr.tile(numbers(part), bank.count) for part in points.T)), mi.Bool(True))
+        at = projection.project_into_all(bank, points)
+        dr.eval(at.px, at.du, at.dv, at.visible)  # evaluated together, to project once
         shape = (bank.count, len(points))
-        px = np.stack([np.array(at.px.x).reshape(shape), np.array(at.px.y).reshape(shape)], axis=-1)
-        gradient = np.stack([np.moveaxis(np.array(part).reshape(3, *shape), 0, -1) for part in (at.du, at.dv)], axis=-2)
+        px, du, dv = (np.stack([np.array(part).reshape(shape) for part in vector], axis=-1) for vector in (at.px, at.du, at.dv))
+        gradient = np.stack([du, dv], axis=-2)
         radius = np.concatenate([root.diameters_mm for root in roots]) / 2.0
         tip = np.concatenate([(np.arange(len(root.points_mm)) == len(root.points_mm) - 1) & root.tip_seen for root in roots])
         return Places(radius, step, px, gradient, np.array(at.visible).reshape(shape), tip)
@@ -184,6 +183,19 @@ class Places:
         whole = float(np.linalg.norm(self.px[view, first + 1] - self.px[view, first], axis=1) @ wide_px[first])
         covered = float(np.count_nonzero(canvas)) / _FINER**2
         return max(0.0, whole / max(covered, 1.0) - 1.0)
+
+    def hidden_share(self, shape: tuple[int, ...]) -> tuple[Mask, Array]:
+        """Return the mask (N,) of nodes of thin roots, and the fraction (N,) of pictures in which thick ones hide each.
+
+        The pictures have the shape (H, W). Roots whose radius is at least `THICK_PX` are thick.
+        """
+        radius_px, hidden = self.radius_mm * self.px_a_mm, np.zeros(self.visible.shape, bool)
+        thick = radius_px >= THICK_PX
+        for view, px in enumerate(np.rint(self.px).astype(np.int64)):
+            shown = thick & self.visible[view]
+            column, row = np.clip(px.T, 0, [[shape[1] - 1], [shape[0] - 1]])
+            hidden[view] = draw_discs(px[shown], radius_px[shown], shape)[row, column]
+        return ~thick, hidden.mean(axis=0)
 
     def tips(self, view: int, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the columns and rows (T, 2) of the tips on usable pixels (H, W)."""
@@ -245,6 +257,14 @@ def render(at: Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | Non
             cv2.circle(canvas, end, radius, shade, thickness=-1, shift=_SHIFT)
         pictures.append(cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA))
     return pictures
+
+
+def draw_discs(px: NDArray[np.generic], radius_px: Array, shape: tuple[int, ...]) -> Mask:
+    """Return the mask (H, W) of discs with given centres (N, 2) and radii (N,), px."""
+    canvas = np.zeros(shape, np.uint8)
+    for at, radius in zip(np.rint(px).astype(np.int64).tolist(), np.rint(radius_px).astype(np.int64).tolist(), strict=True):
+        cv2.circle(canvas, at, radius, 1, thickness=-1)
+    return canvas > 0
 
 
 def _to_fixed_point(px: Array) -> Fixed:

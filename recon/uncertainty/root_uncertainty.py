@@ -48,6 +48,9 @@ _DENSE, _RESOLVED = 1.2, 0.4
 """The same for roots that are closer together than the pictures resolve, however many views there are: the relative
 length for a crowding of 1 (`root_residual.Places.crowding`), and the crowding up to which all roots are separated
 (docs/decisions/volume-interval.md)."""
+_HALF_HIDDEN = (0.5, 0.75)
+"""Fractions of the views in which thick roots hide a part of a thin root that is usually found nevertheless. Parts that
+are hidden in more views are usually not found. As many of them are expected as of the former (docs/intervals.md)."""
 WIDEST = TrustSettings.widest
 """Maximum relative half-width of an interval for a trusted number: the default of the volume, whatever its setting."""
 LEAST_VIEWS = 4
@@ -100,19 +103,23 @@ def estimates(
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
     merged, wider, darker = _merged_length(places, silhouettes[0].coverage.shape, bank.count), _mean_of(width), scattered or 0.0
+    hidden = _hidden_length(places, silhouettes[0].coverage.shape)
     changes = {
         "total_length_mm": (
             length_mm,
-            _Change([_LEVEL * view.surplus + shared for view in residuals], [_LEVEL * view.missing + merged for view in residuals]),
+            _Change(
+                [_LEVEL * view.surplus + shared for view in residuals], [_LEVEL * view.missing + merged + hidden for view in residuals]
+            ),
         ),
-        "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips + merged for view in residuals])),
+        "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips + merged + hidden for view in residuals])),
         "mean_diameter_mm": (
             rsml.mean_diameter_mm(roots),
-            _Change([max(0.0, -wider) + merged + 0.5 * max(0.0, -darker)], [max(0.0, wider) + 0.5 * max(0.0, darker)], width),
+            _Change([max(0.0, -wider) + merged + hidden + 0.5 * max(0.0, -darker)], [max(0.0, wider) + 0.5 * max(0.0, darker)], width),
         ),
     }
     return tuple(
-        _estimate(name, value, change, lost, merged=merged, factor=calibration.factor(name)) for name, (value, change) in changes.items()
+        _estimate(name, value, change, lost, merged=merged, hidden=hidden, factor=calibration.factor(name))
+        for name, (value, change) in changes.items()
     )
 
 
@@ -142,6 +149,13 @@ def _merged_length(places: root_residual.Places, shape: tuple[int, ...], views: 
     return _merged(places, shape, views) + _DENSE * max(0.0, crowding - _RESOLVED)
 
 
+def _hidden_length(places: root_residual.Places, shape: tuple[int, ...]) -> float:
+    """Return the length of thin roots that thick ones may hide in most views, relative to the length of all roots."""
+    thin, share = places.hidden_share(shape)
+    half = thin & (share >= _HALF_HIDDEN[0]) & (share < _HALF_HIDDEN[1])
+    return float(places.step_mm[half].sum()) / max(float(places.step_mm.sum()), 1e-9)
+
+
 def _mean_of(values: Sequence[float]) -> float:
     return float(np.mean(values)) if len(values) else 0.0
 
@@ -164,7 +178,7 @@ class _Change:
         return NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
 
 
-def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], *, merged: float, factor: float) -> Estimate:
+def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], *, merged: float, hidden: float, factor: float) -> Estimate:
     """Convert relative changes in each picture to an interval: means on their sides, scatter and model error on both.
 
     Parameters
@@ -179,6 +193,8 @@ def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], *, 
         Reasons for which the scan as a whole is not trusted.
     merged : float
         Fraction of the roots that may be merged, which is included in the change.
+    hidden : float
+        Fraction of the roots that thick roots may hide, which is included in the change.
     factor : float
         Factor of the calibration on both half-widths.
     """
@@ -190,8 +206,9 @@ def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], *, 
     if max(less, more) > WIDEST:
         causes = {
             f"many roots overlap, so that {100.0 * merged:.0f} % of them may be merged (take more pictures, or larger ones)": merged,
-            f"the pictures show {100.0 * over:.0f} % more than the reconstructed roots": over - merged,
-            f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - merged,
+            f"thick roots hide about {100.0 * hidden:.0f} % of the thin roots in most pictures (add a ring that looks from above)": hidden,
+            f"the pictures show {100.0 * over:.0f} % more than the reconstructed roots": over - merged - hidden,
+            f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - merged - hidden,
             f"the pictures disagree by {100.0 * error:.0f} %": error,
         }
         reasons.append(max(causes, key=causes.__getitem__))

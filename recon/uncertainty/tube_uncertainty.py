@@ -19,6 +19,7 @@ from rhizotwin.recon.tubes.root_light import HAIRS
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
+from rhizotwin.recon.uncertainty.root_residual import draw_discs
 
 Array = NDArray[np.float64]
 
@@ -240,13 +241,11 @@ class _Residual:
         evidence, drawn, px_a_mm = system.evidence, system.rendering, system.px_a_mm
         (width, height), count = evidence.image_wh, evidence.bank.count
         pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, drawn.passing, drawn.difference)]
-        radius_px = np.rint(system.tubes.radius_mm[system.thick] * px_a_mm).astype(np.int64).tolist()
+        radius_px = system.tubes.radius_mm[system.thick] * px_a_mm
         views = []
         for k, (silhouette, known, free, left) in enumerate(zip(evidence.silhouettes, *pictures, strict=True)):
-            thick = np.zeros((height, width), np.uint8)
-            for at, wide in zip(np.rint(drawn.at.px[k, system.thick]).astype(np.int64).tolist(), radius_px, strict=True):
-                cv2.circle(thick, at, wide, 1, thickness=-1)
-            views.append(_ViewResidual.compute(evidence, silhouette, known > 0, thick > 0, 1.0 - free, left.astype(np.float32), px_a_mm))
+            thick = draw_discs(drawn.at.px[k, system.thick], radius_px, (height, width))
+            views.append(_ViewResidual.compute(evidence, silhouette, known > 0, thick, 1.0 - free, left.astype(np.float32), px_a_mm))
         area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
         beyond = max(0.0, sum(view.beyond for view in views))
         fills, missing = ([view.fill for view in views if view.has_roots], [view.missing_px3 for view in views if view.has_roots])

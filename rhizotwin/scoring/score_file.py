@@ -14,16 +14,18 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon import surface_sample
 from rhizotwin.recon.hull import surface
-from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, mean_diameter_mm
 from rhizotwin.scenes.rsml_reader import read_file, read_rsml
 from rhizotwin.scenes.rsml_units import doubt_unit
+from rhizotwin.scenes.thickened_roots import trim_buried
 from rhizotwin.scenes.traced_roots import close_gaps
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import Truth, load_truth
 from rhizotwin.scoring import foreign_files, surface_distance, voxelise
+from rhizotwin.scoring.conventions import Convention, check_unit, convention_of, note_on
 from rhizotwin.scoring.foreign_files import Stated
 from rhizotwin.scoring.registration import register
 from rhizotwin.scoring.score import plain, truth_mesh_path
@@ -52,6 +54,8 @@ OF_CENTRE_LINES = (
 """Names of the traits that can be computed from centre lines with diameters."""
 ALPHA = 0.1
 """Probability, according to the method, that a 90 % interval does not contain the true value."""
+_MOST_COLUMNS = 25_000_000
+"""Maximum number of columns of voxels below the bounding box of the true solid. Their table needs 0.8 GB of memory."""
 _MOST_SIDE = 200
 """Number of voxels along the longest side of the bounding box. Meshes that intersect themselves are compared with the
 true solid on this grid."""
@@ -94,8 +98,8 @@ class FileScore:
     extents_error: tuple[float, float, float] | None = None
     """Relative errors of the bounding box along x, y and z. They are None for centre lines and for tables of traits."""
     iou: float | None = None
-    """Intersection over union of the volumes. It is exact for a mesh whose shells do not intersect themselves;
-    overlapping shells are united. For other closed meshes and for voxel arrays it is computed from voxels. Otherwise it
+    """Intersection over union of the volumes. It is exact for a closed mesh that does not fold into itself; parts that
+    overlap are united. For other closed meshes and for voxel arrays it is computed from voxels. Otherwise it
     is None."""
     surface: SurfaceScore | None = None
     """Distances between the surface of the output and the true surface. It is None if the output has no surface."""
@@ -162,13 +166,18 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
     Raises
     ------
     UserError
-        If the file cannot be read, or the dataset has no ground truth.
+        If the file cannot be read or is in another unit, or the dataset has no ground truth.
     """
     known = _Known.of(dataset)
-    mesh = foreign_files.read_shape(Path(file))
+    mesh, convention = foreign_files.read_shape(Path(file)), Convention()
     if registered:
+        check_unit(mesh, known.solid, where=str(file))
         mesh = register(mesh, known.solid).moved
-    return replace(_score_mesh(mesh, known), file=str(file))
+    else:
+        convention = convention_of(_sample(mesh), _sample(known.solid), where=str(file))
+        mesh = _converted(mesh, convention)
+    scored = _score_mesh(mesh, known)
+    return replace(scored, file=str(file), notes=(*note_on(convention), *scored.notes))
 
 
 def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
@@ -177,21 +186,27 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     The file is read with `foreign_files.read_voxels`. The measures are those of `score_mesh`.
     """
     known = _Known.of(dataset)
-    leaves = foreign_files.read_voxels(Path(file))
-    volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
+    leaves, array = foreign_files.read_voxels(Path(file))
     empty = FileScore(file=str(file), scene=known.scene, volume_true_mm3=known.truth.volume_mm3, traits={})
-    if not volume_mm3:
+    if not len(leaves.low):
         return replace(empty, volume_mm3=0.0, volume_error=-1.0, iou=0.0, notes=("no voxel is occupied",))
     shape = surface.surface(leaves.low, leaves.size, leaves.occupancy, origin_mm=leaves.origin_mm, voxel_mm=leaves.voxel_mm)
+    mesh = Mesh.of(shape)
+    centres_mm = leaves.origin_mm + leaves.voxel_mm * (leaves.low + 0.5)
+    box_mm = leaves.origin_mm, leaves.voxel_mm * np.array(array, np.float64)
+    convention = convention_of(mesh.vertices_mm if len(mesh.faces) else centres_mm, _sample(known.solid), box=box_mm, where=str(file))
+    leaves, mesh = _converted_leaves(leaves, convention), _converted(mesh, convention)
+    known.check_voxels(leaves.voxel_mm, where=str(file))
+    volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
     scored = replace(
         empty,
         volume_mm3=volume_mm3,
         volume_error=volume_mm3 / known.truth.volume_mm3 - 1.0,
         iou=compare_voxels(leaves, leaves, known.solid)[0].iou_weighted,
+        notes=note_on(convention),
     )
-    if not len(shape.vertices):
-        return replace(scored, notes=("the output has no surface, because no voxel is at least half occupied",))
-    mesh = Mesh.of(shape)
+    if not len(mesh.faces):
+        return replace(scored, notes=(*scored.notes, "the output has no surface, because no voxel is at least half occupied"))
     return replace(scored, extents_error=known.extents_error(mesh.vertices_mm), surface=compare_surfaces(mesh, known.solid))
 
 
@@ -203,7 +218,9 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     known = _Known.of(dataset)
     points = foreign_files.read_points(Path(file))
     vertices, faces = known.solid.vertices_mm, known.solid.faces
-    on_truth = surface_sample.sample(vertices, faces, count=SURFACE_SAMPLES, rng=np.random.default_rng(0))[0]
+    on_truth = _sample(known.solid)
+    convention = convention_of(points, on_truth, where=str(file))
+    points = convention.convert(points)
     some = points[np.random.default_rng(0).permutation(len(points))[:SURFACE_SAMPLES]]
     to_truth, to_points = surface_distance.distances(some, vertices, faces), cKDTree(points).query(on_truth)[0]
     return FileScore(
@@ -213,6 +230,7 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         extents_error=known.extents_error(points),
         surface=SurfaceScore.of(to_truth, to_points),
         traits={},
+        notes=note_on(convention),
     )
 
 
@@ -227,6 +245,7 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     known = _Known.of(dataset)
     foreign = read_file(Path(file))
     roots, closed = close_gaps(foreign)
+    roots = trim_buried(roots)  # as those of the specimen
     if not known.roots:
         raise UserError(f"{known.folder}: the specimen has no true centre lines with which an RSML file could be compared")
     doubt = doubt_unit(
@@ -312,11 +331,36 @@ class _Known:
         size = np.ptp(points_mm, axis=0) / np.ptp(self.solid.vertices_mm, axis=0) - 1.0
         return float(size[0]), float(size[1]), float(size[2])
 
+    def check_voxels(self, voxel_mm: float, *, where: str) -> None:
+        """Raise `UserError` if voxels are larger than the true solid, or too small for its comparison."""
+        size_mm = np.ptp(self.solid.vertices_mm, axis=0)
+        least_mm, most_mm = float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_COLUMNS)), float(size_mm.max())
+        if not least_mm <= voxel_mm <= most_mm:
+            raise UserError(
+                f"{where}: the voxel size is {voxel_mm:g} mm, but must be {least_mm:.2g} to {most_mm:.3g} mm for a specimen "
+                f"of {' x '.join(f'{size:.3g}' for size in size_mm)} mm; check the voxel size and its unit"
+            )
+
     def traits(self) -> dict[str, float | None]:
         """Return the true values of the scalar traits, keyed by trait name (see `scenes.trait_table`)."""
         volume_mm3, surface_mm2 = self.truth.volume_mm3, float(self.solid.areas_mm2.sum())
         measured = measure_traits(self.roots, self.solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)
         return {name: one.true for name, one in compare_traits(measured, measured).items() if not isinstance(one.true, list)}
+
+
+def _sample(mesh: Mesh) -> Floats:
+    """Return random points (N, 3) on a mesh, mm, which are the same in each call."""
+    return surface_sample.sample(mesh.vertices_mm, mesh.faces, count=SURFACE_SAMPLES, rng=np.random.default_rng(0))[0]
+
+
+def _converted(mesh: Mesh, convention: Convention) -> Mesh:
+    is_mirrored = np.linalg.det(convention.axes) < 0.0
+    return Mesh(vertices_mm=convention.convert(mesh.vertices_mm), faces=mesh.faces[:, ::-1] if is_mirrored else mesh.faces)
+
+
+def _converted_leaves(leaves: Leaves, convention: Convention) -> Leaves:
+    low = np.round((leaves.low + 0.5) @ np.transpose(convention.axes) - 0.5).astype(np.int32)
+    return replace(leaves, low=low, origin_mm=convention.convert(leaves.origin_mm[None])[0])
 
 
 def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
@@ -328,7 +372,7 @@ def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
     notes: tuple[str, ...] = ()
     if found is not None and true is not None:
         if found.was_united:
-            notes = ("shells of the mesh overlap and were united",)
+            notes = ("parts of the mesh overlap and were united",)
         both = (found.solid ^ true.solid).volume()
         volume_mm3 = found.solid.volume()
         iou = min(1.0, both / (volume_mm3 + true.solid.volume() - both))
@@ -364,7 +408,7 @@ def _compare_with_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float
         return None, None, ("the volume is undefined, because the mesh is not closed",)
     truth = voxelise.count_in_boxes(known.solid.vertices_mm, known.solid.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
     either = int((inside | truth).sum())
-    note = f"the mesh intersects itself or its normals point inwards; volume and IoU were computed with voxels of {voxel_mm:.3f} mm"
+    note = f"the mesh folds into itself or its normals point inwards; volume and IoU were computed with voxels of {voxel_mm:.3f} mm"
     return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
 
 

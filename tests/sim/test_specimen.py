@@ -11,7 +11,9 @@ import trimesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.thickened_roots import BURIED_MM
 from rhizotwin.sim import placement
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
@@ -123,6 +125,15 @@ def test_rsml_becomes_tubes(tmp_path: Path) -> None:
     assert solid.volume_mm3 == pytest.approx(np.pi * 50.0 + 4.0 / 3.0 * np.pi, rel=0.01)
     assert solid.traits["total_length_mm"] == pytest.approx(50.0)
     assert closed(solid)
+
+
+def test_laterals_count_from_the_skin_of_a_storage_root(tmp_path: Path) -> None:
+    storage = Root(points_mm=np.array([[0, 0, -20], [0, 0, -60]], float), diameters_mm=np.full(2, 12.0), order=0, parent=-1)
+    lateral = Root(points_mm=np.array([[0, 0, -40], [25, 0, -40]], float), diameters_mm=np.full(2, 0.5), order=1, parent=0)
+    write_rsml(tmp_path / "roots.rsml", [storage, lateral])
+    solid = build(RsmlSpecimen(file="roots.rsml"), tmp_path)
+    assert solid.traits["total_length_mm"] == pytest.approx(40.0 + 25.0 - (6.0 - BURIED_MM), abs=0.1)
+    assert any("5 mm of laterals" in note for note in solid.notes)
 
 
 def test_a_volume_out_of_reach_is_refused() -> None:

@@ -9,10 +9,10 @@ import pytest
 
 from rhizotwin.recon.roots.hierarchy import arrange
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.roots.thick_lines import BURIED_MM, trim_buried
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root, length_mm
+from rhizotwin.scenes.thickened_roots import BURIED_MM, trim_buried
 from tests.recon.strings import root
 
 SWOLLEN = root([0, 0, 0], [0, 0, -40], diameters=(12, 12))

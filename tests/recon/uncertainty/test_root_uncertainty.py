@@ -53,6 +53,17 @@ def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
     assert all(one.trusted for one in found)
 
 
+def test_what_thick_roots_hide_may_be_more(taken) -> None:
+    """A thin root behind a storage root is hidden in some views: the nearer it is, the more length may be hidden in all."""
+    storage = line((0.0, 0.0, -15.0), (0.0, 0.0, -75.0), diameter_mm=14.0, parent=-1)
+    near, far = ([storage, line((x, 0.0, -30.0), (x, 0.0, -60.0), diameter_mm=0.4)] for x in (7.5, 25.0))
+    bank, alike = taken
+    pictures = {name: (bank, drawn(roots, bank, alike)) for name, roots in (("near", near), ("far", far))}
+    close, away = told(near, pictures["near"])["total_length_mm"], told(far, pictures["far"])["total_length_mm"]
+    assert close.interval[1] / close.value > away.interval[1] / away.value + 0.1
+    assert close.interval[0] == pytest.approx(away.interval[0], rel=0.02)
+
+
 def of_diameter(diameter_mm: float) -> list[Root]:
     return [line(root.points_mm[0], root.points_mm[-1], diameter_mm=diameter_mm, parent=root.parent) for root in TRUE]
 
