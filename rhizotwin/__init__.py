@@ -12,6 +12,7 @@
 Each name is imported when it is first used. The first function that computes selects the CPU or the GPU.
 """
 
+from functools import cache as _cache
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
@@ -21,13 +22,13 @@ if _TYPE_CHECKING:
     from rhizotwin.arguments import Placing
     from rhizotwin.display import plot, view
     from rhizotwin.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
-    from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
     from rhizotwin.scenes.errors import UserError
     from rhizotwin.scenes.model import Scene
     from rhizotwin.scenes.monitor import Cancelled, Monitor
     from rhizotwin.scoring.score import Score
+    from rhizotwin.stored.save import Result
 
     __version__: str
 
@@ -63,7 +64,7 @@ _PLACES = {
     "Dataset": "scenes.dataset",
     "Monitor": "scenes.monitor",
     "Placing": "arguments",
-    "Result": "recon.results.result",
+    "Result": "stored.save",
     "Scene": "scenes.model",
     "Score": "scoring.score",
     "Settings": "recon.settings",
@@ -95,7 +96,15 @@ def __getattr__(name: str) -> _Any:
         return version("rhizotwin")
     if name not in _PLACES:
         raise AttributeError(f"module 'rhizotwin' has no attribute {name!r}")
-    return getattr(_import_module(f"rhizotwin.{_PLACES[name]}"), name)
+    return _public(name)
+
+
+@_cache
+def _public(name: str) -> _Any:
+    """Return a public name, whose calls are checked."""
+    from rhizotwin.python_calls import public
+
+    return public(getattr(_import_module(f"rhizotwin.{_PLACES[name]}"), name))
 
 
 def __dir__() -> list[str]:

@@ -11,13 +11,12 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from rhizotwin.calls import Progress, dataset_folder, require, require_each, result_folder, watch
 from rhizotwin.front_door import Device, load_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model
@@ -27,6 +26,18 @@ if TYPE_CHECKING:
 log = logging.getLogger("rhizotwin")
 
 Paths = str | Path | Sequence[str | Path]
+Fidelity = Literal["render", "sketch"]
+
+
+class TwinOptions(TypedDict, total=False):
+    """Options of `scan` for the emulated rig."""
+
+    profile: str
+    seed: int
+    fidelity: Fidelity
+    device: Device
+
+
 _TEXTS = ("result", "scene", "plant", "species", "treatment", "against", "notes")
 """Columns of tables that contain names, which are text even if they look like a number or a missing value."""
 
@@ -125,16 +136,8 @@ def batch(
     from rhizotwin.batches.places import is_address
     from rhizotwin.commands.batch import Workforce
     from rhizotwin.commands.batch import batch as run
-    from rhizotwin.recon.settings import Settings
 
     scans = [str(path) for path in _paths("datasets", datasets)]
-    require("output", output, "path")
-    require("voxel_mm", voxel_mm, "number", "None")
-    require("workers", workers, "whole number", "None")
-    if workers is not None and workers < 1:
-        raise UserError(f"workers must be at least 1, not {workers}; leave it out to use all processors")
-    if voxel_mm is not None:
-        from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of batch"))
     if is_address(str(output)):
         raise UserError(f"output must be a folder, not the address {output}; use the command: rhizotwin batch")
     work = Workforce(workers=workers, cluster=cluster, device=device)
@@ -158,11 +161,11 @@ def growth(results: Paths, output: str | Path) -> dict[str, Any]:
     dict of str to pandas.DataFrame
         Tables by name: ``traits``, ``roots``, ``treatments``, and further tables that depend on the data.
     """
+    found = _existing("results", results)
     from rhizotwin.commands.growth import growth as run
 
-    require("output", output, "path")
     with _logged():
-        run(_paths("results", results), output=Path(output))
+        run(found, output=Path(output))
     return {path.stem: _table(path) for path in sorted(Path(output).glob("*.csv"))}
 
 
@@ -187,12 +190,11 @@ def biomass(results: Paths, *, masses: str | Path | None = None, model: str | Pa
     Model or pandas.DataFrame
         Fitted model, or predicted masses with 90 % intervals.
     """
-    from rhizotwin.commands import biomass as commands
-
-    require("output", output, "path")
     if (masses is None) == (model is None):
         raise UserError("exactly one of masses and model is needed; give masses to fit a model, or model to predict masses")
-    found = _paths("results", results)
+    found = _existing("results", results)
+    from rhizotwin.commands import biomass as commands
+
     with _logged():
         if masses is not None:
             commands.fit([*found, Path(masses)], output=Path(output))
@@ -257,7 +259,7 @@ def scan(
     plan: str | None = None,
     resume: bool = False,
     table_angle_deg: float | None = None,
-    **twin: Any,
+    **twin: Unpack[TwinOptions],
 ) -> Dataset:
     """Take all planned pictures of a canister on a real or an emulated rig.
 
@@ -276,7 +278,7 @@ def scan(
         Continue an interrupted scan.
     table_angle_deg : float, optional
         Initial angle of the turntable, deg; required only if no marker can be detected at the start.
-    **twin : any
+    **twin : TwinOptions
         Options of the emulated rig: ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file;
         default ``bench``), ``seed``, ``fidelity`` (``render``, or ``sketch`` to draw only the marker strip) and
         ``device``.
@@ -310,6 +312,15 @@ def scan(
 
 def _paths(name: str, given: Any) -> list[Path]:
     return [Path(path) for path in require_each(name, given, "path")]
+
+
+def _existing(name: str, given: Any) -> list[Path]:
+    """Return paths, after it was checked that they exist, before slow libraries are imported."""
+    found = _paths(name, given)
+    missing = [path for path in found if not path.exists()]
+    if missing:
+        raise UserError(f"{name}: {missing[0]} does not exist; check the path")
+    return found
 
 
 @contextmanager

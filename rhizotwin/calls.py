@@ -90,7 +90,7 @@ def require(name: str, value: Any, *kinds: str) -> None:
     """
     if not any(_KINDS[kind](value) if kind in _KINDS else type(value).__name__ == kind for kind in kinds):
         shown = "None" if value is None else f"{str(value)[:40]!r} ({type(value).__name__})"
-        *first, last = (kind if kind == "None" else f"a {kind}" for kind in kinds)
+        *first, last = (kind if kind in ("None", "True or False") else f"a {kind}" for kind in kinds)
         raise UserError(f"{name} must be {' or '.join(filter(None, [', '.join(first), last]))}, not {shown}")
 
 
@@ -135,8 +135,11 @@ def result_folder(result: Result | str | Path) -> Iterator[Path]:
 
 _KINDS: dict[str, Callable[[Any], bool]] = {
     "path": lambda value: isinstance(value, str | os.PathLike),
+    "text": lambda value: isinstance(value, str),
     "number": lambda value: not isinstance(value, bool | str) and hasattr(value, "__float__"),
     "whole number": lambda value: not isinstance(value, bool) and hasattr(value, "__index__"),
+    "True or False": lambda value: isinstance(value, bool) or type(value).__name__ == "bool_",
+    "monitor": lambda value: isinstance(value, Monitor | type) or callable(value),
     "tqdm class": lambda value: isinstance(value, type),
     "Monitor": lambda value: isinstance(value, Monitor),
     "Scene": lambda value: isinstance(value, Scene),

@@ -10,7 +10,6 @@ from rhizotwin.calls import SHARES
 from rhizotwin.front_door import Method, reconstruct
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import read_toml
-from rhizotwin.scenes.folders import contents, new_folder, recover
 from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
@@ -31,36 +30,6 @@ def open_page(address: str, port: int, page: Page) -> None:
     print(f"to open it on another computer, run ssh -L {port}:localhost:{port} THIS_COMPUTER there, then use the same address", flush=True)
     if not page.no_browser:
         private_page.open_page(address)
-
-
-def refuse_place(output: Path, source: Path) -> None:
-    """Prepare the output folder, and raise UserError if files other than an earlier result would be overwritten.
-
-    A folder that an interrupted run has left behind is restored first.
-
-    Parameters
-    ----------
-    output : Path
-        Output folder for the result.
-    source : Path
-        Input folder: dataset or result.
-
-    Raises
-    ------
-    UserError
-        If other files or the input would be overwritten.
-    """
-    from rhizotwin.stored.result_files import RESULT_NAMES
-
-    recover(output)
-    there = contents(output)
-    if there and not (output / "result.json").is_file():
-        raise UserError(f"the folder {output} is not empty and is not a result; choose a new folder for the result")
-    strange = [name for name in there if name not in RESULT_NAMES]
-    if strange:
-        raise UserError(f"{output} contains {strange[0]}, which would be deleted with the earlier result; move it or choose a new folder")
-    if output.resolve() == source.resolve() or output.resolve() in source.resolve().parents:
-        raise UserError(f"the result would overwrite its input {source}; choose another folder for the result")
 
 
 def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "PictureSettings | None" = None) -> "Settings":
@@ -125,22 +94,25 @@ def reconstruct_whole(
     UserError
         If the dataset cannot be used, or ``output`` contains files that are not part of a result.
     """
-    refuse_place(output, dataset)
+    from rhizotwin.stored import save
+
+    save.check_place(output, dataset)  # before the long computation
     from rhizotwin.report import page
     from rhizotwin.report.result_pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scoring.score import truth_mesh_path
-    from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh
+    from rhizotwin.stored.result_files import read_mesh
 
     # loaded only once, so that later changes of the folder have no effect
     loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # report a damaged file before the long computation
-    with new_folder(output, replaces=RESULT_NAMES) as building:
+    with save.new_result(output, source=dataset) as building:
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
-            reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
+            found = reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor)
+            found.write(building)
             with monitor.stage("pictures"):
                 written = write_pictures(building, loaded, truth_mesh=truth_mesh)
                 written.append(page.write(building, dataset=loaded))

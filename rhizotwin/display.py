@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rhizotwin import private_page
 from rhizotwin.calls import dataset_folder, require, require_each, result_folder
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from rhizotwin.viewer.app import Viewer
 
 
-def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
+Colouring = Literal["order", "diameter", "depth", "uncertainty", "tip visibility"]
+
+
+def plot(result: Result | str | Path, *, by: Colouring = "order") -> Figure:
     """Draw the reconstructed surface from the front and from the side.
 
     Parameters
@@ -35,13 +38,10 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
     matplotlib.figure.Figure
         Figure with both drawings; notebooks display it, and its method ``savefig`` writes it to a file.
     """
-    from rhizotwin import root_colours
     from rhizotwin.report import figures
     from rhizotwin.scenes.figures import png
 
     require("result", result, "Result", "path")
-    if by not in root_colours.CHOICES:
-        raise UserError(f"by must be one of {', '.join(root_colours.CHOICES)}, not {by!r}")
     found = load_result(result) if isinstance(result, str | Path) else result
     if not len(found.solid.surface.faces):
         raise UserError(f"the result of {found.scene} has no surface to plot")

@@ -16,18 +16,20 @@ from rhizotwin.arguments import MASS_LIMITS_G
 from rhizotwin.calls import SHARES, Progress, require, watch
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import HEADS
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
-    from rhizotwin.recon.results.result import Result
+    from rhizotwin.recon.results import result as reconstructed
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset
     from rhizotwin.scoring.score import Score
     from rhizotwin.scoring.score_file import FileScore
     from rhizotwin.scoring.score_pictures import PictureScore
     from rhizotwin.scoring.score_solid import SolidScore, VolumeScore
+    from rhizotwin.stored.save import Result
 
 log = logging.getLogger("rhizotwin")
 
@@ -208,6 +210,14 @@ def reconstruct(
     """
     require("dataset", dataset, "Dataset", "path")
     _check_options(voxel_mm, mass_g, settings)
+    if method != "ours" and (keep_stages is not None or mass_g is not None):
+        raise UserError(f"--keep-stages and --mass-g are not supported by --method {method}; remove these options")
+    heads = [] if keep_stages is None else [name for name in HEADS if (Path(keep_stages) / name).is_file()]
+    if heads:
+        raise UserError(f"--keep-stages: {keep_stages} contains {heads[0]}; choose a new folder for the intermediate results")
+    from rhizotwin.scenes.dataset import load_dataset
+
+    given = load_dataset(dataset) if isinstance(dataset, str | Path) else dataset
     _choose(device)
     from rhizotwin.recon.reconstruct import reconstruct as find
     from rhizotwin.recon.settings import Settings
@@ -217,12 +227,10 @@ def reconstruct(
         settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
     with watch(monitor, SHARES) as bar:
         if method == "ours":
-            return _for_notebooks(find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=bar))
+            return _guarded(find(given, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=bar))
         from rhizotwin.baselines import reconstruct_baseline
 
-        if keep_stages is not None or mass_g is not None:
-            raise UserError(f"--keep-stages and --mass-g are not supported by --method {method}; remove these options")
-        return _for_notebooks(reconstruct_baseline(dataset, method, settings=settings, monitor=bar))
+        return _guarded(reconstruct_baseline(given, method, settings=settings, monitor=bar))
 
 
 def load_result(folder: str | Path) -> Result:
@@ -246,7 +254,7 @@ def load_result(folder: str | Path) -> Result:
     require("folder", folder, "path")
     from rhizotwin.stored import load
 
-    return _for_notebooks(load.load_result(folder))
+    return _guarded(load.load_result(folder))
 
 
 def score(
@@ -381,11 +389,12 @@ def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Setti
         raise UserError(f"mass_g must be {low:g} to {high:g} g, not {mass_g:g}")
 
 
-def _for_notebooks(result: Result) -> Result:
-    """Return a copy of the result that is displayed in notebooks as a table with a picture."""
+def _guarded(result: reconstructed.Result) -> Result:
+    """Return a copy of the result that overwrites no other files, and is displayed in notebooks as a table."""
     from rhizotwin.report import notebook
+    from rhizotwin.stored.save import Result
 
-    return replace(result, notebook=notebook.html)
+    return replace(Result.of(result), notebook=notebook.html)
 
 
 def _choose(device: Device) -> None:

@@ -20,7 +20,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
-from rhizotwin.scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
 
 if TYPE_CHECKING:
     from rhizotwin.catalogue.records import Plant
@@ -101,6 +101,18 @@ class Bench:
         return devices
 
 
+def check_rig(rig: str) -> None:
+    """Check that a rig is ``twin`` or the name of an existing file, before other options are required of it.
+
+    Raises
+    ------
+    UserError
+        If there is no such file.
+    """
+    if rig != TWIN and not Path(rig).is_file():
+        raise UserError(f'there is no rig file {rig}{suggestion(rig, [TWIN])}; give a rig file (TOML), or "{TWIN}" for the emulated rig')
+
+
 def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | None = None) -> Bench:
     """Load a rig with its scene, without opening the devices.
 
@@ -122,6 +134,7 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     Bench
         Rig with its scene and clock.
     """
+    check_rig(rig)
     if rig != TWIN:
         from rhizotwin.rig.clock import SystemClock
         from rhizotwin.rig.rig_file import load_rig

@@ -19,6 +19,12 @@ TELECENTRIC_TILT_DEG = 1.5
 """Maximum tilt of a telecentric camera, deg. Up to this tilt, the pinhole model of the camera (`model.FAR_MM`) is exact
 to 1e-4 mm in single precision."""
 
+POT_RATIO = 2.0
+"""Maximum ratio of the radii of net pot and canister. The pot's skirt encloses the canister with a gap of millimetres
+(3.4 mm in the thesis), whereas slips of units are factors of ten and more."""
+FARTHEST_MM = 3000.0
+"""Largest distance of a camera or panel that is suggested instead of a distance in another unit. Rigs are smaller."""
+
 
 def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     """Check that the values of a scene are consistent with each other.
@@ -76,8 +82,20 @@ def _dictionaries() -> list[str]:
     return [name for name in dir(_aruco()) if name.startswith("DICT_")]
 
 
+def _unit_slip(value: float, low_mm: float, high_mm: float) -> str:
+    """Return a hint if a length would be between two limits if it were in another unit, or else an empty text."""
+    units = {"centimetres": 10.0, "inches": 25.4, "metres": 1000.0}
+    fitting = [f"{value:g} {unit} are {value * mm:g} mm" for unit, mm in units.items() if low_mm < value * mm < high_mm]
+    return f" ({' and '.join(fitting)}; give millimetres)" if fitting else ""
+
+
 def _check_canister(scene: Scene, place: Place) -> None:
     canister, pot, water = scene.canister, scene.net_pot, scene.water
+    least_mm = pot.outer_radius_mm / POT_RATIO
+    if canister.outer_radius_mm < least_mm:
+        slip = _unit_slip(canister.outer_radius_mm, least_mm, pot.outer_radius_mm)
+        must = f"must be at least {least_mm:.4g}, because the canister holds the net pot, whose outer_radius_mm is {pot.outer_radius_mm:g}{slip}"
+        raise place.at("canister", "outer_radius_mm").error(must, canister.outer_radius_mm)
     if canister.inner_radius_mm <= 0.0:
         raise place.at("canister", "wall_mm").error(f"must be below outer_radius_mm, {canister.outer_radius_mm:g}", canister.wall_mm)
     if canister.base_mm >= canister.height_mm:
@@ -87,6 +105,7 @@ def _check_canister(scene: Scene, place: Place) -> None:
         raise place.at("water", "level_mm").error(must, water.level_mm)
     if pot.outer_radius_mm <= canister.outer_radius_mm:
         must = f"must be above outer_radius_mm of the canister, {canister.outer_radius_mm:g}, because the skirt encloses the canister"
+        must += _unit_slip(pot.outer_radius_mm, canister.outer_radius_mm, POT_RATIO * canister.outer_radius_mm)
         raise place.at("net_pot", "outer_radius_mm").error(must, pot.outer_radius_mm)
     if pot.top_mm <= max(pot.skirt_bottom_mm, 0.0):
         must = f"must be above skirt_bottom_mm, {pot.skirt_bottom_mm:g}, and above the canister's rim at 0"
@@ -265,9 +284,11 @@ def _check_plan(scene: Scene, place: Place) -> None:
         if ring.distance_mm - 5.0 * ring.jitter_mm <= around_mm:
             spread = " less five times jitter_mm" if ring.jitter_mm else ""
             must = f"must{spread} be above {around_mm:g}, because the camera must be outside the canister and the net pot"
+            must += _unit_slip(ring.distance_mm, around_mm, FARTHEST_MM)
             raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
     if scene.lights.backlight_distance_mm <= around_mm:
         must = f"must be above {around_mm:g}, because the panel must be outside the canister and the net pot"
+        must += _unit_slip(scene.lights.backlight_distance_mm, around_mm, FARTHEST_MM)
         raise place.at("lights", "backlight_distance_mm").error(must, scene.lights.backlight_distance_mm)
     front_x_mm, front_z_mm = scene.lights.front_xz_mm
     if abs(front_x_mm) <= around_mm and -scene.canister.height_mm <= front_z_mm <= scene.net_pot.top_mm:

@@ -21,6 +21,8 @@ from rhizotwin.scenes.reading import read_text
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen, Specimen
 
+MOST_CANDIDATES = 6
+"""Maximum number of scenes that are listed for an ambiguous name."""
 _LIBRARY = Path(__file__).parent / "library"
 _PROFILES = Path(__file__).parent / "profiles"
 
@@ -31,7 +33,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
     Parameters
     ----------
     name_or_path : path
-        Name listed by `library` (``radish_day15`` is short for ``radish_day15a``), or path of a TOML file.
+        Name listed by `library`, or path of a TOML file.
 
     Returns
     -------
@@ -150,12 +152,16 @@ def _find_scene(name_or_path: str | Path) -> Path:
     name = str(name_or_path)
     if isinstance(name_or_path, Path) or _looks_like_path(name):
         return Path(name_or_path)
-    for candidate in (name, f"{name}a"):  # for example, radish_day15 for radish_day15a
-        if (path := _LIBRARY / f"{candidate}.toml").is_file():
-            return path
+    known = sorted(path.stem for path in _LIBRARY.glob("*.toml"))
+    if name in known:
+        return _LIBRARY / f"{name}.toml"
     if Path(name).is_file():
         return Path(name)
-    near = suggestion(name, [row.stem for row in _LIBRARY.glob("*.toml")])
+    several = [scene for scene in known if name and scene.startswith(name)]
+    if len(several) > 1:
+        more = "" if len(several) <= MOST_CANDIDATES else f" or one of {len(several) - MOST_CANDIDATES} others (`rhizotwin scenes`)"
+        raise UserError(f'the scene "{name}" is ambiguous; choose {", ".join(several[:MOST_CANDIDATES])}{more}')
+    near = suggestion(name, known)
     raise UserError(
         f'there is no scene "{name}"{near}; list the available scenes with `rhizotwin scenes`, or specify a file that ends in .toml'
     )

@@ -100,6 +100,8 @@ def batch(
     from rhizotwin.batches.run import run
     from rhizotwin.catalogue import sources
 
+    if not places.is_address(output) and (Path(output) / "dataset.json").is_file():
+        raise UserError(f"{output} is a dataset, but the output is a folder for results; choose another folder")
     jobs = collect.reconstructions(sources.expand_scans(scans), output, voxel_mm=voxel_mm, settings=settings, device=work.device)
     made = run(jobs, output, cluster=work.cluster, workers=work.workers)
     if not places.is_address(output):

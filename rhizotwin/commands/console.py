@@ -100,6 +100,7 @@ def _place(rig: str | None, output: Path | None, scene: str | None, *, plan: str
     """Return the rig and the folder for a console without an experiment."""
     if rig is None or output is None:
         raise UserError("the console needs either --rig RIG and --output FOLDER, or --experiment FILE; see rhizotwin console --help")
+    rigs.check_rig(rig)
     emulated = twin if rig == rigs.TWIN else None
     if emulated is None and scene is None:
         raise UserError("--scene is missing; give the scene file of this rig")

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin import command_steps
 from rhizotwin.arguments import Progress, ResultFolder, with_metavar
 from rhizotwin.arguments import output as output_option
 from rhizotwin.scenes.errors import UserError
@@ -43,7 +42,9 @@ def edit(
     """
     if output.resolve() == result.resolve():
         raise UserError(f"the corrected result would overwrite the original result {output}; choose another folder")
-    command_steps.refuse_place(output, result)
+    from rhizotwin.stored import save
+
+    save.check_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
     from rhizotwin.recon.results import result_traits

@@ -95,6 +95,7 @@ def scan(
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
+    rigs.check_rig(rig)
     emulated = twin if rig == rigs.TWIN else None
     if emulated is None and scene is None:
         raise UserError(

@@ -21,11 +21,10 @@ from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Term
 from rhizotwin.recon.uncertainty.calibration import Calibration
 from rhizotwin.scenes import atomic, rsml, subject
-from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
-from rhizotwin.stored import result_files, stored_traits
+from rhizotwin.stored import result_files, save, stored_traits
 
 _EMPTY_MM3 = 1e-9
 """Volume, mm3, up to which a voxel is regarded as empty."""
@@ -74,7 +73,7 @@ def write(
         roots, summary["plants"] = _by_plant(session, summary, surface_mesh, voxels)
     traits = stored_traits.of_summary(summary, surface_mesh, roots)
     summary["estimates"] = reliability.unreliable_estimates(session.summary, traits)
-    with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
+    with save.new_result(output, source=session.folder) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)

@@ -8,20 +8,34 @@ import json
 import resource
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from rhizotwin import rigs
+from rhizotwin.console import console as server
+from rhizotwin.console.access import Access
 from rhizotwin.console.client import Console
+from rhizotwin.console.serve import serve
 from rhizotwin.scenes.errors import UserError
-from tests.rhizotwin.console.conftest import console_process
+from rhizotwin.scenes.files import save_scene
+from tests.rhizotwin.timelapse.conftest import small_scene
 
 ROOT = Path(__file__).resolve().parents[2]
+MODULE = "tests.campaign.server_load"
 PASSWORD = "a right password"
 DESCRIPTORS = 1024
 """Limit of open files of the console, which is the default of most Linux distributions."""
+CAMPAIGN = {
+    "1100 idle connections": ("idle", 1100),
+    "300 slow bodies": ("slow_body", 300),
+    "60 wrong passwords": ("wrong_password", 60),
+    "40 clients": ("page", 40),
+}
+"""Load and number of connections, by the label of the result."""
 
 
 async def _ask(address: str, request: str, *, hold_s: float = 0.0) -> bytes:
@@ -77,20 +91,33 @@ async def _repeat(load: Callable, address: str) -> None:
 
 async def _run(name: str, address: str, count: int) -> None:
     tasks = [asyncio.create_task(_repeat(LOADS[name], address)) for _ in range(count)]
-    print("started", flush=True)
+    _say("started")
     await asyncio.gather(*tasks)
 
 
+def serve_console(folder: Path) -> None:
+    """Serve a console with a password and the usual limit of open files, until the process is killed."""
+    resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+    twin = rigs.TwinPictures(fidelity="sketch", profile="clean")
+    console = server.Console(rigs.open_bench(rigs.TWIN, str(folder / "scene.toml"), errors=twin), folder / "lab", twin=twin)
+    _say(serve(console, Access(password=PASSWORD), host="127.0.0.1", port=8770).address)
+    threading.Event().wait()
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
 @contextmanager
-def load(name: str, address: str, count: int) -> Iterator[None]:
-    """Keep a number of connections busy with one of `LOADS`, until the context is left."""
-    words = [sys.executable, "-m", "tests.campaign.server_load", name, address, str(count)]
-    with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+def _started(*words: object) -> Iterator[str]:
+    """Run this module in a process of its own, which is killed at the end; return the first line that it prints."""
+    with subprocess.Popen([sys.executable, "-m", MODULE, *map(str, words)], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        process.stdout.readline()
-        time.sleep(0.5)  # so that the connections are there
         try:
-            yield
+            line = process.stdout.readline().strip()
+            time.sleep(0.5)  # so that the connections are there
+            yield line
         finally:
             process.kill()
 
@@ -120,7 +147,7 @@ def stop_is_safe(console: Console) -> bool:
     return True
 
 
-def measure(folder: Path, *, repeats: int = 3) -> dict[str, float]:
+def measure(folder: Path, *, repeats: int = 3, views: int = 12) -> dict[str, float]:
     """Measure the console under each load.
 
     Returns
@@ -129,26 +156,26 @@ def measure(folder: Path, *, repeats: int = 3) -> dict[str, float]:
         Shortest duration of a scan under each load, relative to that without a load (``scan under ...``), and longest
         time until the right password is accepted and a request to stop the scan is answered, s.
     """
-    limit = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, limit[1]))  # the console inherits it
-    words = ["--rig", "twin", "--fidelity", "sketch", "--scene", "radish_day15b", "-o", folder]
-    with console_process(*words, port=8770) as (_, printed):
-        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
-        console = Console(printed[-1])
+    folder.mkdir(parents=True, exist_ok=True)
+    save_scene(small_scene(views), folder / "scene.toml")
+    with _started("serve", folder) as address:
+        console, found = Console(address, password=PASSWORD), {}
         console.take_control("load")
-        found = {}
-        loads = [("nothing", "page", 0), ("1100 idle", "idle", 1100), ("40 clients", "page", 40), ("300 slow bodies", "slow_body", 300)]
-        loads.append(("60 wrong passwords", "wrong_password", 60))
-        alone_s = min(scan_s(console) for _ in range(repeats))
-        for label, name, count in loads:
-            with load(name, printed[-1], count):
-                found[f"scan under {label}"] = min(scan_s(console) for _ in range(repeats)) / alone_s
-                found[f"stop under {label}, s"] = longest_s(lambda: stop_is_safe(console))
+        for label, (name, count) in CAMPAIGN.items():
+            alone_s, loaded_s = [], []
+            for _ in range(repeats):  # in turn, because other programs on the computer come and go
+                alone_s.append(scan_s(console))
+                with _started(name, address, count):
+                    loaded_s.append(scan_s(console))
+                    found[f"stop under {label}, s"] = longest_s(lambda: stop_is_safe(console))
+            found[f"scan under {label}"] = min(loaded_s) / min(alone_s)
         return found
 
 
 if __name__ == "__main__":
-    if sys.argv[1] in LOADS:
+    if sys.argv[1] == "serve":
+        serve_console(Path(sys.argv[2]))
+    elif sys.argv[1] in LOADS:
         asyncio.run(_run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
     else:
-        print(json.dumps(measure(Path(sys.argv[1])), indent=1))
+        _say(json.dumps(measure(Path(sys.argv[1])), indent=1))

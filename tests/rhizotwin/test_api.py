@@ -2,9 +2,12 @@
 
 import http.client
 import json
+import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ from tqdm import tqdm
 
 import rhizotwin as rt
 from rhizotwin.scenes.files import profiles
+from rhizotwin.scenes.model import Canister
 from tests.command import Command
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
@@ -206,21 +210,60 @@ def test_a_callable_hears_of_every_view_and_can_stop(tmp_path: Path) -> None:
     assert len(made.frames) == 4, "the same call takes it up"
 
 
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda: rt.load_scene(3), r"scene must be a path, not '3' \(int\)"),
-        (lambda: rt.load_result(None), "folder must be a path, not None"),
-        (lambda: rt.reconstruct(5.0), r"dataset must be a Dataset or a path, not '5.0' \(float\)"),
-        (lambda: rt.reconstruct("x", voxel_mm="small"), "voxel_mm must be a number or None, not 'small'"),
-        (lambda: rt.reconstruct("x", voxel_mm=0.0), "0.01"),
-        (lambda: rt.simulate("sphere_20mm", "x", monitor=3), "monitor must be"),
-        (lambda: rt.plot("x", by="length"), "by must be one of order"),
-        (lambda: rt.growth([], "x"), "results is an empty list"),
-        (lambda: rt.batch("x", "y", workers=-1), "workers must be at least 1, not -1"),
-        (lambda: rt.batch("x", "memory://y"), "output must be a folder, not the address memory://y"),
-    ],
-)
-def test_a_mistake_is_one_sentence(call: Any, sentence: str) -> None:
-    with pytest.raises(rt.UserError, match=sentence):
+BALL, NO = "sphere_20mm", "must be width and height, two whole numbers of 16 to 20000, such as (800, 600), not"
+MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
+    "size as text": (lambda: rt.simulate(BALL, "x", image_wh="400x300"), f"image_wh {NO} '400x300' (str)"),
+    "one size": (lambda: rt.load_scene(BALL, image_wh=400), f"image_wh {NO} '400' (int)"),
+    "size too small": (lambda: rt.load_scene(BALL, image_wh=(400, 0)), f"image_wh {NO} '(400, 0)' (tuple)"),
+    "views as text": (lambda: rt.load_scene(BALL, views="many"), "views must be a whole number or None, not 'many' (str)"),
+    "half a view": (lambda: rt.simulate(BALL, "x", views=4.5), "views must be a whole number or None, not '4.5' (float)"),
+    "no views": (lambda: rt.load_scene(BALL, views=0), "views must be 1 to 10000, not 0"),
+    "seed below 0": (lambda: rt.simulate(BALL, "x", seed=-1), "seed must be 0 to "),
+    "no samples": (lambda: rt.simulate(BALL, "x", samples=0), "samples must be 1 to 1e+06, not 0"),
+    "fidelity of a scan": (lambda: rt.simulate(BALL, "x", fidelity="render"), 'fidelity must be "backlit" or "path", not \'render\''),
+    "misspelt fidelity": (lambda: rt.scan("twin", "x", fidelity="skech"), '(did you mean "sketch"?)'),
+    "device": (lambda: rt.simulate(BALL, "x", device="gpu"), 'device must be "auto", "cpu" or "cuda", not \'gpu\''),
+    "absent profile": (lambda: rt.simulate(BALL, "x", profile="bensh"), 'no disturbance profile "bensh" (did you mean "bench"?)'),
+    "number as profile": (lambda: rt.load_scene(BALL, profile=3), "profile must be a text or None, not '3' (int)"),
+    "number as scene": (lambda: rt.load_scene(3), "scene must be a path, not '3' (int)"),
+    "unknown word": (lambda: rt.simulate(BALL, "x", image_size=1), "simulate has no parameter image_size (did you mean image_wh?)"),
+    "no folder": (lambda: rt.simulate(BALL), "simulate needs folder; its parameters are scene, folder, seed"),
+    "two folders": (lambda: rt.simulate(BALL, "x", folder="y"), "simulate was given folder twice"),
+    "value without a name": (lambda: rt.reconstruct("x", 0.27), "only dataset can be given without a name"),
+    "no dataset": (lambda: rt.reconstruct(5.0), "dataset must be a Dataset or a path, not '5.0' (float)"),
+    "absent dataset": (lambda: rt.reconstruct("nowhere"), "nowhere: there is no such folder"),
+    "settings in a dictionary": (lambda: rt.reconstruct("x", settings={}), "settings must be a Settings or None, not '{}' (dict)"),
+    "setting below 0": (lambda: rt.Settings(voxel_mm=-1), "Settings: voxel_mm = -1: must be between 0.01 and 20"),
+    "setting changed": (lambda: rt.reconstruct("x", settings=replace(rt.Settings(), voxel_mm=-1)), "voxel_mm = -1: must be"),
+    "unknown setting": (lambda: rt.Settings(voxl_mm=1), "Settings has no parameter voxl_mm (did you mean voxel_mm?)"),
+    "voxel as text": (lambda: rt.reconstruct("x", voxel_mm="small"), "voxel_mm must be a number or None, not 'small'"),
+    "no voxel": (lambda: rt.reconstruct("x", voxel_mm=0.0), "voxel_mm must be 0.01 to 10, not 0.0; check the unit"),
+    "mass that is no number": (lambda: rt.reconstruct("x", mass_g=float("nan")), "mass_g must be 1e-06 to 1e+06, not nan"),
+    "method without stages": (lambda: rt.reconstruct("x", method="hull", keep_stages="y"), "keep_stages and mass_g are not supported by"),
+    "monitor": (lambda: rt.simulate(BALL, "x", monitor=3), "monitor must be a monitor, not '3' (int)"),
+    "no result": (lambda: rt.load_result(None), "folder must be a path, not None"),
+    "nothing to compare": (lambda: rt.score("x"), "the mesh of the scanned part (truth), its volume (volume_ml)"),
+    "volume below 0": (lambda: rt.score("x", volume_ml=-3), "volume_ml must be 1e-06 to 1e+06, not -3; check the unit"),
+    "kind of a file": (lambda: rt.score_file("x", "y", kind="Mesh"), '(did you mean "mesh"?)'),
+    "colour": (lambda: rt.plot("x", by="length"), 'by must be "order", "diameter", "depth", "uncertainty" or "tip visibility"'),
+    "port": (lambda: rt.view("x", port=80000), "port must be 1 to 65535, not 80000"),
+    "answer as text": (lambda: rt.view("x", open_browser="no"), "open_browser must be True or False, not 'no' (str)"),
+    "misspelt rig": (lambda: rt.scan("twim", "x"), 'no rig file twim (did you mean "twin"?)'),
+    "angle": (lambda: rt.scan("twin", "x", table_angle_deg=720), "table_angle_deg must be -360 to 360, not 720; check the unit"),
+    "nothing to grow": (lambda: rt.growth([], "x"), "results is an empty list"),
+    "absent results": (lambda: rt.growth("nowhere", "x"), "results: nowhere does not exist"),
+    "no workers": (lambda: rt.batch("x", "y", workers=-1), "workers must be 1 to 10000, not -1"),
+    "batch at an address": (lambda: rt.batch("x", "memory://y"), "output must be a folder, not the address memory://y"),
+    "misspelt place": (lambda: rt.Placing(place="outo"), 'must be one of "given", "auto" (did you mean "auto"?)'),
+    "diameter of a mesh": (lambda: rt.load_scene(BALL, specimen_diameter_mm=1.0), "or remove specimen_diameter_mm"),
+    "impossible scene": (lambda: rt.Scene(canister=Canister(outer_radius_mm=7.62)), "Scene: [canister] outer_radius_mm = 7.62: must be at"),
+}
+
+
+@pytest.mark.parametrize(("call", "sentence"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_one_sentence(call: Callable[[], Any], sentence: str) -> None:
+    begun_s = time.process_time()
+    with pytest.raises(rt.UserError, match=re.escape(sentence)) as caught:
         call()
+    assert time.process_time() - begun_s < 1.0
+    assert not re.search(r"--[a-z]|\n", str(caught.value)), "options of commands are no words of Python"

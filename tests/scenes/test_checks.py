@@ -24,6 +24,10 @@ def bands_of(*names: str) -> dict[str, Any]:
 
 MISFITS: list[tuple[str, dict[str, Any], str]] = [
     ("wall fills the canister", {"canister": Canister(outer_radius_mm=40.0, wall_mm=40.0)}, r"\[canister\] wall_mm = 40.*below"),
+    ("canister in centimetres", {"canister": Canister(outer_radius_mm=7.62)}, r"outer_radius_mm = 7.62: .*7.62 centimetres are 76.2 mm"),
+    ("pot in inches", {"net_pot": NetPot(outer_radius_mm=3.134)}, r"\[net_pot\] outer_radius_mm = 3.134.*inches are 79.6"),
+    ("camera in metres", {"plan": CapturePlan(rings=(Ring(distance_mm=0.4),))}, r"0.4 metres are 400 mm"),
+    ("half a canister", {"canister": Canister(outer_radius_mm=38.1)}, r"outer_radius_mm = 38.1: must be at least 39.8"),
     ("water below the floor", {"water": Water(level_mm=-150.0)}, r"\[water\] level_mm = -150.0.*-146.4"),
     ("pot inside the canister", {"net_pot": NetPot(outer_radius_mm=76.2)}, r"\[net_pot\] outer_radius_mm.*above.*76.2"),
     ("dictionary too small", {"strip": MarkerStrip(dictionary="4X4_50")}, r"\[strip\] dictionary = \"4X4_50\".*50 markers.*62"),

@@ -1,6 +1,9 @@
 """The scenes and profiles that come with the program."""
 
+import pytest
+
 from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import library, load_scene
 
 # Wet root masses in g of radish 1 to 18 (thesis, table A.1), three an age: days 5, 10, ... 30; taken as ml at 1.0 g/ml.
@@ -20,7 +23,8 @@ def test_the_library_is_complete_and_each_scene_has_its_name() -> None:
     assert [(scene.name, scene.description) for scene in scenes] == listed
     assert all(text.strip() and "\n" not in text for _, text in listed)
     assert {scene.disturbances for scene in scenes} == {Disturbances()}
-    assert load_scene("radish_day15") == load_scene("radish_day15a")
+    with pytest.raises(UserError, match=r"ambiguous; choose radish_day15a, radish_day15b, radish_day15c$"):
+        load_scene("radish_day15")
 
 
 def test_radishes_have_the_volumes_names_and_days_of_the_thesis() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin import command_steps
 from rhizotwin.corrections import against_pictures, corrected, log
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results import assessments, by_plant, divide_by_plant, result_traits
@@ -18,7 +17,7 @@ from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes.plants import Plant as ScenePlant
 from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.subject import Subject
-from rhizotwin.stored import result_files, stored_traits
+from rhizotwin.stored import result_files, save, stored_traits
 from rhizotwin.stored.load import load_result
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.plant import Plant
@@ -96,7 +95,7 @@ def test_the_shoot_is_kept_and_its_result_can_be_replaced(own: Path, tmp_path: P
     session.do(log.edit("delete roots", roots=[1]))
     for _ in range(2):
         corrected.write(session, tmp_path / "new")
-        command_steps.refuse_place(tmp_path / "new", own)
+        save.check_place(tmp_path / "new", own)
     kept = load_result(tmp_path / "new").shoot
     assert kept is not None
     assert kept.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)

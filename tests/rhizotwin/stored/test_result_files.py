@@ -10,12 +10,13 @@ import pytest
 import trimesh
 
 from rhizotwin.recon.results.parts import Leaves, shape_npz
-from rhizotwin.scenes import rsml
+from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.stored import plain_ply, result_files, result_names
 from rhizotwin.stored.load import load_result
 from rhizotwin.stored.result_files import read_leaves
+from rhizotwin.stored.save import Result
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=7.0)
 PLAIN = bytes(trimesh.exchange.ply.export_ply(BALL))
@@ -74,6 +75,40 @@ def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
     for a, b in zip(first.cameras, second.cameras, strict=True):
         assert (a.file, a.used, a.reason, a.markers) == (b.file, b.used, b.reason, b.markers)
         np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("there", "says"),
+    [
+        ({"dataset.json": b"{}", "images/a.png": b""}, "is not empty and is not a result"),
+        ({"result.json": b"{}", "edits.json": b"{}"}, "contains edits.json, which would be deleted"),
+        ({"result.json": b"{}", "stages/hull.json": b"", "my notes.txt": b"!"}, "contains my notes.txt"),
+        ({"set/dataset.json": b"{}"}, "is not empty"),
+    ],
+)
+def test_a_result_overwrites_nothing_else(scan, tmp_path: Path, there: dict[str, bytes], says: str) -> None:
+    result = Result.of(load_result(scan(voxel_mm=1.0).result))
+    for name, content in there.items():
+        atomic.write_bytes(tmp_path / "there" / name, content)
+    with pytest.raises(UserError, match=says):
+        result.save(tmp_path / "there")
+    assert files_of(tmp_path / "there") == there
+
+
+def test_a_saved_result_leaves_nothing_of_an_earlier_one(scan, tmp_path: Path) -> None:
+    result, goal = Result.of(load_result(scan(voxel_mm=1.0).result)), tmp_path / "mine"
+    atomic.write_bytes(goal / "stages" / "hull.json", b"new")
+    result.save(goal)
+    first = set(files_of(goal))
+    atomic.write_bytes(goal / "report.html", b"of an earlier result")
+    result.save(goal)
+    assert set(files_of(goal)) == first > {"result.json", "stages/hull.json"}
+    with pytest.raises(UserError, match="would overwrite its input"):
+        replace(result, dataset=str(goal)).save(goal)
 
 
 OTHER_KINDS = [
