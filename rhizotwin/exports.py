@@ -47,6 +47,9 @@ MESHES = (".ply", ".stl", ".glb")
 _SAME_PLACE_MM = 5.0
 """Interval by which the distances and heights of cameras are rounded, in mm. The pinhole distance is computed once for
 all cameras that have the same rounded distance and height."""
+MOST_POINTS = 50_000
+"""Maximum number of points of the surface that are written to a COLMAP model. Splatting starts with a Gaussian at each
+point, and structure from motion of a whole scene finds 10,000 to 200,000 points."""
 MOST_VOXELS = 1_500_000_000
 """Maximum size, in bytes, of the array of voxels that is written to a file."""
 
@@ -108,7 +111,10 @@ def export(
     cameras = Cameras.of(dataset, summary)
     if not cameras.views:
         raise UserError(f"{output}: the result contains no calibrated picture, so there are no cameras to export; choose another result")
-    return _undistorted(output, dataset, cameras, monitor or Monitor()) if undistorted else _cameras(output, dataset, cameras)
+    if not undistorted:
+        return _cameras(output, dataset, cameras)
+    surface = result_files.read_mesh(result_folder / "shape.ply")
+    return _undistorted(output, dataset, cameras, surface.vertices_mm, monitor or Monitor())
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -257,11 +263,14 @@ def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = 
     return [output]
 
 
-def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write cameras as a COLMAP text model without 3D points.
+def write_colmap(
+    output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION, points_mm: NDArray[np.float64] | None = None
+) -> list[Path]:
+    """Write cameras as a COLMAP text model.
 
-    The lens model is FULL_OPENCV with pixel centres at half-integers. Poses are quaternions (w, x, y, z) and
-    translations of cam_from_canister, mm.
+    The lens model is the simplest that holds the distortion, because programs for splatting read only PINHOLE, and
+    nerfstudio's reader of COLMAP models refuses FULL_OPENCV. Pixel centres are at half-integers. Poses are quaternions
+    (w, x, y, z) and translations of cam_from_canister, mm.
 
     Parameters
     ----------
@@ -269,6 +278,9 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
         Output folder.
     camera, posed, note : Camera, sequence, str
         See `write_nerfstudio`.
+    points_mm : (N, 3) array or None
+        Points of the surface in the canister frame, mm, of which at most `MOST_POINTS` are written, in grey and without
+        observations. None for no points.
 
     Returns
     -------
@@ -288,22 +300,29 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
             )
     k1, k2, p1, p2, k3 = camera.distortion
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
-    numbers = (fx, fy, cx + 0.5, cy + 0.5, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
-    lens = f"1 FULL_OPENCV {camera.image_wh[0]} {camera.image_wh[1]} " + " ".join(f"{number:.17g}" for number in numbers)
+    bent = () if not any(camera.distortion) else (k1, k2, p1, p2) if k3 == 0.0 else (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
+    model = {0: "PINHOLE", 4: "OPENCV", 8: "FULL_OPENCV"}[len(bent)]
+    numbers = " ".join(f"{number:.17g}" for number in (fx, fy, cx + 0.5, cy + 0.5, *bent))
+    lens = f"1 {model} {camera.image_wh[0]} {camera.image_wh[1]} {numbers}"
+    shown = np.empty((0, 3)) if points_mm is None else points_mm[:: len(points_mm) // MOST_POINTS + 1]
+    points = [f"{number} {x:.6g} {y:.6g} {z:.6g} 128 128 128 0" for number, (x, y, z) in enumerate(shown, start=1)]
     lines = []
     for number, (file, cam_from_canister) in enumerate(posed, start=1):
         x, y, z, w = Rotation.from_matrix(cam_from_canister[:3, :3]).as_quat()
         pose = " ".join(f"{value:.17g}" for value in (w, x, y, z, *cam_from_canister[:3, 3]))
         lines += [f"{number} {pose} 1 {file}", ""]
-    written = {"cameras.txt": [lens], "images.txt": lines, "points3D.txt": []}
+    written = {"cameras.txt": [lens], "images.txt": lines, "points3D.txt": points}
     with new_folder(output) as building:
         for name, rows in written.items():
             atomic.write_text(building / name, "\n".join([f"# {note}", *rows]) + "\n")
     return [output / name for name in written]
 
 
-def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, monitor: Monitor) -> list[Path]:
-    """Write pictures with refraction removed, and their pinhole cameras for nerfstudio and COLMAP."""
+def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, points_mm: NDArray[np.float64], monitor: Monitor) -> list[Path]:
+    """Write pictures with refraction removed, and their pinhole cameras for nerfstudio and COLMAP.
+
+    The COLMAP model contains points of the surface, because programs for splatting do not start without points.
+    """
     scene = dataset.scene
     if scene.tank is not None:
         raise UserError(
@@ -331,7 +350,7 @@ def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, monitor: Moni
             step()
         assert lens is not None
         write_nerfstudio(building / "transforms.json", lens, [(f"images/{name}", pose) for name, pose in posed], note=IN_WATER)
-        write_colmap(building / "colmap", lens, posed, note=IN_WATER)
+        write_colmap(building / "colmap", lens, posed, note=IN_WATER, points_mm=points_mm)
         about = [{"pinhole_distance_mm": distance_mm, "off_plane_rms_px": left_px} for distance_mm, left_px in places.values()]
         atomic.write_json(building / "undistorted.json", {"exact_on": "the vertical plane through the axis", "camera_places": about})
     return [output / "images", output / "transforms.json", output / "colmap", output / "undistorted.json"]

@@ -40,7 +40,7 @@ class CharucoBoard:
     dictionary: str = "5X5_100"
     """ArUco dictionary of the markers, which must differ from the dictionary of the strip."""
     legacy_pattern: bool = False
-    """Pattern of OpenCV before 4.6, which calib.io still offers: with an even number of rows, the top left square is
+    """Pattern of OpenCV before 4.6, as of many printed boards: with an even number of rows, the top left square is
     white. With an odd number of rows, both patterns are the same."""
 
     @property

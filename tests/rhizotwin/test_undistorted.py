@@ -1,10 +1,13 @@
 """Undistorted pictures: exact where they say so, and where no refraction is, everywhere."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rhizotwin.exports import MOST_POINTS, write_colmap
+from rhizotwin.importer.colmap_model import read_colmap
 from rhizotwin.recon.optics.cameras import View, project_inner
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
@@ -51,3 +54,19 @@ def test_points_of_the_plane_show_where_the_pinhole_sees_them() -> None:
         np.testing.assert_allclose(at, [u, v], atol=0.1)
     assert 0.1 < left_px < 3.0  # the wall's astigmatism is not nothing
     assert not undistorted[:3].any()  # above the water there is no image
+
+
+MODELS = {"PINHOLE": (0.0, 0.0, 0.0, 0.0, 0.0), "OPENCV": (-0.1, 0.0, 0.001, 0.0, 0.0), "FULL_OPENCV": (-0.1, 0.05, 0.0, 0.0, 0.01)}
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_colmap_gets_the_simplest_lens_and_points(model: str, tmp_path: Path) -> None:
+    """Splatting reads PINHOLE with points only, and nerfstudio's reader of COLMAP models every lens but FULL_OPENCV."""
+    camera, points_mm = replace(SCENE.camera, distortion=MODELS[model]), np.arange(6.0 * MOST_POINTS).reshape(-1, 3)
+    write_colmap(tmp_path / "colmap", camera, [("a.png", view().cam_from_canister)], points_mm=points_mm)
+    assert (tmp_path / "colmap" / "cameras.txt").read_text().splitlines()[1].split()[1] == model
+    rows = np.loadtxt(tmp_path / "colmap" / "points3D.txt", skiprows=1, max_rows=2)
+    np.testing.assert_allclose(rows[:, :8], [[1, 0, 1, 2, 128, 128, 128, 0], [2, 9, 10, 11, 128, 128, 128, 0]])
+    back = read_colmap(tmp_path / "colmap", SCENE.camera)
+    assert back.camera == camera
+    np.testing.assert_allclose(back.cam_from_canister["a.png"], view().cam_from_canister, atol=1e-12)
