@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, was
 from rhizotwin.scenes.reading import MOST_MESH_MIB, check_size
+from rhizotwin.sim.overlaps import SMALLEST, relative_overlap, unite_overlaps
 from rhizotwin.sim.solids import Array, Faces, to_manifold
 
 SUFFIXES = (".ply", ".stl", ".obj")
@@ -22,11 +23,16 @@ LEAST_MM = 0.5
 """Minimum size of a specimen, mm. The unit of smaller meshes is probably not the millimetre."""
 
 
+_LARGEST_OVERLAP = 1e-3
+"""Relative error of the volume up to which a surface that folds into itself is accepted. Surfaces from tomography often
+have such small folds."""
+
+
 def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
     """Read a closed surface and return the solid that it bounds, together with notes on repairs.
 
-    Overlapping shells are united. Inner shells with inward normals are cavities. A surface whose normals all point
-    inwards is inverted, with a note.
+    Overlapping shells, and parts of a shell that overlap, are united. Inner shells with inward normals are cavities. A
+    surface whose normals all point inwards is inverted, with a note.
 
     Parameters
     ----------
@@ -37,7 +43,7 @@ def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
     ------
     UserError
         If the file is missing, unreadable or empty, or the surface is not closed (with the number of open edges),
-        inconsistently oriented or flat.
+        inconsistently oriented or flat, or folds into itself.
     """
     vertices, faces = _read(path)
     if len(vertices) == 0 or len(faces) == 0:
@@ -153,10 +159,10 @@ def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> m
     inverted: list[manifold3d.Manifold] = []
     for shell in solid.decompose():
         if shell.volume() > 0.0:
-            bodies.append(shell)
+            bodies.append(_count_once(shell, path, notes))
         elif shell.volume() < 0.0:
             vertices, faces = np.array(shell.to_mesh64().vert_properties[:, :3]), np.array(shell.to_mesh64().tri_verts)
-            inverted.append(to_manifold(vertices, faces[:, ::-1].astype(np.int32)))
+            inverted.append(_count_once(to_manifold(vertices, faces[:, ::-1].astype(np.int32)), path, notes))
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add) if bodies else manifold3d.Manifold()
     for shell in inverted:
         inside = (united ^ shell).volume() > 0.999 * shell.volume()
@@ -170,3 +176,21 @@ def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> m
     if len(bodies) > 1:
         notes.append(f"{path}: {len(bodies)} separate shells were united; overlaps are counted once in the volume.")
     return united
+
+
+def _count_once(shell: manifold3d.Manifold, path: Path, notes: list[str]) -> manifold3d.Manifold:
+    """Return a shell in which parts that overlap count once in the volume."""
+    overlap = relative_overlap(shell)
+    if overlap <= SMALLEST:
+        return shell
+    united = unite_overlaps(shell)
+    if united is not None:
+        notes.append(f"{path}: a surface intersects itself; overlaps are counted once in the volume.")
+        return united
+    if overlap > _LARGEST_OVERLAP:
+        raise UserError(
+            f"{path}: the surface folds into itself, so that its volume is uncertain by {100.0 * overlap:.2g} %; "
+            "remesh it with voxels in a mesh editor, or specify the centre lines as RSML."
+        )
+    notes.append(f"{path}: the surface folds into itself; the error of its volume is at most {100.0 * overlap:.2g} %.")
+    return shell

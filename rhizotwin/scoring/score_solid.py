@@ -10,6 +10,7 @@ from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result import Result, Triple, triple
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import interval_ml, ml
+from rhizotwin.scoring.conventions import check_unit
 from rhizotwin.scoring.registration import register
 from rhizotwin.scoring.score_shape import SurfaceScore, compare_surfaces
 from rhizotwin.stored.load import load_result
@@ -95,10 +96,11 @@ def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) 
     Raises
     ------
     UserError
-        If the result folder cannot be read.
+        If the result folder cannot be read, or the solid has the size of the result in another unit.
     """
     found = result if isinstance(result, Result) else load_result(result)
     shape = found.solid.surface
+    check_unit(solid, shape, where="the mesh of the part")
     laid = register(solid, shape)
     extents_mm = np.subtract(found.solid.extents_max_mm, found.solid.extents_min_mm)
     true_mm = np.ptp(laid.moved.vertices_mm, axis=0)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
 from rhizotwin.scenes.thickened_roots import BURIED_MM
-from rhizotwin.sim import placement
+from rhizotwin.sim import placement, solids
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
 SCENE = Scene()
@@ -88,6 +89,19 @@ def test_overlapping_shells_count_once_and_cavities_are_kept(tmp_path: Path) -> 
     solid = through_file(shells, tmp_path, "shells.stl")
     assert solid.volume_mm3 == pytest.approx(1500.0 - 64.0, rel=1e-5)
     assert any("cavit" in note for note in solid.notes)
+
+
+@pytest.mark.parametrize(("bend_mm", "match"), [(4.0, ""), (0.6, "folds into itself")])
+def test_a_coil_that_intersects_itself(tmp_path: Path, bend_mm: float, match: str) -> None:
+    turn = np.linspace(0.0, 4.0 * np.pi, 121)
+    line = np.stack([bend_mm * np.cos(turn), bend_mm * np.sin(turn), -50.0 - 0.1 * turn], axis=1)  # 0.6 mm between the turns
+    coil = trimesh.Trimesh(*solids.tube(line, np.full(121, 1.0), sides=24), process=False)
+    with pytest.raises(UserError, match=match) if match else nullcontext():
+        solid = through_file(coil, tmp_path)
+        root = Root(points_mm=line, diameters_mm=np.full(121, 2.0), order=0, parent=-1)
+        assert solid.volume_mm3 == pytest.approx(solids.unite_roots([root]).volume(), rel=2e-4)
+        assert solid.volume_mm3 < 0.9 * coil.volume
+        assert "counted once" in solid.notes[0]
 
 
 NO_MESH = {
@@ -171,6 +185,35 @@ def test_whatever_way_it_is_drawn_the_base_is_above(tmp_path: Path, points: list
     (root,) = build(RsmlSpecimen(file=rsml(tmp_path / "a.rsml", points), place="auto")).roots
     assert root.points_mm[0, 2] == pytest.approx(GRID_MM - 0.5, abs=0.1)  # its radius below
     assert root.points_mm[0, 2] - root.points_mm[-1, 2] == pytest.approx(80.0, abs=0.01)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_sideways_roots_are_said_and_set_upright(tmp_path: Path, axis: str) -> None:
+    points = [tuple(np.roll([10.0 * k, 2.0 * k, k], "xyz".index(axis))) for k in range(6)]
+    file = rsml(tmp_path / "a.rsml", points)
+    lying = build(RsmlSpecimen(file=file, place="auto"))
+    assert f"set --vertical-axis {axis}" in lying.notes[1]
+    upright = build(RsmlSpecimen(file=file, place="auto", vertical_axis=axis))
+    assert len(upright.notes) == 1
+    assert upright.roots[0].points_mm[0, 2] - upright.roots[0].points_mm[-1, 2] == pytest.approx(50.0)
+
+
+UNITS = {
+    "96 dpi never applied": ("cm", 37.95, 11.0, 0.15, "set --specimen-unit 'cm'"),
+    "dpi as dots per mm": ("mm", 300, 1000.0, 10.0, "set --specimen-unit '0.08467 mm'"),
+    "um instead of mm": ("um", 1, 90.0, 1.0, "set --specimen-unit 'mm'"),
+    "diameters in cm": ("inch", 300, 1000.0, 0.1, 'such as "diameter \\[cm\\]"'),
+}
+
+
+@pytest.mark.parametrize(("unit", "resolution", "long", "thick", "cure"), UNITS.values(), ids=UNITS)
+def test_an_implausible_unit_is_named(tmp_path: Path, unit: str, resolution: float, long: float, thick: float, cure: str) -> None:
+    file = Path(rsml(tmp_path / "a.rsml", [(0, 0, 0), (0, 0, -long)], unit=unit, diameter=thick))
+    file.write_text(file.read_text().replace("<resolution>1<", f"<resolution>{resolution}<"))
+    assert re.search(cure, build(RsmlSpecimen(file=str(file), place="auto")).notes[1])
+    meters = Path(rsml(tmp_path / "m.rsml", [(0, 0, 0), (0, 0, -100)], unit="m", diameter=1.0))
+    with pytest.raises(UserError, match="set --specimen-unit 'mm'"):
+        build(RsmlSpecimen(file=str(meters), place="auto"))
 
 
 def test_flip_scale_and_shift_in_this_order(tmp_path: Path) -> None:

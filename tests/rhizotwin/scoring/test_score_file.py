@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import shutil
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import score_file, score_topology
 from rhizotwin.scoring.foreign_files import read_voxels
+from rhizotwin.scoring.mesh_solid import to_solid
 from rhizotwin.sim import solids
 from tests.command import Command
 
@@ -50,18 +53,29 @@ def planted(made: Path, tmp_path: Path) -> Path:
     return tmp_path / "planted"
 
 
-@pytest.mark.parametrize("suffix", ["stl", "glb"])
-def test_a_mesh_that_equals_the_truth(made: Path, tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(("suffix", "unit"), [("stl", 1.0), ("obj", 1.0), ("glb", 1000.0)])
+def test_a_mesh_that_equals_the_truth(made: Path, tmp_path: Path, suffix: str, unit: float) -> None:
     mesh = truth_of(made)
-    if suffix == "glb":
+    if suffix != "stl":
         x, y, z = mesh.vertices.T
-        mesh = trimesh.Trimesh(np.stack([x, z, -y], axis=1) / 1000.0, mesh.faces, process=False)
+        mesh = trimesh.Trimesh(np.stack([x, z, -y], axis=1) / unit, mesh.faces, process=False)
     mesh.export(tmp_path / f"shape.{suffix}")
     found = score_file.score_mesh(tmp_path / f"shape.{suffix}", made)
     assert abs(found.volume_error) < 1e-4
     assert found.iou > 0.999
     assert found.surface.p95_mm < 1e-3
     assert np.abs(found.extents_error).max() < 1e-4
+    assert ("y is up" in "".join(found.notes)) == (suffix == "obj")
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "unit", "registered"),
+    [("a.stl", 0.1, "cm", False), ("a.stl", 1 / 25.4, "inch", True), ("a.obj", 0.001, "m", False), ("a.glb", 1.0, "mm instead of m", True)],
+)
+def test_meshes_in_other_units_are_named(made: Path, tmp_path: Path, *, name: str, scale: float, unit: str, registered: bool) -> None:
+    truth_of(made).apply_scale(scale).export(tmp_path / name)
+    with pytest.raises(UserError, match=f"{name}: the coordinates are probably in {unit}"):
+        score_file.score_mesh(tmp_path / name, made, registered=registered)
 
 
 def test_a_mesh_elsewhere_is_laid_onto_the_truth_if_asked(made: Path, tmp_path: Path) -> None:
@@ -92,10 +106,14 @@ def inverted(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     [
         ([ball(8.0), ball(8.0, shift_mm=8.0)], 27.0 / 16.0, 16.0 / 27.0),  # less the lens that both balls contain
         ([ball(8.0), ball(8.0, shift_mm=12.0), inverted(ball(3.0))], 953.0 / 512.0, 485.0 / 980.0),
+        ([inverted(ball(8.0))], 1.0, 1.0),
     ],
-    ids=["overlapping", "with_a_cavity"],
+    ids=["overlapping", "with_a_cavity", "inside_out"],
 )
-def test_overlapping_shells_count_once(made: Path, tmp_path: Path, shells: list[trimesh.Trimesh], volume: float, iou: float) -> None:
+def test_overlapping_shells_count_once(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shells: list[trimesh.Trimesh], volume: float, iou: float
+) -> None:
+    monkeypatch.setattr(score_file, "_MOST_SIDE", 60)  # voxels of the mesh that is inside out
     trimesh.util.concatenate(shells).export(tmp_path / "shells.ply")
     found = score_file.score_mesh(tmp_path / "shells.ply", made)
     assert (found.volume_error + 1.0, found.iou) == (pytest.approx(volume, abs=0.01), pytest.approx(iou, abs=0.01))
@@ -103,14 +121,13 @@ def test_overlapping_shells_count_once(made: Path, tmp_path: Path, shells: list[
     assert found.notes
 
 
-def test_a_shell_that_intersects_itself_counts_once(made: Path, tmp_path: Path) -> None:
+def test_a_shell_that_intersects_itself_counts_once() -> None:
     turn_rad = np.linspace(0.0, 2.25 * np.pi, 91)  # the last eighth of a turn lies in the first
     ring = 10.0 * np.stack([np.cos(turn_rad), np.sin(turn_rad), np.zeros(91)], axis=1)
-    tube = trimesh.Trimesh(*solids.tube(ring + CENTRE_MM, np.full(91, 3.0), sides=32), process=False)
-    tube.export(tmp_path / "tube.ply")
-    found = score_file.score_mesh(tmp_path / "tube.ply", made)
-    assert found.volume_mm3 == pytest.approx(2.0 * np.pi**2 * 10.0 * 3.0**2, rel=0.02)
-    assert "intersects itself" in found.notes[0]
+    vertices, faces = solids.tube(ring, np.full(91, 3.0), sides=32)
+    found = to_solid(Mesh(vertices_mm=vertices, faces=faces.astype(np.int64)))
+    assert found.was_united
+    assert found.solid.volume() == pytest.approx(2.0 * np.pi**2 * 10.0 * 3.0**2, rel=2e-3)
 
 
 def test_an_open_mesh_has_distances_and_no_volume(made: Path, tmp_path: Path) -> None:
@@ -127,11 +144,19 @@ def test_voxels_of_a_ball(made: Path, tmp_path: Path) -> None:
     centres = low + voxel_mm * (np.stack(np.meshgrid(*[np.arange(80)] * 3, indexing="ij"), axis=-1) + 0.5)
     inside = np.linalg.norm(centres - CENTRE_MM, axis=-1) < RADIUS_MM
     np.savez(tmp_path / "voxels.npz", occupancy=inside, origin_mm=low, voxel_mm=voxel_mm)
-    header = {"space dimension": 3, "space directions": voxel_mm * np.eye(3), "space origin": low + 0.5 * voxel_mm}
-    nrrd.write(str(tmp_path / "voxels.nrrd"), 255 * inside.astype(np.uint8), header, index_order="F")
-    for kind in (bool, np.uint8, np.int64, np.float32):
-        np.savez(tmp_path / "kind.npz", occupancy=inside.astype(kind), origin_mm=low, voxel_mm=voxel_mm)
-        assert (read_voxels(tmp_path / "kind.npz").occupancy == 1.0).all(), kind
+    first = low + 0.5 * voxel_mm
+    header = {"space dimension": 3, "space directions": -voxel_mm * np.eye(3)[[2, 0, 1]], "space origin": first + 19.75}
+    nrrd.write(str(tmp_path / "voxels.nrrd"), 255 * inside[::-1, ::-1, ::-1].transpose(2, 0, 1).astype(np.int16), header, index_order="F")
+    spaced = {"spacings": [voxel_mm] * 3, "axis mins": list(first)}
+    nrrd.write(str(tmp_path / "spaced.nrrd"), inside.astype(np.uint8), spaced, index_order="F")
+    np.testing.assert_allclose(read_voxels(tmp_path / "spaced.nrrd")[0].origin_mm, low)
+    for block in (inside, inside.astype(np.uint8), 255 * inside.astype(np.int16), inside.astype(np.int64), inside.astype(np.float32)):
+        np.savez(tmp_path / "kind.npz", occupancy=block, origin_mm=low, voxel_mm=voxel_mm)
+        assert (read_voxels(tmp_path / "kind.npz")[0].occupancy == 1.0).all(), block.dtype
+    for wrong_mm in (1e9, 0.001):
+        np.savez(tmp_path / "wrong.npz", occupancy=inside, origin_mm=low, voxel_mm=wrong_mm)
+        with pytest.raises(UserError, match="check the voxel size and its unit"):
+            score_file.score_voxels(tmp_path / "wrong.npz", made)
     of_npz, of_nrrd = (score_file.score_voxels(tmp_path / f"voxels.{suffix}", made) for suffix in ("npz", "nrrd"))
     assert of_npz.volume_error == pytest.approx(inside.sum() * voxel_mm**3 / (4.0 / 3.0 * np.pi * RADIUS_MM**3) - 1.0, abs=0.01)
     assert of_npz.iou > 0.95
@@ -209,6 +234,9 @@ def npz_of(**arrays: np.ndarray) -> bytes:
 HOSTILE = {
     "other_file.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: raw\ndata file: /etc/passwd"),
     "larger_than_it_says.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: gzip", gzip.compress(bytes(3 * 2**20))),
+    "empty.nrrd": b"",
+    "no_position.nrrd": b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 1 1\nspacings: 1 1 1\nencoding: raw\n\n1",
+    "labels.npz": npz_of(occupancy=np.arange(8).reshape(2, 2, 2), origin_mm=np.zeros(3), voxel_mm=np.array(1.0)),
     "too_large.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 99999 99999 99999\nencoding: raw"),
     "truncated.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: raw", b"1"),
     "bomb.npz": npz_of(occupancy=np.zeros((128, 128, 128), np.uint8), origin_mm=np.zeros(3), voxel_mm=np.array(1.0)),
@@ -221,6 +249,13 @@ def test_hostile_voxels_are_one_sentence(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / name).write_bytes(HOSTILE[name])
     with pytest.raises(UserError, match=name):
         read_voxels(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "ACME_other"])
+def test_extensions_of_gltf_are_named(command: Command, made: Path, tmp_path: Path, name: str) -> None:
+    text = json.dumps({"asset": {"version": "2.0"}, "extensionsRequired": [name]}).encode()
+    (tmp_path / "a.glb").write_bytes(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text)
+    command.fails("score", "--mesh", tmp_path / "a.glb", made, named=[name, "export it without compression"])
 
 
 def test_the_command_line_scores_a_file(command: Command, made: Path) -> None:

@@ -54,6 +54,8 @@ def test_a_ball_that_lies_elsewhere_scores_as_where_it_was(scan) -> None:
     assert found.surface.median_mm == pytest.approx(0.3, abs=0.01)
     assert json.loads(json.dumps(found.to_dict()))["surface"]["median_mm"] == found.surface.median_mm
     assert "registered solid" in found.table()
+    with pytest.raises(UserError, match="probably in cm instead of mm"):
+        score_solid(made.result, mesh_of(far.apply_scale(0.1)), volume_mm3=float(far.volume))
 
 
 def test_a_measured_volume_says_whether_the_interval_holds(scan) -> None:
