@@ -19,6 +19,7 @@ from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.acceleration_choice import choose_acceleration
 from rhizotwin.rig.scanning.arm_stand import ArmStand
+from rhizotwin.rig.scanning.canister_check import other_canister
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.safety import make_safe
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
@@ -209,14 +210,11 @@ class _Scan:
         wrong = self._watch.wrong()
         if wrong is None:
             return
-        file, why = wrong
+        files, why = wrong
         if not self._remove_slipped(self._turntable.pictures):
-            self._session.drop([file])
-            self._observer.on_drop([file])
-        raise RigError(
-            f"turntable: {why}; the picture was removed. Check that the table turns freely and that the camera did not move or hang, "
-            "then finish the scan with --resume"
-        )
+            self._session.drop(files)
+            self._observer.on_drop(files)
+        raise RigError(f"turntable: {why}, then finish the scan with --resume; the wrong pictures were removed")
 
     def _measure_rest(self, views: Sequence[View]) -> None:
         """Choose the acceleration of the table and the pause before each picture.
@@ -249,6 +247,10 @@ class _Scan:
         self._turntable.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._views.bright = preflight.measure_exposure(shot.image).bright
+        if seen is None and (other := other_canister(shot.image, self._scene.strip)):
+            raise RigError(
+                f"turntable: the canister has the markers {other}, which are not those of the scene; put the right one on the table"
+            )
         if not self._homed:
             self._identify(shot.image)
             before = self._session.frames_of(index)

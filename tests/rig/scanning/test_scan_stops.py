@@ -1,5 +1,6 @@
 """What stops a scan or gets in its way: Ctrl-C at every call, faults one by one, a table that slips, a full disk."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,13 @@ from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
 from rhizotwin.rig.rig_file import RigFile, TurntablePart
 from rhizotwin.rig.scanning import scan as scan_module
 from rhizotwin.rig.scanning import session
+from rhizotwin.rig.scanning.canister_check import shift_mm
 from rhizotwin.rig.scanning.homing import facing_angle
 from rhizotwin.rig.scanning.markers import read_strip
-from rhizotwin.scenes import plan
+from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from tests.rig import fake_devices
 from tests.rig.fake_devices import BLIND, SCENE, World, angles, at_call, devices, run, stop_at
 
@@ -195,6 +197,45 @@ def noisy(monkeypatch: pytest.MonkeyPatch, *, stuck_deg: float | None = None) ->
         return np.clip(picture + rng.normal(0.0, 0.01 * full, picture.shape), 0.0, full).astype(picture.dtype)
 
     monkeypatch.setattr(fake_devices, "drawn", drawn)
+
+
+OTHER = {
+    "shows another canister (markers 3": replace(SCENE, strip=replace(SCENE.strip, first_id=22)),
+    "no marker is left since images/view_002.png": BLIND,
+    "view_002.png is 3.": replace(SCENE, plan=CapturePlan(rings=(Ring(views=4, height_mm=Ring().height_mm + 3.0),))),
+}
+
+
+@pytest.mark.parametrize("named", OTHER, ids=["another", "none", "pushed"])
+def test_another_canister_or_place_ends_the_scan(named: str, tmp_path: Path) -> None:
+    world = World()
+    at_call(world, "camera.capture", 5, lambda world: setattr(world, "scene", OTHER[named]))
+    with pytest.raises(RigError, match=re.escape(named)):
+        run(world, tmp_path / "d")
+    assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
+    if OTHER[named].strip.first_id:
+        with pytest.raises(RigError, match="not those of the scene"):
+            scan_module.scan(devices(world), SCENE, tmp_path / "d", resume=True)
+    world.scene = SCENE
+    taken_up(world, tmp_path / "d")
+
+
+def test_a_shift_of_3_mm_on_the_table_is_seen() -> None:
+    camera = frames.level_camera(distance_mm=400.0, height_mm=-20.0, tilt_deg=10.0)
+    rng, angles_deg = np.random.default_rng(2), np.arange(0.0, 360.0, 36.0)
+
+    def first_wrong(shift_deg: float, moved_from: int) -> int | None:
+        poses = []
+        for k, angle_deg in enumerate(angles_deg):
+            shift = 3.0 * np.exp(1j * np.deg2rad(shift_deg)) * (k >= moved_from)
+            turned = camera @ frames.rotation_z(SCENE.turntable.direction * np.deg2rad(angle_deg))
+            poses.append(turned @ frames.translation(1.0 + shift.real, 0.5 + shift.imag, 0.0))
+            poses[-1][:2, 3] += rng.normal(0.0, 0.13, 2)
+        return next((k for k in range(1, 11) if shift_mm(angles_deg[:k], poses[:k], SCENE)), None)
+
+    assert [first_wrong(0.0, 10) for _ in range(20)] == [None] * 20
+    firsts = [first_wrong(shift_deg, 5) for shift_deg in range(0, 360, 45)]
+    assert all(first is not None and 6 <= first <= 9 for first in firsts), firsts
 
 
 def test_camera_that_hangs_is_noticed_at_the_second_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
