@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.picture_codec import Grey, decode_grey
+from rhizotwin.scenes.orientation import read_orientation
+from rhizotwin.scenes.picture_codec import Grey, check_header, decode_grey, decode_grey_alpha
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -72,3 +73,25 @@ def read_picture(path: Path, *, image_wh: tuple[int, int]) -> tuple[bytes, Grey]
     """
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     return data, decode_grey(data, where=str(path), image_wh=image_wh)
+
+
+def read_mask(path: Path, *, image_wh: tuple[int, int]) -> tuple[Grey, Grey | None]:
+    """Read the grey values and the transparency of a picture file (see `scenes.picture_codec.decode_grey_alpha`).
+
+    The parameters and errors are those of `read_picture`.
+    """
+    return decode_grey_alpha(read_file(path, most_mib=MOST_PICTURE_MIB), where=str(path), image_wh=image_wh)
+
+
+def check_pictures(paths: list[Path], *, image_wh: tuple[int, int]) -> list[int]:
+    """Check the sizes and kinds of all pictures before any of them is decoded, which would take much longer.
+
+    The errors are those of `read_picture`, except for damaged pixels. The result is the orientation tag of each picture
+    (see `scenes.orientation`).
+    """
+    found = []
+    for path in paths:
+        data = read_file(path, most_mib=MOST_PICTURE_MIB)
+        check_header(data, where=str(path), image_wh=image_wh)
+        found.append(read_orientation(data))
+    return found

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.rig.cameras.bayer import COLOURS, grey_from_bayer
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.orientation import read_orientation, turn_picture
 from rhizotwin.scenes.picture_codec import Grey
 
 SUFFIXES = (".dng",)
@@ -30,7 +31,8 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
     path : Path
         DNG file of a sensor with a 2x2 colour filter.
     image_wh : tuple of int
-        Width and height of the grey picture, px. Blocks of 2x2, 4x4 ... raw pixels are averaged to one pixel, so that
+        Width and height of the grey picture, px, after it has been turned as the orientation tag of the file states.
+        Blocks of 2x2, 4x4 ... raw pixels are averaged to one pixel, so that
         no colour is interpolated.
     gains : tuple of float, optional
         White balance factors of red and blue, relative to green; None: factors in the file. All pictures of a set
@@ -62,14 +64,16 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
         raise UserError(f"{path}: the raw picture could not be read ({type(error).__name__}); copy or take the picture again") from None
     if pattern is None or pattern.shape != (2, 2) or raw.ndim != 2 or raw.dtype != np.uint16:
         raise UserError(f"{path}: the sensor has no 2x2 colour filter; convert the picture to a linear 16-bit PNG")
-    block = _block(path, (raw.shape[1], raw.shape[0]), image_wh)
+    orientation = read_orientation(path.read_bytes())
+    raw_wh = (raw.shape[1], raw.shape[0]) if orientation < 5 else (raw.shape[0], raw.shape[1])
+    block = _block(path, raw_wh, image_wh)
     order = "".join(names[k] for k in pattern.ravel())
     if sorted(order) != ["B", "G", "G", "R"]:
         raise UserError(f"{path}: the colour filter {order} is not supported; convert the picture to a linear 16-bit PNG")
     if gains is None:
         gains = _gains(names, balance)
     light = grey_from_bayer(raw, order=order, black=_black(order, pattern, black), white=white, colour_gains=gains, block=block, bits=BITS)
-    return light, gains
+    return turn_picture(light, orientation), gains
 
 
 def _block(path: Path, raw_wh: tuple[int, int], image_wh: tuple[int, int]) -> int:

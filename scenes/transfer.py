@@ -12,10 +12,12 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from rhizotwin.scenes.model import Camera
 
@@ -26,8 +28,13 @@ _STEPS = 4097
 is exact to 1e-7."""
 _SAME = 0.004
 """Maximum difference between two transfer curves that are considered equal. It is one step of 8 bits."""
-_EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
-"""Exif 2.3 tags, in this order: pointer to the Exif block, colour space, and gamma."""
+_EXIF, _COLOUR_SPACE, _GAMMA, _INTEROPERABILITY = 0x8769, 0xA001, 0xA500, 0xA005
+"""Exif 2.3 tags, in this order: pointer to the Exif block, colour space, gamma, and pointer to a block whose tag 1 is
+"R03" for Adobe RGB (DCF 2.0)."""
+_ADOBE_GAMMA = 563 / 256
+"""Exponent of Adobe RGB (Adobe RGB (1998) Color Image Encoding, section 4.3.1.2)."""
+_TIFF_PROFILE = 34675
+"""TIFF tag of the ICC profile."""
 
 
 @dataclass(frozen=True)
@@ -93,23 +100,50 @@ def read_stated_curve(picture: bytes | Path) -> Curve | None:
 
     The result is None if no curve is stated, or if it cannot be read.
     """
-    logging.getLogger("PIL").setLevel(logging.CRITICAL)  # unreadable pictures are reported elsewhere
+    for name in ("PIL", "tifffile"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # unreadable pictures are reported elsewhere
     try:
-        # Pillow warns about a damaged EXIF block, which only means that the block states no curve
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
-            info = opened.info
-            if profile := info.get("icc_profile"):
-                return _profile_curve(profile)
-            if info.get("srgb") is not None:
-                return SRGB
-            if gamma := info.get("gamma"):
-                return _gamma_curve(1.0 / gamma)
-            exif = opened.getexif().get_ifd(_EXIF)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return None  # unreadable pictures are reported elsewhere
-    if gamma := exif.get(_GAMMA):
+        with io.BytesIO(picture) if isinstance(picture, bytes) else picture.open("rb") as stream:
+            is_tiff = stream.read(2) in (b"II", b"MM")
+            stream.seek(0)
+            return _read_tiff_curve(stream) if is_tiff else _read_curve(stream)
+    except Exception:  # noqa: BLE001 - unreadable pictures are reported elsewhere, and have various exceptions
+        return None
+
+
+def _read_tiff_curve(stream: IO[bytes]) -> Curve | None:
+    """Return the transfer curve in the ICC profile or Exif block of a TIFF. Pillow does not open all kinds of TIFF."""
+    with tifffile.TiffFile(stream) as file:
+        tags = file.pages.first.tags
+        profile, exif = tags.get(_TIFF_PROFILE), tags.get(_EXIF)
+        named = exif.value if exif is not None and isinstance(exif.value, dict) else {}
+        return _chosen_curve(profile and profile.value, named.get("Gamma"), named.get("ColorSpace"))
+
+
+def _read_curve(stream: IO[bytes]) -> Curve | None:
+    """Return the transfer curve in the ICC profile, chunks or Exif block of a PNG or JPEG."""
+    # Pillow warns about a damaged EXIF block, which only means that the block states no curve
+    with warnings.catch_warnings(action="ignore"), Image.open(stream) as opened:
+        info = opened.info
+        if "icc_profile" not in info and info.get("srgb") is not None:
+            return SRGB
+        if "icc_profile" not in info and (gamma := info.get("gamma")):
+            return _gamma_curve(1.0 / gamma)
+        block = opened.getexif()
+        exif = block.get_ifd(_EXIF)
+        is_adobe = block.get_ifd(_INTEROPERABILITY).get(1) == "R03"
+    return _chosen_curve(info.get("icc_profile"), exif.get(_GAMMA) or (_ADOBE_GAMMA if is_adobe else None), exif.get(_COLOUR_SPACE))
+
+
+def _chosen_curve(profile: bytes | None, gamma: Any, colour_space: Any) -> Curve | None:
+    """Return the curve of an ICC profile or, if it has none, of an Exif block."""
+    if profile and (curve := _profile_curve(profile)):
+        return curve
+    if isinstance(gamma, tuple):  # numerator and denominator
+        gamma = gamma[0] / gamma[1]
+    if gamma:
         return _gamma_curve(float(gamma))
-    return SRGB if exif.get(_COLOUR_SPACE) == 1 else None
+    return SRGB if colour_space == 1 else None
 
 
 def _gamma_curve(exponent: float) -> Curve:

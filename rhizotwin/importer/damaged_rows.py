@@ -35,9 +35,9 @@ WHOLE = 0.95
 """Maximum fraction of damaged rows in a damaged picture. A larger fraction indicates that the illumination has changed,
 which the checks of the reconstruction detect."""
 
-RingBand: TypeAlias = tuple[int, str]
-"""Ring and band of a picture. Pictures that have the same ring and band are similar, and are compared with each
-other."""
+Similar: TypeAlias = tuple[int, str, bool]
+"""Ring and band of a picture, and whether its rows are stored as rows. Pictures that agree in them are similar, and
+are compared with each other."""
 
 
 @dataclass(frozen=True)
@@ -110,26 +110,30 @@ class DamageCheck:
     """
 
     def __init__(self) -> None:
-        self._rings: dict[RingBand, RingPictures] = {}
-        self._unsealed: dict[Path, RingBand] = {}  # pictures without a checksum
+        self._rings: dict[Similar, RingPictures] = {}
+        self._unsealed: dict[Path, Similar] = {}  # pictures without a checksum
 
-    def add(self, path: Path, ring: RingBand, grey: Grey, *, sealed: bool) -> None:
+    def add(self, path: Path, ring: tuple[int, str], grey: Grey, *, sealed: bool, orientation: int = 1) -> None:
         """Add a picture to the pictures of its ring.
 
         Parameters
         ----------
         path : Path
             Picture file.
-        ring : RingBand
+        ring : tuple of int and str
             Ring and band of the picture.
         grey : (H, W) uint8 or uint16 array
             Decoded picture.
+        orientation : int
+            Orientation tag, by which the picture has been turned. Damaged are rows of the stored picture.
         sealed : bool
             Whether the file format has a checksum, so that damage would already have been detected.
         """
-        self._rings.setdefault(ring, RingPictures()).add(path, grey)
+        is_upright = orientation < 5
+        similar = (*ring, is_upright)
+        self._rings.setdefault(similar, RingPictures()).add(path, grey if is_upright else grey.T)
         if not sealed:
-            self._unsealed[path] = ring
+            self._unsealed[path] = similar
 
     def refuse_damaged(self) -> None:
         """Raise an error if a picture without a checksum is damaged.

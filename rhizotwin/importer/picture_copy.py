@@ -7,7 +7,7 @@ from rhizotwin import raw_pictures
 from rhizotwin.importer.camera_file import lens_of, pose_of
 from rhizotwin.importer.damaged_rows import DamageCheck
 from rhizotwin.importer.resampling import Resampler
-from rhizotwin.importer.silhouettes import encode_silhouette
+from rhizotwin.importer.silhouettes import Levels, encode_silhouette
 from rhizotwin.nerfstudio import GivenCameras
 from rhizotwin.picture_files import read_picture
 from rhizotwin.rig.scanning.preflight import MOST_SATURATED
@@ -15,6 +15,7 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Frame, file_sha256
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.orientation import read_orientation
 from rhizotwin.scenes.picture_codec import Grey, decode_light, encode_light_png, encode_png, is_sealed
 from rhizotwin.scenes.transfer import LINEAR, camera_curve, read_stated_curve
 
@@ -33,15 +34,15 @@ class PictureCopier:
         Dataset folder.
     raw : bool
         Whether the pictures are raw pictures (DNG).
-    white : int or None
-        Grey value of white in silhouettes; None for photographs.
+    levels : dict of Path to Levels, or None
+        Levels of each silhouette; None for photographs.
     given : GivenCameras or None
         Cameras from a file; None if they are estimated from the markers.
     """
 
-    def __init__(self, scene: Scene, folder: Path, *, raw: bool, white: int | None, given: GivenCameras | None) -> None:
+    def __init__(self, scene: Scene, folder: Path, *, raw: bool, levels: dict[Path, Levels] | None, given: GivenCameras | None) -> None:
         self._scene, self._folder = scene, folder
-        self._raw, self._white, self._given = raw, white, given
+        self._raw, self._levels, self._given = raw, levels, given
         self._picture_wh = scene.camera.image_wh if given is None else given.picture_wh
         self._resampler = Resampler(given.camera) if given is not None and given.is_resampled else None
         self._gains: tuple[float, float] | None = None
@@ -91,16 +92,16 @@ class PictureCopier:
             data = encode_light_png(grey)
         else:
             data, grey = read_picture(path, image_wh=self._picture_wh)
-            if self._white is not None:
-                data = encode_silhouette(grey, self._white, path)
-        sealed = self._raw or is_sealed(data)
+            if self._levels is not None:
+                data = encode_silhouette(grey, self._levels[path])
+        sealed, orientation = self._raw or is_sealed(data), read_orientation(data)
         if self._resampler is not None:
             data = self._resample(path, grey if self._raw else data)
-        kept = not self._raw and self._white is None and self._resampler is None
+        kept = not self._raw and self._levels is None and self._resampler is None
         name = f"images/{path.stem}{path.suffix.lower() if kept else '.png'}"
         write_bytes(self._folder / name, data)
-        if self._white is None:
-            self._damage.add(path, (ring, band), grey, sealed=sealed)
+        if self._levels is None:
+            self._damage.add(path, (ring, band), grey, sealed=sealed, orientation=orientation)
             if (share := _clipped(grey)) > MOST_SATURATED:
                 self.clipped[name] = round(share, 4)
         pose = None if self._given is None else pose_of(path, self._given)
@@ -119,7 +120,7 @@ class PictureCopier:
         """Return a picture as PNG, resampled from its own lens to that of the dataset, and linear in light."""
         assert self._resampler is not None
         assert self._given is not None
-        lens, masks = lens_of(path, self._given), self._white is not None
+        lens, masks = lens_of(path, self._given), self._levels is not None
         if isinstance(picture, bytes):
             curve = LINEAR if masks else read_stated_curve(picture) or camera_curve(self._scene.camera)
             picture = decode_light(picture, curve, where=str(path))

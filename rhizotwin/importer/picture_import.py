@@ -10,16 +10,24 @@ from typing import Any
 from rhizotwin import raw_pictures
 from rhizotwin.importer.camera_file import lens_notes, read_camera_file, with_cameras
 from rhizotwin.importer.picture_copy import PictureCopier
-from rhizotwin.importer.silhouettes import white_level
+from rhizotwin.importer.response import with_response
+from rhizotwin.importer.silhouettes import read_levels
 from rhizotwin.nerfstudio import GivenCameras
-from rhizotwin.picture_files import SUFFIXES, list_pictures
-from rhizotwin.scenes import plan, transfer
+from rhizotwin.picture_files import SUFFIXES, check_pictures, list_pictures
+from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.orientation import TURNS
 from rhizotwin.scenes.provenance import versions
+
+_RAW_NOTE = (
+    "raw pictures were converted: each block of pixels was averaged to one grey pixel with linear values, with the white "
+    "balance of the first picture"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +89,18 @@ def import_pictures(
     bands = _bands_of(paths, scene)
     angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
     table = [(view, band, *angles[view]) for view, band in bands]
-    white = white_level(paths, image_wh=given.picture_wh) if masks and given is not None else None
-    notes += [_curve_note(paths, scene, raw=raw)] if white is None else []
+    picture_wh = scene.camera.image_wh if given is None else given.picture_wh
+    if raw:
+        notes.append(_RAW_NOTE)
+    else:
+        notes += _orientation_notes(check_pictures(paths, image_wh=picture_wh))
+    if not raw and not masks:
+        scene, note = with_response(scene, paths, verified=given is None and not no_strip)
+        notes.append(note)
+    levels = read_levels(paths, image_wh=picture_wh) if masks else None
     origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
     with new_folder(out) as building:
-        copier = PictureCopier(scene, building, raw=raw, white=white, given=given)
+        copier = PictureCopier(scene, building, raw=raw, levels=levels, given=given)
         frames = copier.copy(paths, table, monitor or Monitor())
         origin |= {"clipped": copier.clipped, "versions": versions()}
         dataset = save_dataset(Dataset(folder=building, scene=scene, frames=frames, masks=masks, origin=origin))
@@ -155,15 +170,13 @@ def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: l
     return [(0, None)] * count
 
 
-def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
-    """Return a note about the response curve with which the pictures are read."""
-    if raw:
-        return (
-            "raw pictures were converted: each block of pixels was averaged to one grey pixel with linear values, with "
-            "the white balance of the first picture"
-        )
-    stated = transfer.camera_curve(scene.camera)
-    words = {word.name for path in paths if (word := transfer.read_stated_curve(path)) is not None}
-    if not words:
-        return f"response curve: {stated.name}, as in the scene's camera, because the pictures do not state their response curve"
-    return f"response curve: {', '.join(sorted(words))}, as stated in the pictures"
+def _orientation_notes(orientations: list[int]) -> list[str]:
+    """Return a note about pictures that are turned as their orientation tag states."""
+    tags = sorted(set(orientations))
+    if tags == [1]:
+        return []
+    turned = "; ".join(f"{tag}: {count(orientations.count(tag), 'picture')}, {TURNS[tag]}" for tag in tags)
+    differ = (
+        ". The tags differ; if the camera was not turned between the pictures, set the same tag in all of them" if len(tags) > 1 else ""
+    )
+    return [f"pictures are turned as their orientation tags state ({turned}){differ}"]

@@ -28,7 +28,7 @@ def light() -> np.ndarray:
     return ramp
 
 
-def write_dng(path: Path) -> None:
+def write_dng(path: Path, *, orientation: int = 1) -> None:
     """Write a 12-bit DNG of the ramp, of a sensor whose red and blue are weak by the gains (TIFF/EP and DNG 1.4 tags)."""
     pattern, colour = bytes([2, 1, 1, 0]), {0: 1.0 / GAINS[0], 1: 1.0, 2: 1.0 / GAINS[1]}
     raw = np.zeros(WH[::-1], np.uint16)
@@ -36,6 +36,7 @@ def write_dng(path: Path) -> None:
         raw[place // 2 :: 2, place % 2 :: 2] = np.rint(BLACK + light() * colour[kind] * (WHITE - BLACK))
     neutral = [10000 * number // 10000 for number in (5000, 10000, 10000, 10000, 6667, 10000)]
     tags = [
+        (274, 3, 1, orientation, True),
         (33421, 3, 2, (2, 2), True),  # CFARepeatPatternDim
         (33422, 1, 4, pattern, True),  # CFAPattern
         (50706, 1, 4, (1, 4, 0, 0), True),  # DNGVersion
@@ -54,6 +55,8 @@ def test_a_raw_picture_is_the_light_that_made_it(tmp_path: Path) -> None:
     found, gains = read_raw(tmp_path / "a.dng", image_wh=HALF)
     assert gains == pytest.approx(GAINS, rel=1e-3)
     assert found / 65535.0 == pytest.approx(light(), abs=4e-4)
+    write_dng(tmp_path / "b.dng", orientation=6)
+    assert read_raw(tmp_path / "b.dng", image_wh=HALF[::-1])[0] == pytest.approx(np.rot90(found, -1), abs=0)
 
 
 def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> None:

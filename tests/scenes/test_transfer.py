@@ -5,6 +5,7 @@ import io
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
@@ -44,12 +45,22 @@ def test_srgb_has_the_published_values() -> None:
 
 CURVE = b"curv\x00\x00\x00\x00\x00\x00\x00\x01" + round(1.8 * 256).to_bytes(2, "big") + b"\x00\x00"
 GAMMA = bytes(128) + (1).to_bytes(4, "big") + b"kTRC" + (144).to_bytes(4, "big") + len(CURVE).to_bytes(4, "big") + CURVE
+
+
+def tiff_with_profile() -> bytes:
+    out = io.BytesIO()
+    tifffile.imwrite(out, np.zeros((9, 9, 2), np.uint16), photometric="minisblack", extrasamples=["unassalpha"], iccprofile=GAMMA)
+    return out.getvalue()
+
+
 STATED: dict[str, tuple[bytes, transfer.Curve | None]] = {
     "png": (saved("PNG"), None),
     "srgb": (png_with(b"sRGB", b"\x00"), SRGB),
     "gama 1/2.2": (png_with(b"gAMA", (45455).to_bytes(4, "big")), transfer.power(2.2)),
     "exif srgb": (saved("JPEG", exif=exif(0xA001, 1)), SRGB),
     "icc with a plain gamma": (saved("PNG", icc_profile=GAMMA), transfer.power(1.8)),
+    "icc in a kind of tiff that Pillow does not open": (tiff_with_profile(), transfer.power(1.8)),
+    "exif adobe rgb": (saved("JPEG", exif=exif(0xA005, {1: "R03"})), transfer.power(2.2)),
     "icc damaged": (saved("JPEG", icc_profile=b"no profile at all" * 20), None),
 }
 

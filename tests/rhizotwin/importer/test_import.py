@@ -35,6 +35,13 @@ def picture(seed: int, *, bits: int = 8) -> np.ndarray[Any, Any]:
     return np.random.default_rng(seed).integers(0, 2**bits, (WH[1], WH[0])).astype(np.uint8 if bits == 8 else np.uint16)
 
 
+def exif(values: dict[int, Any], *, orientation: int = 1) -> Image.Exif:
+    said = Image.Exif()
+    said[0x0112] = orientation
+    said.get_ifd(0x8769).update(values)
+    return said
+
+
 def write_pictures(folder: Path, *names: str) -> Path:
     folder.mkdir()
     for seed, name in enumerate(names):
@@ -71,11 +78,9 @@ def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene:
     folder = write_pictures(tmp_path / "in", "a.png")
     deep = picture(7, bits=16)
     cv2.imwrite(str(folder / "b.tiff"), deep, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
-    colour = np.full((WH[1], WH[0], 3), (10, 200, 40), np.uint8)
-    cv2.imwrite(str(folder / "c.jpg"), colour)
-    said = Image.Exif()
-    said.get_ifd(0x8769)[0xA001] = 1  # sRGB
-    Image.fromarray(picture(1)).save(folder / "d.jpg", exif=said, quality=100)
+    colour = np.full((WH[1], WH[0], 3), (40, 200, 10), np.uint8)
+    Image.fromarray(colour).save(folder / "c.jpg", exif=exif({0xA500: 1.0}))  # gamma
+    Image.fromarray(picture(1)).save(folder / "d.jpg", exif=exif({0xA001: 1}), quality=100)  # sRGB
     made = import_pictures(folder, scene, tmp_path / "out")
     kept, given_files = ({path.name: path.read_bytes() for path in own.iterdir()} for own in (tmp_path / "out/images", folder))
     assert kept == given_files
@@ -85,6 +90,22 @@ def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene:
     light = read_image(made.dataset, made.dataset.frames[3]) / 65535.0
     np.testing.assert_allclose(light, transfer.SRGB.of(picture(1) / 255.0), atol=0.03)
     assert any("sRGB" in note for note in made.notes)
+
+
+def test_silent_jpegs_are_assumed_to_be_srgb(tmp_path: Path, scene: Scene) -> None:
+    folder = write_pictures(tmp_path / "in", "a.jpg", "b.jpg")
+    Image.fromarray(np.rot90(picture(0))).save(folder / "b.jpg", exif=exif({}, orientation=6), quality=100)
+    made = import_pictures(folder, scene, tmp_path / "out")
+    light = read_image(made.dataset, made.dataset.frames[1]) / 65535.0
+    np.testing.assert_allclose(light, transfer.SRGB.of(picture(0) / 255.0), atol=0.03)
+    said = " ".join(made.notes)
+    assert "sRGB is assumed for 2 JPEG pictures" in said
+    assert "6: 1 picture, turned clockwise by 90 degrees). The tags differ" in said
+    table = replace(scene, camera=replace(scene.camera, transfer="table", transfer_table=(0.0, 1.0)))
+    assert import_pictures(folder, table, tmp_path / "linear").dataset.scene == table
+    assert cv2.imwrite(str(folder / "c.png"), picture(0))
+    with pytest.raises(UserError, match=r"a\.jpg and .*c\.png state no response curve.*one format"):
+        import_pictures(folder, scene, tmp_path / "mixed")
 
 
 def test_damage_without_a_checksum_is_shown_by_neighbours(tmp_path: Path, scene: Scene) -> None:
@@ -112,21 +133,57 @@ def test_pictures_without_a_camera_or_name_of_their_own(tmp_path: Path, scene: S
         list_pictures(folder)
 
 
-def test_masks_are_stretched_and_other_pictures_refused(tmp_path: Path, scene: Scene) -> None:
-    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
+ROOTS = np.zeros((WH[1], WH[0]), np.uint8)
+ROOTS[10:40, 5:12] = ROOTS[10:30, 30:33] = 255
+LABELS = np.where(np.arange(WH[0]) < 20, ROOTS // 2, ROOTS)
+OPAQUE = np.full_like(ROOTS, 255)
 
-    def imported(mask: np.ndarray, name: str) -> Dataset:
-        write_image(tmp_path / name / "in" / "a.png", mask)
-        return import_pictures(tmp_path / name / "in", scene, tmp_path / name / "out", cameras=cameras, masks=True).dataset
 
-    mask = np.zeros((WH[1], WH[0]), np.uint8)
-    mask[10:20, 5:9] = 1
-    made = imported(mask, "of zero and one")
+def import_masks(folder: Path, scene: Scene, **masks: np.ndarray[Any, Any]) -> Dataset:
+    """Import silhouettes, keyed by name. Those with two channels are a grey colour and its transparency."""
+    (folder / "in").mkdir()
+    for name, mask in masks.items():
+        image = np.dstack([mask[..., :1]] * 3 + [mask[..., 1:]]) if mask.ndim == 3 else mask
+        assert cv2.imwrite(str(folder / "in" / f"{name}.png"), image)
+    cameras = write_cameras(folder / "transforms.json", list(masks))
+    return import_pictures(folder / "in", scene, folder / "out", cameras=cameras, masks=True).dataset
+
+
+MASKS = {
+    "zero and one": ROOTS // 255,
+    "16 bits": ROOTS.astype(np.uint16) * 257,
+    "of a video": 16 + ROOTS // 255 * np.uint8(219),
+    "transparent background": np.dstack([ROOTS, ROOTS]),
+}
+
+
+@pytest.mark.parametrize("roots", MASKS.values(), ids=MASKS.keys())
+def test_masks_are_stretched(roots: np.ndarray[Any, Any], tmp_path: Path, scene: Scene) -> None:
+    made = import_masks(tmp_path, scene, a=roots)
     assert load_dataset(made.folder).masks
-    np.testing.assert_array_equal(read_image(made, made.frames[0]), 255 * mask)
-    mask[:], mask[:24] = 128, 255
-    with pytest.raises(UserError, match="not a silhouette"):
-        imported(mask, "grey")
+    np.testing.assert_array_equal(read_image(made, made.frames[0]), ROOTS)
+
+
+NO_MASKS: dict[str, tuple[np.ndarray[Any, Any], str]] = {
+    "inverted": (255 - ROOTS, "100 % of its border are white"),
+    "large and inverted": (np.pad(np.zeros((44, 52), np.uint8), ((0, 4), (6, 6)), constant_values=255), "76 % of its border"),
+    "white with alpha": (np.dstack([OPAQUE, ROOTS]), "in the transparency"),
+    "black with alpha": (np.dstack([0 * ROOTS, ROOTS]), "in the transparency"),
+    "black": (0 * ROOTS, "is completely black"),
+    "labels": (LABELS, "labels of roots"),
+    "thin labels": (np.where(np.arange(WH[0]) % 2 == 0, LABELS, 0).astype(np.uint8), "labels of roots"),
+    "grey background": (np.maximum(ROOTS, 100), "its background is grey"),
+    "photograph": (picture(1) // 2 * ROOTS.clip(0, 1) + ROOTS // 9, "neither black nor white"),
+    "another white": (ROOTS // 255, "have the value 1, but white has the value 255"),
+    "half as white": (ROOTS // 2 + 1, "have the value 128, but"),
+}
+
+
+@pytest.mark.parametrize(("mask", "named"), NO_MASKS.values(), ids=NO_MASKS.keys())
+def test_impossible_masks_are_refused_by_name(mask: np.ndarray[Any, Any], named: str, tmp_path: Path, scene: Scene) -> None:
+    with pytest.raises(UserError, match=rf"/b\.png.*{named}"):
+        import_masks(tmp_path, scene, a=ROOTS, b=mask)
+    assert not (tmp_path / "out").exists()
 
 
 def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, command: Command) -> None:
