@@ -65,7 +65,8 @@ def import_pictures(
     scene : Scene, str or path
         Scene, or its name or file: canister, water, marker strip and camera.
     cameras : path, optional
-        File of camera poses (canister frame, mm) and lens parameters, in nerfstudio's format transforms.json.
+        File of camera poses (canister frame, mm) and lens parameters, in nerfstudio's format transforms.json, or folder
+        of a COLMAP model.
     masks : bool
         The pictures are silhouettes with white roots on black; requires ``cameras``.
     no_strip : bool

@@ -35,8 +35,9 @@ def import_(
     output : Path
         New or empty folder for the dataset.
     cameras : Path, optional
-        File of camera poses and lens parameters in nerfstudio's format (transforms.json), in mm with the origin on the
-        canister's axis at the rim and z up. The cameras are then not estimated from the markers.
+        File of camera poses and lens parameters in nerfstudio's format (transforms.json), or folder of a COLMAP model,
+        in mm with the origin on the canister's axis at the rim and z up. The cameras are then not estimated from the
+        markers.
     masks : bool
         The pictures are silhouettes with white roots on a black background; requires --cameras.
     no_strip : bool
@@ -53,6 +54,7 @@ def import_(
     rhizotwin import my_pictures --scene my_rig.toml -o my_dataset
     rhizotwin import my_pictures --scene my_rig.toml -o my_dataset --plant P7 --treatment "low N" --day 15
     rhizotwin import my_masks --scene my_rig.toml --cameras transforms.json --masks -o my_dataset
+    rhizotwin import my_pictures --scene my_rig.toml --cameras sparse/0 -o my_dataset
     rhizotwin import my_gel_pictures --scene gel_cylinder --no-strip -o my_gel_scan
     """
     from rhizotwin.importer.picture_import import import_pictures
