@@ -1,4 +1,4 @@
-"""Execution of jobs with Dask, on an existing scheduler or a Slurm cluster.
+"""Execution of jobs with Dask, on an existing scheduler.
 
 The workers need this program, and access to the same folders or addresses. Dask repeats a job whose worker was lost; a
 job that loses several workers fails with a message.
@@ -7,8 +7,7 @@ job that loses several workers fails with a message.
 from __future__ import annotations
 
 import hashlib
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -16,49 +15,39 @@ from rhizotwin.batches.jobs import Job, Outcome
 from rhizotwin.batches.local import MOST_TRIES
 from rhizotwin.batches.work import work
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.memory import MIB
 
 if TYPE_CHECKING:
     from distributed import Client
 
-SLURM = "slurm"
 WAIT_S = 30.0
 """Maximum time to wait for a connection to a scheduler, in seconds."""
+NANNY = 0.95
+"""Fraction of a worker's memory above which Dask kills the worker (distributed.worker.memory.terminate)."""
 
 
 @contextmanager
-def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
+def connected(where: str, jobs: Sequence[Job], *, say: Callable[[str], None]) -> Iterator[Client]:
     """Connect to a Dask scheduler, and yield its client.
 
     Parameters
     ----------
     where : str
-        Address of the scheduler, such as ``tcp://host:8786``, or ``slurm`` to start a scheduler whose workers are Slurm
-        jobs. Slurm's queue, account and time limits are read from Dask's configuration
-        (``~/.config/dask/jobqueue.yaml``).
+        Address of the scheduler, such as ``tcp://host:8786``.
     jobs : sequence of Job
-        Jobs to run; the memory requested from Slurm is the largest predicted memory of a job.
-    workers : int or None
-        Maximum number of Slurm workers; None: one per job.
+        Jobs to run; the memory of the workers is compared with that predicted for the largest job.
+    say : callable
+        Function that receives a line if there is no worker, or if a worker has too little memory.
 
     Raises
     ------
     UserError
-        If Dask or Slurm is not installed, or the scheduler cannot be reached.
+        If Dask is not installed, or the scheduler cannot be reached.
     """
     try:
         from distributed import Client
     except ModuleNotFoundError:
         raise UserError("--cluster needs Dask, which is not installed; run: pip install 'rhizotwin[cluster]'") from None
-    if where == SLURM:
-        if shutil.which("sbatch") is None:
-            raise UserError(
-                "--cluster slurm: the program sbatch was not found; run the command on a computer with Slurm, "
-                "or give the address of a Dask scheduler"
-            )
-        with slurm(jobs) as cluster, Client(cluster) as client:
-            cluster.scale(jobs=min(len(jobs), workers or len(jobs)))
-            yield client
-        return
     try:
         client = Client(where, timeout=WAIT_S)
     except (OSError, ValueError, TimeoutError) as error:
@@ -67,21 +56,17 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
             f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); start the scheduler, or check its address"
         ) from None
     with client:
+        workers = client.scheduler_info()["workers"].values()  # of some workers
+        if not workers:
+            say(f"--cluster {where}: the scheduler has no worker yet; start some with: dask worker {where} --nthreads 1")
+        needed_mib = max(job.memory_mib for job in jobs)
+        limits_mib = [NANNY * worker["memory_limit"] / MIB for worker in workers if worker["memory_limit"]]
+        if min(limits_mib, default=needed_mib) < needed_mib:
+            say(
+                f"--cluster {where}: a worker is killed above {min(limits_mib):.0f} MiB, but a scan may need {needed_mib:.0f} MiB; start "
+                f"workers with --memory-limit {needed_mib / NANNY:.0f}MiB or more"
+            )
         yield client
-
-
-def slurm(jobs: Sequence[Job]) -> Any:
-    """Return a Dask cluster whose workers run as Slurm jobs.
-
-    Each worker has enough memory for the largest of the given jobs.
-    """
-    from dask_jobqueue.slurm import SLURMCluster
-
-    memory_mib = max((job.memory_mib for job in jobs), default=1000.0)
-    try:
-        return SLURMCluster(cores=1, processes=1, memory=f"{memory_mib:.0f}MiB")
-    except ValueError as error:
-        raise UserError(f"--cluster slurm: {error}") from None
 
 
 def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
@@ -122,5 +107,8 @@ def _outcome(future: Any, job: Job) -> Outcome:
     try:
         return Outcome(**future.result())
     except Exception as error:  # noqa: BLE001 - Dask raises KilledWorker, CancelledError, CommClosedError and others
-        sentence = f"the job was lost by the cluster ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
+        sentence = (
+            f"the job was lost by the cluster ({type(error).__name__}: {' '.join(str(error).split())[:200]}); if its worker lacked memory, "
+            f"start workers with --memory-limit {job.memory_mib / NANNY:.0f}MiB or more"
+        )
         return Outcome(name=job.name, state="again", sentence=sentence)

@@ -2,14 +2,14 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
 
 from rhizotwin.batches import jobs as listed
-from rhizotwin.batches import local, places
+from rhizotwin.batches import local, places, slurm
 from rhizotwin.batches.jobs import Job
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import printable
@@ -71,13 +71,16 @@ def run(
         waiting = [job for job in jobs if job not in kept]
         if not waiting:
             return Batch(kept=tuple(kept), done=(), failed=())
+        bar = stack.enter_context(_Bar(waiting))
         if cluster is None:
             outcomes = local.run(waiting, workers=workers, stop=stop)
+        elif cluster == "slurm":
+            outcomes = slurm.run(waiting, workers=workers, say=bar.say)
         else:
             from rhizotwin.batches import cluster as dask
 
-            outcomes = dask.run(waiting, stack.enter_context(dask.connected(cluster, waiting, workers=workers)))
-        with _Bar(waiting) as bar:
+            outcomes = dask.run(waiting, stack.enter_context(dask.connected(cluster, waiting, say=bar.say)))
+        with closing(outcomes):
             for job, outcome in outcomes:
                 if outcome.state == "done":
                     done.append(job)
@@ -120,6 +123,12 @@ class _Bar:
         if self._bar is not None:
             self._bar.close()
 
+    @staticmethod
+    def say(text: str) -> None:
+        """Print a line about the progress, above the bar if there is one."""
+        tqdm.write(printable(text), file=sys.stderr)
+        sys.stderr.flush()
+
     def step(self, job: Job, said: str) -> None:
         """Show that a job has ended.
 
@@ -127,8 +136,7 @@ class _Bar:
         """
         self._count += 1
         if self._bar is None:
-            sys.stderr.write(f"{self._count} of {self._total}: {printable(f'{job.name}: {said}')}\n")
-            sys.stderr.flush()
+            self.say(f"{self._count} of {self._total}: {job.name}: {said}")
         else:
             self._bar.set_description_str(f"{self._count} of {self._total}", refresh=False)
             self._bar.update(job.pixels)

@@ -16,7 +16,7 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """What a picture shows."""
+    """Measurements of one picture."""
 
     seen: Sighting | None
     other: str | None = ""

@@ -56,7 +56,7 @@ def test_jobs_of_a_killed_worker_are_done_by_the_other_once(scheduler: tuple[str
         "from rhizotwin.batches import cluster\n"
         "from rhizotwin.batches.jobs import Job\n"
         "listed = [Job(**plain) for plain in json.loads(sys.argv[2])]\n"
-        "with cluster.connected(sys.argv[1], listed, workers=None) as client:\n"
+        "with cluster.connected(sys.argv[1], listed, say=lambda text: print(text, file=sys.stderr)) as client:\n"
         "    for job, outcome in cluster.run(listed, client):\n"
         "        print(job.name, outcome.state, outcome.sentence, flush=True)\n"
     )

@@ -69,7 +69,7 @@ def test_a_scene_is_rendered_again_after_its_mesh_changed(tmp_path: Path) -> Non
 
 def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     command.fails("batch", tmp_path, "-o", tmp_path / "r", named=["no dataset was found"])
-    pytest.importorskip("dask_jobqueue")
+    pytest.importorskip("distributed")
     monkeypatch.setattr("rhizotwin.batches.cluster.WAIT_S", 0.5)
     monkeypatch.setenv("PATH", "")
     scan = dataset(tmp_path / "scans" / "ball")
