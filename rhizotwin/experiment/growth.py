@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 
+from rhizotwin.experiment import falls
 from rhizotwin.experiment.compare import Difference, Observation, Point, differences, means, reason_not_comparable, relative_rates
 from rhizotwin.experiment.doses import Response, fit_responses, group_ions, read_doses, reason_not_fitted
 from rhizotwin.experiment.drift import Chart, chart_of, rig_numbers
@@ -18,6 +19,8 @@ from rhizotwin.stored import result_files
 
 CURVES = ("total_length", "volume", "depth", "tips")
 """Traits for which growth curves and comparisons are computed."""
+SIZES = ("total_length", "volume")
+"""Traits that do not fall as long as a plant lives. The depth can, because roots bend, and tips hide each other."""
 _COLUMNS = {d.name: d.column for d in DEFINITIONS}
 
 
@@ -41,6 +44,12 @@ class Growth:
     """Dose responses, keyed by trait name. They are fitted for the ions whose concentrations differ between plants."""
     notes: tuple[str, ...]
     """Sentences about excluded values and plants."""
+    suspects: tuple[str, ...] = ()
+    """Plants whose size falls by more than its error, or that were exchanged with such a plant."""
+    compared_without: Mapping[str, Sequence[Difference]] = field(default_factory=dict)
+    """Differences between treatments without the plants in ``suspects``, keyed by trait name."""
+    responses_without: Mapping[str, Sequence[Response]] = field(default_factory=dict)
+    """Dose responses without the plants in ``suspects``, keyed by trait name."""
     drift: Mapping[str, Chart] = field(default_factory=dict)
     """Control charts of the rig during the experiment, keyed by the names in `drift.RIG_NUMBERS`."""
 
@@ -77,12 +86,17 @@ def measure(found: Sequence[Measured]) -> Growth:
         if unassessed
         else []
     )
-    uncompared = {trait: reason_not_comparable(values) for trait, values in seen.items()}
-    notes += [f"{trait}: the treatments were not compared, because {why}" for trait, why in uncompared.items() if why]
+    fallen = _falls(plants)
+    suspects = falls.suspects(fallen)
     doses = read_doses(plants)
-    unfitted = {trait: reason_not_fitted(values, doses) for trait, values in seen.items()}
-    if group_ions(doses):
-        notes += [f"{trait}: the dose response could not be fitted, because {why}" for trait, why in unfitted.items() if why]
+    compared, responses, why_not = _compare(seen, doses)
+    notes = [*falls.sentences(fallen), *notes, *why_not]
+    compared_without, responses_without = {}, {}
+    if suspects:
+        others = {trait: [one for one in values if one.plant not in suspects] for trait, values in seen.items()}
+        known = {plant: own for plant, own in doses.items() if plant not in suspects}
+        compared_without, responses_without, why_not = _compare({trait: values for trait, values in others.items() if values}, known)
+        notes += [f"without {', '.join(suspects)}: {why}" for why in why_not]
     if doses and len(doses) < len(plants):
         notes.append(
             f"{len(plants) - len(doses)} of {len(plants)} plants have no known nutrient solution and are excluded from the dose response"
@@ -92,12 +106,42 @@ def measure(found: Sequence[Measured]) -> Growth:
         tracked=tracked,
         seen=seen,
         curves={trait: means(values) for trait, values in seen.items()},
-        compared={trait: differences(values) for trait, values in seen.items() if not uncompared[trait]},
+        compared=compared,
         doses=doses,
-        responses={trait: fit_responses(values, doses) for trait, values in seen.items() if not unfitted[trait]},
+        responses=responses,
         notes=tuple(notes),
+        suspects=tuple(suspects),
+        compared_without=compared_without,
+        responses_without=responses_without,
         drift=_drift(found),
     )
+
+
+def _compare(
+    seen: Mapping[str, Sequence[Observation]], doses: Mapping[str, Mapping[str, float]]
+) -> tuple[dict[str, list[Difference]], dict[str, list[Response]], list[str]]:
+    """Compare treatments and fit dose responses for each trait. Return sentences on what could not be done, too."""
+    uncompared = {trait: reason_not_comparable(values) for trait, values in seen.items()}
+    unfitted = {trait: reason_not_fitted(values, doses) for trait, values in seen.items()}
+    notes = [f"{trait}: the treatments were not compared, because {why}" for trait, why in uncompared.items() if why]
+    if group_ions(doses):
+        notes += [f"{trait}: the dose response could not be fitted, because {why}" for trait, why in unfitted.items() if why]
+    compared = {trait: differences(values) for trait, values in seen.items() if not uncompared[trait]}
+    return compared, {trait: fit_responses(values, doses) for trait, values in seen.items() if not unfitted[trait]}, notes
+
+
+def _falls(plants: Mapping[str, Sequence[Measured]]) -> dict[str, list[falls.Fall]]:
+    """Return the falls of the sizes of the plants, keyed by column name. Values that are not reliable are ignored."""
+    found = {}
+    for trait in SIZES:
+        known = {plant: [one for one in days if trait in one.traits and one.is_trusted(trait)] for plant, days in plants.items()}
+        found[_COLUMNS[trait]] = falls.find_falls(
+            {
+                plant: [falls.Size(day=one.subject.day or 0.0, value=one.traits[trait], log_sigma=one.log_sigma(trait)) for one in days]
+                for plant, days in known.items()
+            }
+        )
+    return found
 
 
 def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
@@ -232,15 +276,15 @@ def roots_csv(growth: Growth) -> str:
 def treatments_csv(growth: Growth) -> str:
     """Return a CSV table of the differences between each treatment and the reference treatment.
 
-    It has one row per trait and treatment.
+    It has one row per trait and treatment, and another one without the plants whose size falls, if there are such.
     """
-    head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate_per_day", "rate_p", "plants", "significant"]
+    head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate_per_day", "rate_p", "plants", "significant", "without"]
     rows: list[Sequence[str]] = [head]
-    for trait, compared in growth.compared.items():
-        for one in compared:
+    for compared, without in ((growth.compared, ""), (growth.compared_without, " ".join(growth.suspects))):
+        for trait, one in ((trait, one) for trait, own in compared.items() for one in own):
             numbers = (one.size, *one.size_interval, one.size_p, one.rate_per_day, one.rate_p)
-            apart = "yes" if one.is_significant else "no"
-            rows.append([_COLUMNS[trait], one.treatment, one.against, *(format_exact(value) for value in numbers), str(one.plants), apart])
+            cells = [*(format_exact(value) for value in numbers), str(one.plants), "yes" if one.is_significant else "no", without]
+            rows.append([_COLUMNS[trait], one.treatment, one.against, *cells])
     return csv_text(rows)
 
 

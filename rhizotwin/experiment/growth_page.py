@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rhizotwin.experiment.compare import SURE, Point
-from rhizotwin.experiment.doses import partial_residuals
+from rhizotwin.experiment.compare import SURE, Difference, Point
+from rhizotwin.experiment.doses import Response, partial_residuals
 from rhizotwin.experiment.drift import BY_NAME, Chart, effect_of
 from rhizotwin.experiment.growth import Growth
 from rhizotwin.scenes.figures import figure, png
@@ -50,7 +50,7 @@ def plot_curve(axes: "Axes", points: Sequence[Point], *, label: str, **style: An
     axes : Axes
         Axes of the figure.
     points : sequence of Point
-        Means, which are not negative. Intervals are cut off at 0.
+        Means with their intervals.
     label : str
         Text of the legend, in which dollar signs do not enclose a formula.
     **style : object
@@ -59,7 +59,7 @@ def plot_curve(axes: "Axes", points: Sequence[Point], *, label: str, **style: An
     text = label.replace("$", r"\$")
     text = f" {text}" if text.startswith("_") else text  # the legend omits texts that begin with an underscore
     mean = [point.mean for point in points]
-    reach = [[point.mean - max(point.low, 0.0) for point in points], [point.high - point.mean for point in points]]
+    reach = [[point.mean - point.low for point in points], [point.high - point.mean for point in points]]
     axes.errorbar([point.day for point in points], mean, yerr=reach, capsize=3, label=text, **style)
 
 
@@ -157,8 +157,18 @@ def drift_cautions(charts: Mapping[str, Chart], trait: str, size: float) -> list
 
 def sentences(growth: Growth) -> list[str]:
     """Return the findings on growth, treatments and dose responses as sentences."""
+    found = _comparison(growth, growth.compared, growth.responses)
+    without = _comparison(growth, growth.compared_without, growth.responses_without)
+    found += [f"without {', '.join(growth.suspects)}: {sentence}" for sentence in without]
+    for plant, tracked in growth.tracked.items():
+        often = sum(len(track.states) > 1 for track in tracked.tracks)
+        found.append(f"plant {plant}: {len(tracked.tracks)} roots on {len(tracked.days)} days, {often} of them found on more than one day.")
+    return found + list(growth.notes)
+
+
+def _comparison(growth: Growth, differences: Mapping[str, Sequence[Difference]], responses: Mapping[str, Sequence[Response]]) -> list[str]:
     found = []
-    for trait, compared in growth.compared.items():
+    for trait, compared in differences.items():
         for one in compared:
             low, high = (100.0 * (end - 1.0) for end in one.size_interval)
             apart = "differs" if one.is_significant else "does not differ significantly"
@@ -169,8 +179,4 @@ def sentences(growth: Growth) -> list[str]:
                 f"{one.rate_per_day:+.3f} per day (p = {one.rate_p:.2g}); significance level {SURE:g}."
             )
             found += drift_cautions(growth.drift, trait, one.size) if one.is_significant else []
-    found += [one.sentence(trait) for trait, responses in growth.responses.items() for one in responses]
-    for plant, tracked in growth.tracked.items():
-        often = sum(len(track.states) > 1 for track in tracked.tracks)
-        found.append(f"plant {plant}: {len(tracked.tracks)} roots on {len(tracked.days)} days, {often} of them found on more than one day.")
-    return found + list(growth.notes)
+    return found + [one.sentence(trait) for trait, own in responses.items() for one in own]

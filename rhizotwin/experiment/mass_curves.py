@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
+from rhizotwin.experiment import falls
 from rhizotwin.experiment.compare import Observation, Point, means
 from rhizotwin.experiment.growth_page import plot_curve
 from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, Weighed, has_masses, read_masses
@@ -81,7 +83,8 @@ def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> 
     Returns
     -------
     list of Masses, list of str
-        One entry per plant and day, and sentences about masses that are excluded or extrapolated.
+        One entry per plant and day, and sentences about masses that are excluded or extrapolated, and about plants
+        whose mass falls.
 
     Raises
     ------
@@ -110,7 +113,19 @@ def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> 
             grams.setdefault((plant, day), {}).update(one.grams)
     masses = [Masses(plant=plant, day=day, treatment=known.get(plant, ""), grams=own) for (plant, day), own in grams.items()]
     notes = [f"{count(undated, 'row')} of masses without a plant or day cannot be used for curves; enter plant and day"] if undated else []
-    return masses, [*_notes(rows), *notes]
+    return masses, [*_notes(rows), *notes, *falls.sentences(_falls(masses))]
+
+
+def _falls(masses: Sequence[Masses]) -> dict[str, list[falls.Fall]]:
+    """Return the falls of the mass of plants that were weighed on several days, keyed by kind of mass with its unit."""
+    found = {}
+    for kind in KINDS:
+        sizes: dict[str, list[falls.Size]] = {}
+        for one in sorted(masses, key=lambda one: one.day):
+            if kind in one.grams:
+                sizes.setdefault(one.plant, []).append(falls.Size(day=one.day, value=one.grams[kind]))
+        found[f"{kind}_g"] = falls.find_falls(sizes)
+    return found
 
 
 def measure(masses: Sequence[Masses]) -> Curves:
@@ -124,7 +139,7 @@ def measure(masses: Sequence[Masses]) -> Curves:
                 if (value := one.value(part, quantity)) is not None
             ]
             if seen:
-                curves[part, quantity] = means(seen)
+                curves[part, quantity] = means(seen, most=100.0 if quantity == "water" else inf)
     return curves
 
 

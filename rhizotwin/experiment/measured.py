@@ -49,7 +49,11 @@ class Measured:
     def usable(self, trait: str) -> float | None:
         """Return the value of a trait. It is None if the value is not positive or is marked as not reliable."""
         value = self.traits.get(trait, 0.0)
-        return value if value > 0.0 and self.assessment(trait).verdict != "not reliable" else None
+        return value if value > 0.0 and self.is_trusted(trait) else None
+
+    def is_trusted(self, trait: str) -> bool:
+        """Return whether a trait is not marked as not reliable."""
+        return self.assessment(trait).verdict != "not reliable"
 
     def log_sigma(self, trait: str) -> float:
         """Return the standard deviation of a trait's logarithm, computed from its 90 % interval.
@@ -59,7 +63,9 @@ class Measured:
         low, high = self.assessment(trait).interval or (0.0, 0.0)
         if not low < high:
             return 0.0
-        return log(high / low) / (2.0 * IN_90) if low > 0.0 else log(max(high / self.traits[trait], 1.0)) / IN_90
+        if low > 0.0:
+            return log(high / low) / (2.0 * IN_90)
+        return log(max(high / self.traits[trait], 1.0)) / IN_90 if self.traits[trait] > 0.0 else 0.0
 
     @property
     def who(self) -> str:
@@ -192,6 +198,8 @@ def _read_row(row: table_file.Row) -> Measured:
             raise UserError(
                 f"{row.where}: the column {column} has another unit than {own.column}; convert the values and rename the column"
             )
+        if value < 0.0 and not end and own not in trait_table.COLOUR:
+            raise UserError(f"{row.where}: {column} is {value:g}, but must be at least 0; correct it, or leave the cell empty")
         numbers[own.name + end] = value * factor
     traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
     return Measured(
@@ -234,7 +242,7 @@ def _assessment(row: table_file.Row, name: str, numbers: Mapping[str, float]) ->
     if word and word not in verdicts:
         raise UserError(f"{row.where}: the verdict on {name} is {word!r}; a verdict must be one of: {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
-    interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
+    interval = None if ends[0] is None or ends[1] is None else (max(ends[0], 0.0), ends[1])
     if interval is not None and interval[0] > interval[1]:
         raise UserError(f"{row.where}: the interval of {name} begins at {interval[0]:g}, but ends at {interval[1]:g}; correct the columns")
     return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

@@ -93,9 +93,9 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
             raise UserError(
                 f"wire diameters {thin:g} and {thick:g} mm are too similar; use diameters that differ by a factor of at least {least:.2f}"
             )
+    result_files.read_summary(result)  # checks that the folder is an undamaged result
     file = result / "roots.rsml"
     if not file.is_file():
-        result_files.read_summary(result)  # checks that the folder is a result
         raise UserError(f"{file} does not exist, because the reconstruction found no centre lines; no wire can be measured")
     lengths, volumes = dict.fromkeys(ordered, 0.0), dict.fromkeys(ordered, 0.0)
     for root in read_rsml(file):

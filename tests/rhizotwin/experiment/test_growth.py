@@ -4,7 +4,7 @@ import csv
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,11 @@ from scipy.stats import t as student
 
 from rhizotwin.experiment.alignment import align
 from rhizotwin.experiment.compare import Observation, differences, means, reason_not_comparable, relative_rates
-from rhizotwin.experiment.growth import measure
+from rhizotwin.experiment.growth import measure, treatments_csv
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes import files, rsml, series
+from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
@@ -172,8 +173,39 @@ def test_means_have_intervals_and_rates_are_of_logarithms() -> None:
     seen = [Observation(plant=p, treatment="a", day=day, value=v * day) for p, v in (("x", 1.0), ("y", 3.0)) for day in (1.0, 2.0)]
     first = means(seen)[0]
     assert (first.mean, first.plants) == (2.0, 2)
-    assert first.high - first.mean == pytest.approx(6.3138 * 2.0**0.5 / 2.0**0.5, rel=1e-4)  # Student's t of one degree of freedom
+    reach = 6.3138 * (2.0**0.5 / 2.0**0.5) / 2.0  # Student's t of one degree of freedom, relative standard error
+    assert (first.low, first.high) == pytest.approx((2.0 * np.exp(-reach), 2.0 * np.exp(reach)), rel=1e-4)
+    assert 0.0 < means(seen, most=10.0)[0].low < means(seen, most=10.0)[0].high < 10.0
     assert [rate for *_, rate in relative_rates(seen)] == pytest.approx([np.log(2.0)] * 2)
+
+
+FALLS = {
+    "dies": ((0.1, 1.0), "it may have died or been replaced"),
+    "nothing left": ((0.0, 1.0), "it may have died or been replaced"),
+    "exchanged": ((1.6, 1.0 / 1.6), "it may have been exchanged with plant B0"),
+    "within the error": ((0.7, 1.0), None),
+}
+
+
+@pytest.mark.parametrize(("factors", "cause"), FALLS.values(), ids=FALLS.keys())
+def test_a_plant_whose_size_falls_is_named_and_left_out(factors: tuple[float, float], cause: str | None) -> None:
+    pytest.importorskip("statsmodels")
+    rng, start, found = np.random.default_rng(2), {"A": 200.0, "B": 125.0}, []
+    for name, day in product(("A0", "A1", "A2", "B0", "B1", "B2"), (1.0, 2.0, 3.0)):
+        value = start[name[0]] * 1.3**day * np.exp(rng.normal(0.0, 0.03))
+        value *= dict(zip(("B0", "A0"), factors, strict=True)).get(name, 1.0) if day == 3.0 else 1.0
+        known = Assessment(verdict="reliable", interval=(0.9 * value, 1.1 * value))
+        whose = Subject(plant=name, treatment=name[0], day=day)
+        found.append(Measured(name=name, subject=whose, traits={"volume": value}, assessed={"volume": known}))
+    grown = measure(found)
+    told = [sentence for sentence in grown.notes if "fell" in sentence]
+    assert len(told) == (cause is not None)
+    assert len(list(csv.DictReader(treatments_csv(grown).splitlines()))) == 1 + len(told)
+    if cause:
+        named = "A0" if factors[0] > 1.0 else "B0"
+        assert told[0].startswith(f"plant {named}, day 3: volume_mm3 fell from")
+        assert told[0].endswith(f"since day 2, by more than the error; {cause}")
+        assert grown.compared_without["volume"][0].size == pytest.approx(125.0 / 200.0, rel=0.05)
 
 
 def test_the_command_writes_curves_roots_and_rsml_with_time(

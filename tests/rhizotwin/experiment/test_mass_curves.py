@@ -39,6 +39,19 @@ def test_what_was_weighed_counts_before_what_was_predicted(tmp_path: Path) -> No
     assert masses["P1"].value("plant", "fresh") is None  # its shoot is not known
 
 
+def test_intervals_are_inside_the_limits_and_falls_are_named(tmp_path: Path) -> None:
+    rows = "P1,5,1.0,0.01\nP2,5,0.1,0.05\nP1,9,2.0,0.02\nP2,9,0.01,0.009\n"  # means of two plants were -1.8 to 2.9 g
+    (tmp_path / "weighed.csv").write_text("plant,day,root_fresh_g,root_dry_g\n" + rows)
+    masses, notes = mass_curves.read([tmp_path / "weighed.csv"])
+    assert notes == [
+        "plant P2, day 9: root_fresh_g fell from 0.1 to 0.01 and root_dry_g fell from 0.05 to 0.009 since day 5, "
+        "by more than the error; it may have died or been replaced"
+    ]
+    points = {key: [(one.low, one.mean, one.high) for one in own] for key, own in mass_curves.measure(masses).items()}
+    assert all(0.0 < low < mean < high for own in points.values() for low, mean, high in own)
+    assert max(high for *_, high in points["root", "water"]) < 100.0
+
+
 def test_predicted_masses_that_are_not_reliable_are_excluded(command: Command, tmp_path: Path) -> None:
     bad, beyond = "a,P2,,,5,,,,root_fresh,90,1,99,volume,not reliable,yes\n", "a,P3,,,5,,,,root_fresh,4.0,1,9,volume,reliable,yes\n"
     (tmp_path / "predicted.csv").write_text(PREDICTED + bad + beyond)

@@ -18,12 +18,13 @@ def _wire(diameter_mm: float, length_mm: float, x: float) -> Root:
     return Root(points_mm=np.stack([np.full(7, x), np.zeros(7), z], axis=1), diameters_mm=np.full(7, diameter_mm), order=0, parent=-1)
 
 
-def test_sections_by_hand(tmp_path: Path):
+def test_sections_by_hand(ball_result):
+    folder = ball_result("wires")
     assert diameter_of(1000.0 * np.pi / 4.0 * 8.96) == pytest.approx(1.0)  # a metre of 1 mm wire has pi / 4 times 8.96 g
     wires = [(0.101, 60.0, 0.0), (0.2, 30.0, 10.0), (0.2, 28.0, 10.0), (0.43, 59.0, 20.0), (0.8, 4.0, 30.0), (3.0, 9.0, 40.0)]
     roots = [_wire(*one) for one in wires]
-    write_rsml(tmp_path / "roots.rsml", roots)
-    thin, pieces, thick, short = measure_wires(tmp_path, WIRES)
+    write_rsml(folder / "roots.rsml", roots)
+    thin, pieces, thick, short = measure_wires(folder, WIRES)
     assert (thin.length_mm, thin.error) == (pytest.approx(60.0), pytest.approx(0.0201, abs=1e-4))
     assert (pieces.length_mm, pieces.error) == (pytest.approx(58.0), pytest.approx(0.0, abs=1e-6))
     assert thick.error == pytest.approx(1.075**2 - 1.0, abs=1e-4)
@@ -41,10 +42,12 @@ def test_command_and_mistakes(ball_result, tmp_path: Path, command: Command):
     with pytest.raises(UserError, match=r"result\.json does not exist; specify a folder"):
         measure_wires(tmp_path / "missing", WIRES)
     with pytest.raises(UserError, match="found no centre lines"):
-        measure_wires(ball_result("r"), WIRES)
-    write_rsml(tmp_path / "roots.rsml", [_wire(diameter, 60.0, 10.0 * k) for k, diameter in enumerate(WIRES)])
-    assert command.works("phantom", tmp_path).out.count("measured within 3 %") == 4
-    assert command("phantom", tmp_path, "--mg-per-m", "60,283,1129,4493").code == 1
+        measure_wires(folder := ball_result("r"), WIRES)
+    write_rsml(folder / "roots.rsml", [_wire(diameter, 60.0, 10.0 * k) for k, diameter in enumerate(WIRES)])
+    assert command.works("phantom", folder).out.count("measured within 3 %") == 4
+    assert command("phantom", folder, "--mg-per-m", "60,283,1129,4493").code == 1
+    (folder / "result.json").write_text("{")
+    command.fails("phantom", folder, named=["result.json could not be read"])
 
 
 @pytest.mark.nightly
