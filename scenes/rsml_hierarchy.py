@@ -14,12 +14,16 @@ import numpy as np
 from rhizotwin.scenes import rsml_xml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import NAMELESS
-from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml import Array, Root
 
 PARENT_NAMES = ("parent-branch", "parent-id", "parent-root", "parent")
 """Names of the property or attribute of a root that states the id of its parent."""
 NO_PARENT = ("", "-1", "0", "none")
 """Values of this property for roots without a parent, unless a root has this id. RSWMS states the root's own id."""
+
+FARTHEST = 2.0
+"""Maximum ratio of two distances from the first point of a root: to the point of the parent stated in the file, and to
+the nearest point of the parent. If the median is larger, the file numbers its points differently."""
 
 
 @dataclass(kw_only=True)
@@ -38,8 +42,11 @@ class Entry:
     label: str
     own: list[ET.Element] = field(default_factory=list)
     """Elements of the root without those of its laterals."""
+    parent_node: int | None = None
+    """Index of the parent's point that the root states, counted from 0 or from 1."""
+    points_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
     root: Root | None = None
-    """The root without its parent. It is None if the element has fewer than two points."""
+    """The root without its parent. It is None if it has no line, because the element has fewer than two points."""
 
     @property
     def stated_parent(self) -> str:
@@ -107,6 +114,34 @@ def find_parents(path: Path, entries: list[Entry]) -> list[int]:
     if not found:
         raise errors[0]
     return min(found, key=lambda parents: _total_gap_mm(entries, parents))
+
+
+def resolve_parent_nodes(entries: list[Entry], parents: list[int]) -> list[int | None]:
+    """Return the index (from 0) of the point of its parent to which each root is attached, or None.
+
+    Some programs count the points from 1 (RSWMS), most from 0 (CPlantBox, OpenAlea). The first index is the one with
+    which laterals begin nearer to the stated points. If these are not near (`FARTHEST`), all indices are None.
+    """
+    stated = [index for index, parent in enumerate(parents) if parent >= 0 and entries[index].parent_node is not None]
+    stated = [index for index in stated if len(entries[index].points_mm) and len(entries[parents[index]].points_mm)]
+    if not stated:
+        return [None] * len(entries)
+    gaps_mm = np.full((len(stated), 2), np.inf)
+    nearest_mm = np.empty(len(stated))
+    for row, index in enumerate(stated):
+        away_mm = np.linalg.norm(entries[parents[index]].points_mm - entries[index].points_mm[0], axis=1)
+        nearest_mm[row] = away_mm.min()
+        for first in range(2):
+            node = (entries[index].parent_node or 0) - first
+            if 0 <= node < len(away_mm):
+                gaps_mm[row, first] = away_mm[node]
+    first = int(np.median(gaps_mm, axis=0).argmin())
+    nodes: list[int | None] = [None] * len(entries)
+    if np.median(gaps_mm[:, first] / np.maximum(nearest_mm, 1e-6)) <= FARTHEST:
+        for row, index in enumerate(stated):
+            if np.isfinite(gaps_mm[row, first]):
+                nodes[index] = (entries[index].parent_node or 0) - first
+    return nodes
 
 
 def parents_first(path: Path, entries: list[Entry], parents: list[int]) -> list[int]:

@@ -39,8 +39,8 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         Roots of all plants in the order of the file, parents before children, with the name of the plant if it has a
         label. Coordinates are the x, y, z of the file converted to mm, without rotation or translation. Points in 2-D
         (x, y), with y downwards as in a picture, become (x, 0, -y). Roots that are not nested in their parents can
-        state the parent's id. Roots with fewer than two points are omitted, and their children are assigned to their
-        parent.
+        state the parent's id. A single point is connected to the stated node of the parent. Otherwise, roots with fewer
+        than two points are omitted, and their children are assigned to their parent.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class RsmlFile:
 
     roots: tuple[Root, ...]
     parent_nodes: tuple[int | None, ...]
-    """Index of the parent's point to which each root is attached. It is None if the file does not state the index."""
+    """Index (from 0) of the parent's point to which each root is attached. It is None if the file states none."""
     step_mm: float
     """Length that corresponds to one unit of the coordinates in the file, mm."""
     unit: str
@@ -138,22 +138,34 @@ class _Reader:
         for entry in entries:
             entry.root = self._root(entry)
         parents = rsml_hierarchy.find_parents(self.path, entries)
+        nodes = rsml_hierarchy.resolve_parent_nodes(entries, parents)
         found: list[Root] = []
+        extended = [False] * len(entries)
         above: dict[int, int] = {-1: -1}  # index in ``found`` of each entry or, if it has no line, of its parent
         for index in rsml_hierarchy.parents_first(self.path, entries, parents):
             entry, parent = entries[index], above[parents[index]]
             above[index] = parent
+            node = nodes[index]
+            node = None if node is None else node + extended[parents[index]]
+            if entry.root is None and node is not None and entries[parents[index]].root is not None:
+                entry.root = self._root(entry, found[parent].points_mm[node])
+                extended[index] = entry.root is not None
             if entry.root is not None:
                 above[index] = len(found)
                 found.append(replace(entry.root, parent=parent, order=found[parent].order + 1 if parent >= 0 else 0))
-                node = rsml_xml.read_property(entry.own, "parent-node").removesuffix(".0")
-                self.parent_nodes.append(int(node) if node.isdecimal() else None)
+                self.parent_nodes.append(node)
+        if any(extended):
+            self.notes.append(f"{self.path}: {sum(extended)} roots with a single point were connected to nodes of their parents.")
         if not found:
             raise UserError(f"{self.path}: the file contains no root with at least two points")
         return tuple(found)
 
-    def _root(self, entry: Entry) -> Root | None:
-        """Return the root of an element without its parent, or None if it has fewer than two points."""
+    def _root(self, entry: Entry, attached_mm: Array | None = None) -> Root | None:
+        """Return the root of an element without its parent, or None if it has no line.
+
+        A single point becomes a line if the point (3,) of the parent to which it is attached is given, mm. CPlantBox
+        2.1.1 omits the first point of laterals, which it states as the property ``parent-node``.
+        """
         own, name = entry.own, entry.name
         polylines = [p for p in own if rsml_xml.local_name(p) == "polyline" and any(rsml_xml.local_name(q) == "point" for q in p)]
         if not polylines:
@@ -161,15 +173,19 @@ class _Reader:
         if len(polylines) > 1:
             raise UserError(f"{self.path}: {name} has {len(polylines)} polylines, but a root must have exactly one")
         points = [p for p in polylines[0] if rsml_xml.local_name(p) == "point"]
-        if len(points) < 2:
-            return None
         prefix = "" if rsml_xml.attribute(points[0], "coord_x") is None else "coord_"  # of RootSystemTracker
         axes = "xyz" if rsml_xml.attribute(points[0], prefix + "z") is not None else "xy"
         self.dimensions = max(self.dimensions, len(axes))
         number = self.units.number
         given = np.array([[number(rsml_xml.attribute(p, prefix + axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
-        points_mm = xyz * self.step_mm
+        points_mm = entry.points_mm = xyz * self.step_mm
+        text = rsml_xml.read_property(own, "parent-node").removesuffix(".0")
+        entry.parent_node = int(text) if text.isdecimal() else None
+        if len(points_mm) < 2:
+            if attached_mm is None:
+                return None
+            points_mm = np.concatenate([attached_mm[None], points_mm])
         return Root(
             points_mm=points_mm,
             diameters_mm=self._diameters(own, points, points_mm, name),
@@ -211,7 +227,7 @@ class _Reader:
         if None not in of_points:
             values = np.array([self.units.number(text, f"diameter of a point of {name}") for text in of_points])
             if np.median(values) > 0.0:  # RootSystemTracker (4679932) writes 0 if it did not measure the diameter
-                return self._check_diameters(values * self.step_mm, name)
+                return self._check_diameters(np.resize(values, len(points_mm)) * self.step_mm, name)
         if self.diameter_mm is None:
             raise UserError(
                 f"{self.path}: {name} has no diameter; specify a diameter with --specimen-diameter-mm D, or with diameter_mm in a scene "

@@ -160,20 +160,32 @@ def doubt_unit(*, step_mm: float, unit: str, resolution: str, size_mm: float, di
         Mean diameter of the roots, weighted by length, mm.
     """
 
-    def plausible(factor: float) -> bool:
+    def fits(factor: float) -> bool:
         return SIZE_MM[0] <= factor * size_mm <= SIZE_MM[1] and is_thickness(factor * diameter_mm)
 
-    if plausible(1.0):
+    if fits(1.0):
         return None
-    said = f"an extent of {size_mm:.2g} mm and a mean root diameter of {diameter_mm:.2g} mm are implausible"
-    steps_mm = {unit.lower(): _UNITS_MM[unit.lower()]} if unit.lower() in _UNITS_MM else {}
+    said = f"a root system of {_format_mm(size_mm)} with a mean root diameter of {_format_mm(diameter_mm)} is implausible"
+    of_file_mm = {unit.lower(): _UNITS_MM[unit.lower()]} if unit.lower() in _UNITS_MM else {}
     if re.fullmatch(r"[0-9.]+", resolution) and float(resolution) > 1.0:
-        steps_mm[f"{25.4 / float(resolution):.4g} mm"] = 25.4 / float(resolution)  # dots per inch
-    for name, mm in {**steps_mm, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}.items():
-        if plausible(mm / step_mm):
-            size, thick = mm / step_mm * size_mm, mm / step_mm * diameter_mm
-            return (
-                f"{said}. If one unit of the coordinates is {name if name[0].isdigit() else '1 ' + name} (total {size:.3g} mm, "
-                f"{thick:.2g} mm thick), set --specimen-unit '{name}', or correct the unit in the file."
-            )
+        of_file_mm[f"{25.4 / float(resolution):.4g} mm"] = 25.4 / float(resolution)  # dots per inch
+    common_mm = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}
+    if SIZE_MM[0] <= size_mm <= SIZE_MM[1] and not any(fits(mm / step_mm) for mm in of_file_mm.values()):
+        thick = {name: mm / step_mm * diameter_mm for name, mm in common_mm.items() if is_thickness(mm / step_mm * diameter_mm)}
+        if thick:
+            units = " or ".join(f"{name} ({_format_mm(value)})" for name, value in thick.items())
+            return f'{said}. If the diameters are in {units}, state it in the name of their function, such as "diameter [cm]".'
+    units_mm = {name: mm for name, mm in of_file_mm.items() if fits(mm / step_mm)} or {
+        name: mm for name, mm in common_mm.items() if fits(mm / step_mm)
+    }
+    if units_mm:
+        cures = " or ".join(
+            f"--specimen-unit '{name}' ({_format_mm(mm / step_mm * size_mm)}, {_format_mm(mm / step_mm * diameter_mm)} thick)"
+            for name, mm in units_mm.items()
+        )
+        return f"{said}. If the coordinates are in units of {' or '.join(units_mm)}, set {cures}, or correct the unit in the file."
     return f"{said}; check the unit of the coordinates and that of the diameters."
+
+
+def _format_mm(value_mm: float) -> str:
+    return f"{value_mm:.2g} mm" if value_mm < 100.0 else f"{value_mm:.0f} mm"

@@ -17,9 +17,6 @@ from rhizotwin.scenes.rsml_reader import RsmlFile
 
 Array = NDArray[np.float64]
 
-FARTHEST = 2.0
-"""Maximum ratio of two distances from the base of a root: to the node stated in the file, and to the nearest node of
-the parent. If the ratio is larger, the file numbers its nodes differently, and the stated node is ignored."""
 MISSING_STEPS = 2.0
 """Maximum gap between a root and its parent, in lengths of the first segment of the root, that is closed without a
 stated node. If a program omits the first point of laterals, as CPlantBox 2.1.1 does, the gap is one such length."""
@@ -39,9 +36,8 @@ STEP_MM = 0.2
 def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
     """Connect roots that begin at a distance from their parents to nodes of the parents.
 
-    The node is the one stated in the file or one of its neighbours, whichever is nearest to the root: RSWMS counts
-    nodes from 1, and CPlantBox from 0. Without a usable node, it is the nearest node, if only the first point of the
-    root can be missing (`MISSING_STEPS`).
+    The node is the one stated in the file. Without a usable one (`rsml_hierarchy.resolve_parent_nodes`), it is the
+    nearest node, if only the first point of the root can be missing (`MISSING_STEPS`).
 
     Returns
     -------
@@ -55,13 +51,9 @@ def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
             continue
         parent = file.roots[root.parent]
         away_mm = np.linalg.norm(parent.points_mm - root.points_mm[0], axis=1)
-        node = int(away_mm.argmin())
-        limit_mm = MISSING_STEPS * float(np.linalg.norm(root.points_mm[1] - root.points_mm[0]))
-        if stated is not None and stated < len(away_mm):
-            first = max(stated - 1, 0)
-            near = first + int(away_mm[first : stated + 2].argmin())
-            if away_mm[near] <= FARTHEST * away_mm.min():
-                node, limit_mm = near, np.inf
+        node, limit_mm = int(away_mm.argmin()), MISSING_STEPS * float(np.linalg.norm(root.points_mm[1] - root.points_mm[0]))
+        if stated is not None:
+            node, limit_mm = stated, np.inf
         reach_mm = (parent.diameters_mm[node] + root.diameters_mm[0]) / 2.0
         if reach_mm < away_mm[node] <= limit_mm:
             points_mm = np.concatenate([parent.points_mm[node : node + 1], root.points_mm])

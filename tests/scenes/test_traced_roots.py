@@ -42,6 +42,15 @@ def test_a_gap_is_closed_to_a_node_of_the_parent(tmp_path: Path, node: str, z_mm
     assert len(roots[1].diameters_mm) == len(roots[1].points_mm)
 
 
+def test_single_points_of_cplantbox_are_connected_as_stated(tmp_path: Path) -> None:
+    text = FILE.format(node='<parent-node value="3"/>', z=-21).replace('<point x="14" y="0" z="-21"/>', "")
+    nested = '<root><properties><parent-node value="0"/></properties><geometry><polyline><point x="4" y="5" z="-21"/></polyline></geometry>'
+    (tmp_path / "single.rsml").write_text(text.replace("</root></root>", f"{nested}</root></root></root>"))
+    file = read_file(tmp_path / "single.rsml", diameter_mm=0.5)
+    assert [root.points_mm.tolist() for root in file.roots[1:]] == [[[0, 0, -20], [4, 0, -21]], [[4, 0, -21], [4, 5, -21]]]
+    assert "2 roots with a single point were connected" in file.notes[0]
+
+
 def test_the_longest_thick_root_is_the_main_root() -> None:
     tap, fine = line((0, 0, -10), (0, 0, -60)), line((0, 0, -10), (200, 0, -10), diameter_mm=0.3)
     assert traced_roots.main_root([fine, tap, line((0, 0, -10), (0, 0, -20), diameter_mm=2.0)]) is tap

@@ -200,7 +200,13 @@ def test_sideways_roots_are_said_and_set_upright(tmp_path: Path, axis: str) -> N
 
 UNITS = {
     "96 dpi never applied": ("cm", 37.95, 11.0, 0.15, "set --specimen-unit 'cm'"),
-    "dpi as dots per mm": ("mm", 300, 1000.0, 10.0, "set --specimen-unit '0.08467 mm'"),
+    "dpi as dots per mm": (
+        "mm",
+        300,
+        1000.0,
+        10.0,
+        r"set --specimen-unit 'mm' \(1010 mm.* or --specimen-unit '0.08467 mm' \(86 mm, 0.85 mm thick\)",
+    ),
     "um instead of mm": ("um", 1, 90.0, 1.0, "set --specimen-unit 'mm'"),
     "diameters in cm": ("inch", 300, 1000.0, 0.1, 'such as "diameter \\[cm\\]"'),
 }
