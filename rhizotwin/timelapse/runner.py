@@ -24,6 +24,7 @@ from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.preflight import check_disk
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import recover
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
@@ -178,6 +179,7 @@ class Runner:
         folder = self.experiment.scan_folder(member, visit.due_utc)
         try:
             if self._is_complete(folder, member):
+                recover(folder)  # a run that was killed after the scan has left its lock file
                 self._finish(catalogue, visit, folder)
             else:
                 self._attempt(catalogue, visit, member, folder)

@@ -156,7 +156,7 @@ class HttpCamera:
 
     def _check_ours(self, response: http.client.HTTPResponse, picture: str) -> None:
         """Reject a web page, a snapshot or a video stream of another server, which is not worth another request."""
-        kind = response.headers.get("Content-Type")
+        kind = response.headers.get_content_type() if "Content-Type" in response.headers else None
         wanted = "image/png" if picture and response.status == http.client.OK else "application/json"
         if kind is not None and (kind != wanted or response.chunked):  # without it, the header may have been cut off
             raise self._foreign(kind if response.status == http.client.OK else f"{kind} with HTTP status {response.status}")

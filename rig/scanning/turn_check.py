@@ -28,8 +28,8 @@ class TurnCheck:
     """Verification of the table angle of each picture with the markers, while the table moves to the next angle.
 
     If the strip cannot be read, it is only verified that the picture has changed, as it does when the table rotates,
-    and that it does not show another canister. Pictures are also wrong if all markers of a strip that was read before
-    stay away, or if the canister is beside its place.
+    and that it does not show another canister. Pictures are also wrong if all markers of a strip that was read in all
+    pictures before stay away, or if the canister is beside its place.
     """
 
     def __init__(self, turntable: ScanTurntable, scene: Scene, observer: Observer) -> None:
@@ -43,11 +43,12 @@ class TurnCheck:
         """Names of the picture files whose table angle was not verified with the markers."""
         self._read: list[tuple[Frame, Sighting]] = []
         self._bare: list[Frame] = []  # the latest pictures without any marker
+        self._is_hidden = False  # whether a strip could not be read, and was read again
 
     def begin_ring(self) -> None:
         """Discard the previous picture, because the camera has moved."""
         self._before = self._pending = None
-        self._read, self._bare = [], []
+        self._read, self._bare, self._is_hidden = [], [], False
 
     def begin_look(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
         """Begin to check a picture. Before, `wrong` must have been called for the previous picture.
@@ -77,7 +78,8 @@ class TurnCheck:
         if found.other:
             return [frame.file], f"{frame.file} shows another canister (markers {found.other}); put the canister of this scan back"
         self._bare = [*self._bare, frame] if found.other is None else []
-        if self._read and self._bare and abs((frame.table_deg or 0.0) - (self._read[-1][0].table_deg or 0.0)) > HIDDEN_DEG:
+        self._is_hidden = self._is_hidden or not self._bare
+        if self._read and not self._is_hidden and abs((frame.table_deg or 0.0) - (self._read[-1][0].table_deg or 0.0)) > HIDDEN_DEG:
             files = [one.file for one in self._bare]
             return files, f"no marker is left since {files[0]}; put the canister back, and check that nothing hides its strip"
         if found.changed is not None and found.changed < LEAST_SHARE:
@@ -96,6 +98,7 @@ class TurnCheck:
                 f"the markers of {frame.file} deviate by {off_deg:+.2f} deg from the commanded angle of {commanded_deg:g} deg; check that "
                 "the table turns freely and that the camera did not move"
             )
+        self._is_hidden = self._is_hidden or bool(self._bare)
         self._bare = []
         self._read.append((frame, seen))
         number = len(self._read)
