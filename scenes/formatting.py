@@ -12,8 +12,12 @@ from rhizotwin.scenes.errors import UserError
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Error numbers which indicate that the disk is full."""
+NO_FILES = (errno.EMFILE, errno.ENFILE)
+"""Error numbers which indicate that no file can be opened, because too many are open."""
 TRACEBACK_ADVICE = f"run the command again with {DEBUG_VARIABLE}=1 for a traceback"
 """Advice to users of the command line after an unexpected error."""
+STOPPED = "the program was stopped by an unexpected error"
+"""Begin of the sentence about an unexpected error on the command line."""
 
 
 def decimals(half: float) -> int:
@@ -73,6 +77,20 @@ def is_expected(error: BaseException) -> bool:
     return isinstance(error, UserError | MemoryError | OSError)
 
 
+def continued(sentence: str, command: str) -> str:
+    """Replace parts of an `error_sentence` that are false in a program that continues after the error.
+
+    Parameters
+    ----------
+    sentence : str
+        Sentence from `error_sentence`.
+    command : str
+        Name of the running command, such as console.
+    """
+    advice = f"the traceback is in the terminal in which 'rhizotwin {command}' runs"
+    return sentence.replace(STOPPED, "an unexpected error occurred").replace(TRACEBACK_ADVICE, advice)
+
+
 def error_sentence(error: BaseException) -> str:
     """Return a sentence that explains an error to the user."""
     if isinstance(error, UserError):
@@ -84,5 +102,7 @@ def error_sentence(error: BaseException) -> str:
         where = f"{error.filename}: " if error.filename else ""
         if error.errno in FULL:
             return f"{where}the disk is full; free some space and run the same command again"
+        if error.errno in NO_FILES:
+            return f"{where}too many files and connections are open; close some, or raise the limit (ulimit -n)"
         return f"{where}{error.strerror or text}; check the path and its permissions"
-    return f"the program was stopped by an unexpected error ({type(error).__name__}: {text}); {TRACEBACK_ADVICE}"
+    return f"{STOPPED} ({type(error).__name__}: {text}); {TRACEBACK_ADVICE}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from rhizotwin.experiment import drift, measured
 from rhizotwin.experiment.masses import BALANCE_G, has_masses, read_masses
 from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.table_file import read_table
 from rhizotwin.stored import result_files
@@ -50,6 +52,27 @@ def find_all(sources: Sequence[Path]) -> Found:
     found = [_find(source) for source in sources]
     scans, results, tables = (tuple(dict.fromkeys(chain(*(kinds[k] for kinds in found)))) for k in range(3))
     return Found(scans=scans, results=results, tables=tables)
+
+
+def find_unlisted(catalogue: Catalogue, *folders: Path) -> Found:
+    """Find the datasets and results in folders that are not in a catalogue, or have changed since they were added.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Open catalogue.
+    folders : paths
+        Folders of datasets and results, without their subfolders.
+    """
+    listed = {one.path.resolve(): one.sha256 for one in catalogue.scans()}
+    listed |= {one.path.resolve(): one.sha256 for one in catalogue.results()}
+
+    def new(name: str) -> tuple[Path, ...]:
+        heads = sorted(path for folder in folders for path in folder.glob(f"[!.]*/{name}"))
+        plain = [head for head in heads if not head.is_symlink() and not head.parent.is_symlink()]
+        return tuple(head.parent for head in plain if listed.get(head.parent.resolve()) != _sha256(head))
+
+    return Found(scans=new("dataset.json"), results=new("result.json"), tables=())
 
 
 def add_all(catalogue: Catalogue, found: Found) -> Added:
@@ -91,8 +114,8 @@ def add_result(catalogue: Catalogue, folder: Path) -> None:
     UserError
         If the result is damaged, or inconsistent with the catalogue.
     """
-    digest = file_sha256(folder / "result.json")
     summary = result_files.read_summary(folder)
+    digest = file_sha256(folder / "result.json")
     found = measured.read_all([folder])
     with catalogue.writing() as connection:
         for one in found:
@@ -185,6 +208,14 @@ def is_sketch(origin: Mapping[str, Any]) -> bool:
     settings = origin.get("settings")
     twin = settings.get("twin") if isinstance(settings, dict) else None
     return isinstance(twin, dict) and twin.get("fidelity") == "sketch"
+
+
+def _sha256(head: Path) -> str:
+    """Return the SHA-256 of a dataset.json or result.json. It is empty if the file cannot be read."""
+    try:
+        return sha256(read_file(head)).hexdigest()
+    except UserError:
+        return ""
 
 
 def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:

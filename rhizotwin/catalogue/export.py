@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rhizotwin.catalogue import schema
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.trait_table import csv_text
 
 VIEWS = {
@@ -101,7 +103,12 @@ def query(catalogue: Catalogue, sql: str, values: Sequence[Any] = ()) -> Table:
         If the statement is invalid, is not read-only, takes too long, or returns too much data.
     """
     with catalogue.lock:
-        return _guarded(catalogue.connection, sql, values)
+        try:
+            return _guarded(catalogue.connection, sql, values)
+        except schema.ERRORS as error:
+            if schema.is_damage(error):
+                raise schema.explained(error, catalogue.path) from error
+            raise UserError(f"the query is invalid: {printable(str(error))}") from None
 
 
 def export(catalogue: Catalogue, folder: Path) -> list[Path]:
@@ -142,8 +149,10 @@ def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) ->
             raise UserError("the query must only read the catalogue; use a SELECT statement") from None
         if code == sqlite3.SQLITE_INTERRUPT:
             raise UserError(f"the query was stopped after {MOST_S:g} s; select less data") from None
-        raise UserError(f"the query is invalid: {error}") from None
+        raise
     except (ValueError, OverflowError, sqlite3.Warning) as error:
+        if isinstance(error, UnicodeDecodeError):
+            raise
         raise UserError(f"the query is invalid: {error}") from None
     finally:
         connection.set_authorizer(None)

@@ -5,12 +5,15 @@ contain triggers or views, so a file is rejected unless its tables are exactly t
 """
 
 import re
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import LEAST_FREE_MIB
+from rhizotwin.scenes.formatting import printable
 
 APPLICATION_ID = 0x52485A54
 """SQLite application id (``RHZT``), stored in the header of the file."""
@@ -18,6 +21,8 @@ VERSION = 1
 SUFFIX = ".rhizotwin"
 BUSY_S = 30.0
 """Maximum time, in seconds, to wait for access to a file that another process is writing."""
+ERRORS = (sqlite3.Error, UnicodeDecodeError)
+"""Errors that damaged files and full disks cause. Python decodes messages of SQLite, which contain text of the file."""
 OLDEST_SQLITE = (3, 37, 0)
 """Minimum version of SQLite. STRICT tables were introduced in this version
 (https://www.sqlite.org/stricttables.html)."""
@@ -186,11 +191,11 @@ def is_empty(path: Path) -> bool:
     try:
         with closing(_connect(path)) as connection:
             return not _has_tables(connection)
-    except sqlite3.Error:
+    except ERRORS:
         return False
 
 
-def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
+def open_file(path: Path, *, read_only: bool = False, busy_s: float = BUSY_S) -> sqlite3.Connection:
     """Connect to an existing catalogue file, and check that its tables are those of this program.
 
     Parameters
@@ -199,6 +204,8 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
         Catalogue file.
     read_only : bool
         Reject changes through the connection.
+    busy_s : float
+        Maximum time to wait for another process that is writing to the file, s.
 
     Returns
     -------
@@ -214,7 +221,7 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
         raise UserError(f"{path} is a folder; give a catalogue file, whose name ends with {SUFFIX}")
     if not path.is_file():
         raise UserError(f"{path}: the file does not exist; create a catalogue with `rhizotwin catalogue add`")
-    with _connecting(path) as connection:
+    with _connecting(path, busy_s=busy_s) as connection:
         _check(connection, path)
         _use_write_ahead_log(connection)
         if read_only:
@@ -222,31 +229,48 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     return connection
 
 
-def explained(error: sqlite3.Error, path: Path) -> UserError:
-    """Convert an SQLite error to a UserError that advises the user what to do."""
-    if "malformed" in str(error) or "not a database" in str(error):
-        return damaged(path, error)
-    if "locked" in str(error):
-        return UserError(f"{path}: another program has been writing to the file for more than {BUSY_S:g} s; end that program and try again")
-    if "no space" in str(error) or "disk is full" in str(error):
+def explained(error: Exception, path: Path) -> UserError:
+    """Convert one of `ERRORS` to a UserError that advises the user what to do."""
+    text = str(error)
+    if is_damage(error):
+        return damaged(path, printable(text))
+    if "locked" in text:
+        return UserError(f"{path}: another program has been writing to the file for a long time; end that program and try again")
+    if "no space" in text or "is full" in text or _is_full(path):
         return UserError(f"{path}: the disk is full; free some space and try again")
-    return UserError(f"{path}: the file cannot be used as a catalogue ({error}); check the path and its permissions")
+    return UserError(f"{path}: the file cannot be used as a catalogue ({printable(text)}); check the path and its permissions")
+
+
+def is_damage(error: Exception) -> bool:
+    """Return whether an error states that a file is damaged."""
+    return isinstance(error, UnicodeDecodeError) or any(words in str(error) for words in ("malformed", "not a database", "decode to UTF-8"))
+
+
+def _is_full(path: Path) -> bool:
+    """Return whether the disk of a file has no free space.
+
+    SQLite then also reports "disk I/O error", if it cannot create its file with the suffix -shm (SQLite 3.40).
+    """
+    try:
+        return shutil.disk_usage(path.parent).free < LEAST_FREE_MIB * 2**20
+    except OSError:
+        return False
 
 
 @contextmanager
-def _connecting(path: Path) -> Iterator[sqlite3.Connection]:
+def _connecting(path: Path, *, busy_s: float = BUSY_S) -> Iterator[sqlite3.Connection]:
     """Connect to a file for a block of statements.
 
     The connection is closed only if the block raises an exception.
     """
     try:
-        connection = _connect(path)
+        connection = _connect(path, busy_s=busy_s)
         try:
             yield connection
         except BaseException:
             connection.close()
             raise
-    except sqlite3.Error as error:
+    except ERRORS as error:
         raise explained(error, path) from error
 
 
@@ -255,7 +279,7 @@ def damaged(path: Path, reason: object) -> UserError:
     return UserError(f"{path}: the file is damaged or not a catalogue ({reason}); create it again with `rhizotwin catalogue rebuild`")
 
 
-def _connect(path: Path) -> sqlite3.Connection:
+def _connect(path: Path, *, busy_s: float = BUSY_S) -> sqlite3.Connection:
     """Connect to a file without changing it.
 
     The connection writes each commit to the disk before it continues, so that the data survive a power failure.
@@ -265,7 +289,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         raise UserError(
             f"a catalogue needs SQLite {oldest} or newer, but this Python has version {sqlite3.sqlite_version}; use a newer Python"
         )
-    connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
+    connection = sqlite3.connect(path, timeout=busy_s, isolation_level=None, check_same_thread=False)
     for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "foreign_keys = ON", "synchronous = FULL"):
         connection.execute(f"PRAGMA {pragma}")
     connection.row_factory = sqlite3.Row

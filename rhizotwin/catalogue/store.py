@@ -39,8 +39,17 @@ class Catalogue:
         """Lock that a thread must acquire while it uses the connection."""
 
     @classmethod
-    def open(cls, path: Path | str, *, read_only: bool = False) -> "Catalogue":
+    def open(cls, path: Path | str, *, read_only: bool = False, busy_s: float = schema.BUSY_S) -> "Catalogue":
         """Open an existing catalogue.
+
+        Parameters
+        ----------
+        path : path
+            Catalogue file.
+        read_only : bool
+            Reject changes.
+        busy_s : float
+            Maximum time to wait for another process that is writing to the file, s.
 
         Raises
         ------
@@ -49,7 +58,7 @@ class Catalogue:
             program.
         """
         path = Path(path)
-        return cls(path, schema.open_file(path, read_only=read_only))
+        return cls(path, schema.open_file(path, read_only=read_only, busy_s=busy_s))
 
     @classmethod
     def create(cls, path: Path | str) -> "Catalogue":
@@ -101,7 +110,7 @@ class Catalogue:
             except BaseException as error:
                 if not nested and self.connection.in_transaction:
                     self.connection.execute("ROLLBACK")
-                if isinstance(error, sqlite3.Error):
+                if isinstance(error, schema.ERRORS):
                     raise schema.explained(error, self.path) from error
                 raise
 
@@ -126,7 +135,7 @@ class Catalogue:
             try:
                 cursor = self.connection.execute(sql, values)
                 return tuple(column[0] for column in cursor.description), cursor.fetchall()
-            except sqlite3.Error as error:
+            except schema.ERRORS as error:
                 raise schema.explained(error, self.path) from error
 
     def stored_path(self, path: Path | str) -> str:

@@ -56,8 +56,9 @@ def view(
     viewer = app.show(served, results, datasets[0] if datasets else None)
     print("press Ctrl-C to stop", flush=True)
     try:
-        while True:
+        while served.is_running:
             time.sleep(1.0)
+        raise RuntimeError("the web server of the viewer has ended")
     finally:
         if lost := viewer.unsaved():
             print(f"{count(lost, 'correction')} {was(lost)} not saved", flush=True)

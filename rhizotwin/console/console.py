@@ -11,6 +11,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from rhizotwin.console.devices import DeviceStates
 from rhizotwin.console.messages import Messages, for_console
 from rhizotwin.console.pictures import Shown, show
 from rhizotwin.console.plants import Plants
+from rhizotwin.console.problems import Problems
 from rhizotwin.console.questions import Questions
 from rhizotwin.console.reconstruction_queue import Job, Queue
 from rhizotwin.console.rig_thread import RigThread
@@ -41,6 +43,7 @@ from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.runner import Listener, Runner
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from concurrent.futures import Future
 
     from rhizotwin.rig.scanning.observer import Look
@@ -85,6 +88,7 @@ class Console:
         self.controls = Controls(self.changed)
         self.devices = DeviceStates(self.changed)
         self.messages = Messages(self.changed)
+        self.problems = Problems(self.messages.error, self.changed)
         self.questions = Questions(self.changed)
         self.schedule: ScheduleRun | None = None
         """Schedule that is being executed. It is None if no schedule is running."""
@@ -102,7 +106,10 @@ class Console:
             self.plants = Plants(folder / CATALOGUE if experiment is None else experiment.catalogue_path)
             if experiment is not None:
                 Runner(experiment, listener=Listener(say=self.messages.add)).prepare()
-            self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
+            for sentence in self.plants.add_unlisted(self.folders.scans, self.folders.results):
+                self.messages.error(sentence)
+            on_error = partial(self.problems.report, "queue of reconstructions")
+            self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed, on_error=on_error)
             stack.callback(self.queue.close)
             self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)
             stack.callback(self.rig.close)
@@ -313,6 +320,8 @@ class Console:
                     stack.callback(scan.live.close)
                     self.rig.let_go()
                     devices = self.bench.open_devices(None, stack)
+                    # before the devices are closed and the sketch is complete, which takes seconds
+                    stack.callback(self._catalogue, self.plants.add_scan, folder, "dataset.json")
                     rigs.take_scan(
                         self.bench,
                         devices,
@@ -329,19 +338,22 @@ class Console:
             except Exception as error:
                 scan.error = for_console(error_sentence(error))
                 raise
-            finally:
-                if (folder / "dataset.json").is_file():
-                    self.plants.add_scan(folder)
             self.messages.add(f"{name}: the scan is complete")
             if reconstruct and not (self.twin is not None and self.twin.fidelity == "sketch"):
-                self.queue.add(name)
+                try:
+                    self.queue.add(name)
+                except UserError as error:
+                    self.messages.error(f"{name}: the scan could not be added to the queue of reconstructions: {error}")
 
         self.set_live(on=False)
         self.rig.begin(f"scan {name}", run)
 
     def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
         """Set the scan that the console shows, and return its state."""
-        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
+        part = "display of the scan"
+        self.problems.solve(part)
+        on_error = partial(self.problems.report, part)
+        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, on_error=on_error, paused=paused)
         if self._closing:
             self.scan.live.stop()
         self.changed()
@@ -369,7 +381,7 @@ class Console:
         self.devices.read_report(text)
         self.messages.add(text)
 
-    def _show_error(self, error: Exception) -> None:
+    def _show_error(self, error: BaseException) -> None:
         if not is_expected(error):
             logging.getLogger(__name__).error("the console continues after an unexpected error", exc_info=error)
         text = for_console(error_sentence(error))
@@ -390,11 +402,18 @@ class Console:
         self.changed()
 
     def _reconstructed(self, job: Job) -> None:
-        if job.state == "failed":
-            self.messages.error(f"{job.scan}: the reconstruction failed: {job.error}")
+        self.problems.solve("queue of reconstructions")
+        if job.error:
+            self.messages.error(f"{job.scan}: the reconstruction {'was interrupted' if job.state == 'waiting' else 'failed'}: {job.error}")
             return
         self.messages.add(f"{job.scan}: the reconstruction is finished")
+        self._catalogue(self.plants.add_result, self.folders.result(job.scan), "result.json")
+
+    def _catalogue(self, add: Callable[[Path], None], folder: Path, head: str) -> None:
+        """Add a scan or a result to the catalogue. An error is shown, and the next start of the console adds it."""
         try:
-            self.plants.add_result(self.folders.result(job.scan))
-        except UserError as error:
-            self.messages.error(f"{job.scan}: the result could not be added to the catalogue: {error}")
+            if (folder / head).is_file():
+                add(folder)
+        except Exception as error:  # noqa: BLE001 - a damaged catalogue must not make a good scan a failed one
+            advice = "the console adds it when it is started again"
+            self.messages.error(f"{folder.name}: the entry in the catalogue could not be written: {error_sentence(error)}; {advice}")

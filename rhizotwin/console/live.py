@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from rhizotwin.console.sketch import Sketch
 from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.threads import Worker
 
 CARVE_EVERY = 4
 """Number of pictures between two updates of the sketch. An update takes a few seconds in a separate thread."""
@@ -31,13 +33,22 @@ class Live(Observer):
         Nominal scene of the scan.
     on_change : callable
         Function that is called after each change, from several threads.
+    on_error : callable
+        Function that is called with each exception of the sketch and of ``on_change``, which do not affect the scan.
     paused : bool
         Pause the scan before the first picture.
     """
 
     watches_motion = True
 
-    def __init__(self, scene: Scene, *, on_change: Callable[[], object] = lambda: None, paused: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        on_change: Callable[[], object] = lambda: None,
+        on_error: Callable[[BaseException], object] = lambda _: None,
+        paused: bool = False,
+    ) -> None:
         self.scene = scene
         self.total = self.done = 0
         self.last: Look | None = None
@@ -49,12 +60,12 @@ class Live(Observer):
         self.cell_mm = 1.0
         self.paused = paused
         self.ended = False
-        self._on_change = on_change
+        self._on_change, self._on_error = on_change, on_error
         self._stop = False
         self._taken = 0
         self._wake = threading.Condition()
         self._sketch = Sketch(scene)
-        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="sketch")
+        self._worker = Worker(name="sketch", on_error=on_error)
         self._begun_s, self._held_s = time.monotonic(), 0.0
 
     def on_plan(self, total: int, done: int) -> None:
@@ -67,14 +78,14 @@ class Live(Observer):
         self.done += 1
         self._taken += 1
         self.last = look
-        self._worker.submit(self._add, look, carve=self._taken % CARVE_EVERY == 0)
+        self._worker.submit(partial(self._add, look, carve=self._taken % CARVE_EVERY == 0))
         self._changed()
 
     def on_drop(self, files: list[str]) -> None:
         """Remove rejected pictures from the progress and from the sketch."""
         self.done -= len(files)
         for file in files:
-            self._worker.submit(self._sketch.drop, file)
+            self._worker.submit(partial(self._sketch.drop, file))
         self._changed()
 
     def holds(self) -> bool:
@@ -125,9 +136,12 @@ class Live(Observer):
     def close(self) -> None:
         """Update the sketch for the last time, and end its thread."""
         self._worker.submit(self._carve)
-        self._worker.shutdown(wait=True)
+        self._worker.close()
         self.ended = True
         self._changed()
+        # the pictures are part of reference cycles, which Python collects only after many further scans
+        self.last, self._sketch = None, Sketch(self.scene)
+        gc.collect()
 
     def _add(self, look: Look, *, carve: bool) -> None:
         frame, tank = look.frame, self.scene.tank
@@ -146,6 +160,9 @@ class Live(Observer):
         self._changed()
 
     def _changed(self) -> None:
-        """Notify the console of a change. Errors of the console are ignored, so that they do not affect the scan."""
-        with suppress(Exception):
+        """Notify the console of a change. Its errors are reported, and do not affect the scan."""
+        try:
             self._on_change()
+        except Exception as error:  # noqa: BLE001 - a picture that cannot be displayed must not end the scan
+            with suppress(Exception):
+                self._on_error(error)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Literal
 
-from rhizotwin.scenes.formatting import TRACEBACK_ADVICE, printable
+from rhizotwin.scenes.formatting import continued, printable
 
 KEPT = 200
 RESUME = re.compile("(finish the scan|start the scan again|resume) with --resume")
@@ -30,8 +30,7 @@ class Message:
 
 def for_console(text: str) -> str:
     """Replace advice for users of the command line in a message by advice for users of the console."""
-    text = text.replace(TRACEBACK_ADVICE, "the traceback is in the terminal in which 'rhizotwin console' runs")
-    return printable(RESUME.sub("finish the scan, or start it again", text))
+    return printable(RESUME.sub("finish the scan, or start it again", continued(text, "console")))
 
 
 class Messages:

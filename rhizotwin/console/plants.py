@@ -20,6 +20,10 @@ from rhizotwin.scenes.subject import Subject
 MOST_SHOWN = 6
 """Maximum number of future scans in the list, and of missed scans. Scans planned for today are always listed."""
 
+BUSY_S = 1.0
+"""Maximum time to wait for access to the catalogue if its plants are displayed, s. The state then contains the plants
+that were read last."""
+
 
 class Plants:
     """Provides the plants, scans and planned scans of a catalogue to the console.
@@ -97,12 +101,30 @@ class Plants:
         with Catalogue.open(self.path) as catalogue:
             adding.add_result(catalogue, folder)
 
+    def add_unlisted(self, scans: Path, results: Path) -> list[str]:
+        """Add scans and results that are not in the catalogue, or have changed since they were added.
+
+        A console that was killed after a scan leaves such scans.
+
+        Parameters
+        ----------
+        scans, results : path
+            Folders of the scans and of the results.
+
+        Returns
+        -------
+        list of str
+            Message for each scan and result that could not be added.
+        """
+        with Catalogue.open(self.path) as catalogue:
+            return list(adding.add_all(catalogue, adding.find_unlisted(catalogue, scans, results)).failed)
+
     def plain(self) -> tuple[list[dict[str, object]], dict[str, Any]]:
         """Return the plants and the planned scans as JSON values."""
         today = datetime.now().astimezone().date()
         stamp = (today, *(_stamp(self.path.with_name(f"{self.path.name}{end}")) for end in ("", "-wal")))
         if stamp != self._stamp:
-            with Catalogue.open(self.path, read_only=True) as catalogue:
+            with Catalogue.open(self.path, read_only=True, busy_s=BUSY_S) as catalogue:
                 self._plain = _plants(catalogue, today), _visits(list_visits(catalogue), today)
             self._stamp = stamp
         return self._plain

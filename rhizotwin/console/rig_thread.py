@@ -9,12 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rhizotwin.rig.errors import LostError, NoAnswerError
 from rhizotwin.rig.jog import Jog
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.threads import LastingThread
 
 if TYPE_CHECKING:
     from rhizotwin.rigs import Bench
@@ -40,7 +41,7 @@ class RigThread:
     on_live : callable
         Function that is called with each live picture.
     on_error : callable
-        Function that is called with each error of an action or live picture, before the action ends.
+        Function that is called with each error of an action, live picture or the thread, before the action ends.
     on_change : callable
         Function that is called when an action starts or ends.
     """
@@ -51,7 +52,7 @@ class RigThread:
         *,
         say: Callable[[str], None],
         on_live: Callable[[Grey], object],
-        on_error: Callable[[Exception], object],
+        on_error: Callable[[BaseException], object],
         on_change: Callable[[], object],
     ) -> None:
         self._bench = bench
@@ -61,14 +62,14 @@ class RigThread:
         self._jog: Jog | None = None
         self._wake = threading.Condition()
         self._next: tuple[Callable[[], Any], Future[Any]] | None = None
+        self._doing: Future[Any] | None = None
         self._ended = False
         self.busy = ""
         """Description of the current action. It is empty if the rig is idle."""
         self.live_until_s = 0.0
         """Time at which live pictures end, in seconds on the clock `time.monotonic`."""
         # not a daemon thread, so that the program ends only after the rig is in a safe state
-        self._thread = threading.Thread(target=self._run, name="rig", daemon=False)
-        self._thread.start()
+        self._thread = LastingThread(self._run, name="rig", on_error=on_error, daemon=False)
 
     @property
     def open(self) -> bool:
@@ -143,11 +144,14 @@ class RigThread:
         self._thread.join()
 
     def _run(self) -> None:
+        if self._doing is not None:  # this thread goes on after an exception that was not one of the action
+            self._end(self._doing, None, RuntimeError(f"{self.busy} was interrupted"))
         while True:
             with self._wake:
                 if self._next is None and not self._ended:
                     self._wake.wait(LIVE_S)
                 following, self._next = self._next, None
+                self._doing = None if following is None else following[1]
                 if following is None and self._ended:
                     break
             if following is not None:
@@ -161,15 +165,19 @@ class RigThread:
             result, error = action(), None
         except BaseException as raised:  # noqa: BLE001 - passed on through the future
             result, error = None, raised
-            if isinstance(raised, Exception):
-                self._on_error(raised)
+            if not isinstance(raised, KeyboardInterrupt):  # the action was stopped by a user
+                with suppress(Exception):
+                    self._on_error(raised)
+        self._end(future, result, error)
+
+    def _end(self, future: Future[Any], result: Any, error: BaseException | None) -> None:
         with self._wake:
-            self.busy = ""
-        self._on_change()
+            self.busy, self._doing = "", None
         if error is None:
             future.set_result(result)
         else:
             future.set_exception(error)
+        self._on_change()
 
     def _take_live(self) -> None:
         try:

@@ -19,21 +19,28 @@ class RunningScan:
     ----------
     name, scene : str, Scene
         Name of the scan, and scene of the rig with the scanned plant.
-    on_look, on_change : callable
-        Functions that are called with each picture, and after each change.
+    on_look, on_change, on_error : callable
+        Functions that are called with each picture, after each change, and with each error of sketch and display.
     paused : bool
         Pause the scan before the first picture.
     """
 
     def __init__(
-        self, name: str, scene: Scene, *, on_look: Callable[[Look], object], on_change: Callable[[], object], paused: bool = False
+        self,
+        name: str,
+        scene: Scene,
+        *,
+        on_look: Callable[[Look], object],
+        on_change: Callable[[], object],
+        on_error: Callable[[BaseException], object],
+        paused: bool = False,
     ) -> None:
         self.name, self.scene = name, scene
         self.error = ""
         """Error message if the scan has failed. It is empty if the scan has not failed."""
         self._on_change, self._on_look = on_change, on_look
         self._shown: Look | None = None
-        self.live = Live(scene, on_change=self._live_changed, paused=paused)
+        self.live = Live(scene, on_change=self._live_changed, on_error=on_error, paused=paused)
 
     def plain(self) -> dict[str, object]:
         """Return the state and progress of the scan as JSON values."""
@@ -52,7 +59,9 @@ class RunningScan:
 
     def _live_changed(self) -> None:
         look = self.live.last
-        if look is not None and look is not self._shown:
+        if self.live.ended:
+            self._shown = None
+        elif look is not None and look is not self._shown:
             self._shown = look
             self._on_look(look)
         self._on_change()

@@ -10,7 +10,6 @@ the folder. Its contents are:
 - ``NAME.rhizotwin``: catalogue of plants, scans and results
 """
 
-import json
 import os
 import re
 import stat
@@ -22,10 +21,10 @@ from typing import TypeVar, cast
 
 from rhizotwin.catalogue.adding import is_sketch
 from rhizotwin.report import words
+from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, is_expected, printable
-from rhizotwin.scenes.reading import read_file
-from rhizotwin.scenes.subject import Subject, from_summary
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored.result_files import read_summary
 from rhizotwin.timelapse.reconstruction import GROWTH, growth_page
 
@@ -204,11 +203,13 @@ def _inside(parent: Path, name: str) -> Path:
     Raises
     ------
     UserError
-        If the name is invalid, or the folder is a link, which may point outside the parent folder.
+        If the name is invalid, or the folder is a file, or a link, which may point outside the parent folder.
     """
     folder = parent / check_name(name)
     if folder.is_symlink():
         raise UserError(f"{parent.name}/{name} is a symbolic link; replace the link by the folder")
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{parent.name}/{name} is not a folder; move it elsewhere")
     return folder
 
 
@@ -229,17 +230,16 @@ def _stamp(path: Path) -> tuple[int, int] | None:
 def _scan_entry(path: Path) -> ScanEntry:
     name = path.parent.name
     try:
-        plain = json.loads(read_file(path))
-        origin = plain["origin"]
-        subject = from_summary(plain["scene"], str(path))
-        views = {frame["file"] if frame.get("view") is None else frame["view"] for frame in plain["frames"]}
+        dataset = load_dataset(path.parent)
+        subject, origin = dataset.scene.subject, dataset.origin
+        views = {frame.file if frame.view is None else frame.view for frame in dataset.frames}
         return ScanEntry(
             name=name,
             subject=str(subject),
             plant=subject.plant,
             pictures=len(views),
             planned=int(origin.get("planned_views", len(views))),
-            complete=bool(origin.get("complete")),
+            complete=origin.get("complete", True) is True,
             sketch=is_sketch(origin),
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error

@@ -5,9 +5,10 @@ from __future__ import annotations
 import errno
 import os
 import socket
-import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import uvicorn
 
@@ -16,11 +17,50 @@ from rhizotwin.console.api import create_app
 from rhizotwin.console.connections import BACKLOG, Connection, Server
 from rhizotwin.console.console import Console
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.threads import LastingThread
 
 MOST_PORTS = 20
 """Maximum number of consecutive ports that are tried."""
 START_S = 30.0
 """Timeout for the start of the server, s."""
+
+
+class _LastingServer:
+    """Web server in a separate thread, which is started again at the same address after an exception.
+
+    Parameters
+    ----------
+    config : uvicorn.Config
+        Configuration of the server.
+    bound : socket.socket
+        Socket that is bound to the address. Connections wait in it while the server is started again.
+    on_error : callable
+        Function that is called with each exception.
+    """
+
+    def __init__(self, config: uvicorn.Config, bound: socket.socket, *, on_error: Callable[[BaseException], object]) -> None:
+        self._config, self._bound = config, bound
+        self._server = Server(config)
+        self._ended = False
+        self._thread = LastingThread(self._run, name="console", on_error=on_error)
+
+    @property
+    def started(self) -> bool:
+        """Whether the server accepts connections."""
+        return self._server.started
+
+    def stop(self) -> None:
+        """Stop the server, and abort open requests."""
+        self._ended = True
+        self._server.should_exit = self._server.force_exit = True
+        self._thread.join()
+        self._bound.close()
+
+    def _run(self) -> None:
+        self._server = Server(self._config)
+        if not self._ended:
+            with self._bound.dup() as listening:
+                self._server.run(sockets=[listening])
 
 
 @dataclass(frozen=True)
@@ -30,8 +70,7 @@ class Served:
     host: str
     port: int
     access: Access
-    _server: uvicorn.Server
-    _thread: threading.Thread
+    _server: _LastingServer
 
     @property
     def address(self) -> str:
@@ -41,8 +80,7 @@ class Served:
 
     def stop(self) -> None:
         """Stop the server, and abort open requests."""
-        self._server.should_exit = self._server.force_exit = True
-        self._thread.join()
+        self._server.stop()
 
 
 def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
@@ -76,15 +114,14 @@ def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
         ws="none",
         lifespan="off",
     )
-    server = Server(config)
-    thread = threading.Thread(target=lambda: server.run(sockets=[bound]), name="console", daemon=True)
-    thread.start()
+    server = _LastingServer(config, bound, on_error=partial(console.problems.announce, "web server"))
     end_s = time.monotonic() + START_S
     while not server.started:
-        if not thread.is_alive() or time.monotonic() > end_s:
+        if time.monotonic() > end_s:
+            server.stop()
             raise UserError(f"the web server of the console could not be started at {host}:{port}; choose another --port")
         time.sleep(0.01)
-    return Served(host, bound.getsockname()[1], access, server, thread)
+    return Served(host, bound.getsockname()[1], access, server)
 
 
 def _bind(host: str, port: int) -> socket.socket:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rhizotwin.console.console import Console
+
+_NO_VISITS = {"planned": 0, "scanned": 0, "missed_count": 0, "today": [], "next": [], "missed": []}
+"""Planned scans before the catalogue was read for the first time."""
 
 
 class StateView:
@@ -24,6 +28,8 @@ class StateView:
         self._console = console
         self._lock = threading.Lock()
         self._sketch: tuple[int, Any] = (0, None)
+        self._last: dict[str, Any] = {"plants": ([], _NO_VISITS), "scans": [], "schedule": None}
+        """Values of the parts of the state that are read from the disk, when they were read last."""
 
     def plain(self, client: str) -> dict[str, Any]:
         """Return the complete state of the console as JSON values.
@@ -33,7 +39,7 @@ class StateView:
         console = self._console
         version = console.version  # read first, so that a later change is not missed
         queue = console.queue.plain()
-        plants, visits = console.plants.plain()
+        plants, visits = self._read("plants", console.plants.plain)
         return {
             "version": version,
             "rig": self._rig(),
@@ -48,11 +54,26 @@ class StateView:
             "question": console.questions.text,
             "sketch": self._sketch_state(),
             "plants": plants,
-            "schedule": self._schedule(visits),
-            "scans": self._scans(queue),
+            "schedule": self._read("schedule", lambda: self._schedule(visits)),
+            "scans": self._read("scans", lambda: self._scans(queue)),
             "queue": queue,
             "messages": console.messages.plain(),
+            "problems": console.problems.plain(),
         }
+
+    def _read(self, part: str, read: Callable[[], Any]) -> Any:
+        """Return a part of the state that is read from the disk.
+
+        If it cannot be read, for example because the disk is full, the part that was read last is returned.
+        """
+        name = f"{part} as they were last read"
+        try:
+            self._last[part] = read()
+        except Exception as error:  # noqa: BLE001 - clients need the other parts, above all to stop a scan
+            self._console.problems.report(name, error)
+        else:
+            self._console.problems.solve(name)
+        return self._last[part]
 
     def _rig(self) -> dict[str, Any]:
         bench, twin = self._console.bench, self._console.twin

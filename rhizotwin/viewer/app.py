@@ -6,7 +6,8 @@ All connected browsers show the same state.
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -235,6 +236,32 @@ class Viewer(Drawing):
         self.notify(f"the corrections were saved to {path}; apply them with: rhizotwin edit {path.parent} --apply {path} -o NEW_RESULT")
 
 
+def _report_errors(viewer: Viewer) -> None:
+    """Show the exceptions of all handlers of clicks and controls in the browsers.
+
+    Viser only prints them with a traceback (version 1.1.1).
+    """
+    handlers = viewer.served.server._thread_executor  # all handlers run in it, and viser has no hook for their exceptions
+    submit = handlers.submit
+
+    def submit_reporting(handler: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
+        return submit(_reporting(viewer, handler), *arguments, **options)
+
+    handlers.submit = submit_reporting  # type: ignore[method-assign]
+
+
+def _reporting(viewer: Viewer, action: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that calls another one, and shows its exceptions in the browsers."""
+
+    def reporting(*arguments: Any, **options: Any) -> Any:
+        try:
+            return action(*arguments, **options)
+        except BaseException as error:  # noqa: BLE001 - shown, while the viewer goes on
+            viewer.report(error)
+
+    return reporting
+
+
 def ray_of(origin: Sequence[float], direction: Sequence[float]) -> Ray:
     """Return a ray from an origin along a direction, which is normalized."""
     way = np.asarray(direction, np.float64)
@@ -280,7 +307,8 @@ def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None, *,
         raise
     panels.build(viewer)
     served.open.set()
-    prepare = threading.Timer(_PREPARE_AFTER_S, viewer.prepare)
+    _report_errors(viewer)
+    prepare = threading.Timer(_PREPARE_AFTER_S, _reporting(viewer, viewer.prepare))
     prepare.daemon = True
     begin = threading.Lock()
 

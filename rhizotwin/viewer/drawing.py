@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,8 @@ from rhizotwin import root_colours
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import error_sentence
+from rhizotwin.scenes.formatting import continued, error_sentence, is_expected
+from rhizotwin.scenes.threads import Worker
 from rhizotwin.stored import result_names
 from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
@@ -102,8 +103,8 @@ class Drawing:
         """Functions to call after a change that the panels may have to show."""
         self.on_measured: list[Callable[[], None]] = []
         """Functions to call when traits may have changed. They run in the background."""
-        self._background = ThreadPoolExecutor(max_workers=1, thread_name_prefix="surface")
-        """Executor with one background thread that draws surfaces. Corrections do not wait for this thread."""
+        self._background = Worker(name="surface", on_error=self.report)
+        """Background thread that draws surfaces. Corrections do not wait for this thread."""
         self.message = ""
         """Last message to the user."""
         self.load(0)
@@ -164,6 +165,15 @@ class Drawing:
         self.message = text
         self.changed()
 
+    def report(self, error: BaseException) -> None:
+        """Show an error as a message, although a panel may be its cause."""
+        if not is_expected(error):
+            logging.getLogger(__name__).error("the viewer continues after an unexpected error", exc_info=error)
+        self.message = continued(error_sentence(error), "view")
+        for follow in self.on_change:
+            with suppress(Exception):
+                follow()
+
     def unsaved(self) -> int:
         """Return the number of unsaved corrections in all results."""
         return sum(shown.session.unsaved for shown in self._loaded.values())
@@ -192,17 +202,14 @@ class Drawing:
         self._background.submit(self._finish)
 
     def _finish(self) -> None:
-        """Draw surfaces and update traits. This method runs in the background and shows errors as messages."""
-        try:
-            self._draw_surface()
-            for follow in self.on_measured:
-                follow()
-        except (UserError, OSError, ValueError) as error:
-            self.notify(error_sentence(error))
+        """Draw surfaces and update traits. This method runs in the background."""
+        self._draw_surface()
+        for follow in self.on_measured:
+            follow()
 
     def wait(self) -> None:
         """Wait until surfaces are drawn and traits are measured."""
-        self._background.submit(lambda: None).result()
+        self._background.wait()
 
     @property
     def _edited(self) -> tuple[object, ...]:

@@ -58,6 +58,12 @@ class Served:
         """Return the address to open in a browser, including the token."""
         return f"http://{self.host}:{self.port}/?token={self.token}"
 
+    @property
+    def is_running(self) -> bool:
+        """Return whether the server answers browsers. Viser ends its thread after an exception of the event loop."""
+        thread = self.server._websock_server._server_thread
+        return thread is not None and thread.is_alive()
+
     def stop(self) -> None:
         """Stop the server."""
         with redirect_stdout(io.StringIO()):  # viser prints a message

@@ -72,6 +72,7 @@ function show(next) {
   by("devices").replaceChildren(...state.devices.map((one) => row(one.state, one.name, one.text)));
   showScans();
   showMessages();
+  showProblems();
   by("arm").hidden = !state.rig.arm;
   by("live").setAttribute("aria-pressed", state.live);
   for (const one of document.querySelectorAll("main button, main input, main select")) {
@@ -204,10 +205,15 @@ function showScans() {
 }
 
 function result(scan, job) {
-  if (job?.state === "waiting") return "waiting for reconstruction";
+  if (job?.state === "waiting") return `waiting for reconstruction${job.error && `: ${job.error}`}`;
   if (job?.state === "running") return make("span", {}, `reconstructing: ${job.stage}`, make("progress", { max: 1, value: job.fraction }));
   if (job?.state === "failed") return make("span", { className: "wrong" }, `reconstruction failed: ${job.error}`);
   return scan.result === null ? "" : scan.result.volume;
+}
+
+function showProblems() {
+  by("problems").hidden = state.problems.length === 0;
+  by("problems").replaceChildren(...state.problems.map((text) => make("p", {}, text)));
 }
 
 function showMessages() {

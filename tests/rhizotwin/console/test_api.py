@@ -87,6 +87,11 @@ def test_an_unexpected_error_does_not_end_the_rig_thread(lab: Lab, monkeypatch: 
     with pytest.raises(ZeroDivisionError):
         lab.console.rig.begin("a failing action", lambda: 1 / 0).result()
     assert caplog.text.count("Traceback") == 2
+    with monkeypatch.context() as killed:  # the thread itself, outside of the action
+        killed.setattr("rhizotwin.console.rig_thread.RigThread._do", Mock(side_effect=SystemExit("killed")))
+        with pytest.raises(UserError, match="home 0 was interrupted"):
+            console.command("home 0")
+    assert "SystemExit: killed" in console.state()["messages"][0]["text"]
     assert console.command("home 0")[-1] == "table at 0.000 deg"
 
 
@@ -136,6 +141,59 @@ def test_a_scan_that_cannot_begin_is_reported(lab: Lab, monkeypatch: pytest.Monk
         console.wait_for_scan(timeout_s=LONG_S)
     ended = {"name": "second", "state": "ended", "error": "arm: no reply; switch it on"}
     assert console.state()["scan"].items() >= ended.items()
+
+
+def listed(lab: Lab) -> list[tuple[str, int]]:
+    """Return the names of the scans in the catalogue, and how many of them are complete."""
+    with Catalogue.open(lab.console.plants.path, read_only=True) as catalogue:
+        return [(scan.path.name, scan.complete) for scan in catalogue.scans()]
+
+
+def test_a_complete_scan_is_in_the_catalogue_after_a_kill(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is added before the sketch, and a scan that a killed console left is added at the next start."""
+    carving = threading.Event()
+    monkeypatch.setattr("rhizotwin.console.sketch.Sketch.carve", lambda _: carving.wait(LONG_S) and 1 / 0)
+    console = lab.client("Anna")
+    name = console.start_scan(plant="P7", reconstruct=False)
+    until(lambda: listed(lab) == [(name, True)])
+    assert console.state()["scan"]["state"] == "running"
+    carving.set()
+    assert console.wait_for_scan(timeout_s=LONG_S)["done"] == VIEWS
+    assert "display of the scan: an unexpected error occurred (ZeroDivisionError" in console.state()["problems"][0]
+    with Catalogue.open(lab.console.plants.path) as catalogue, catalogue.writing() as connection:
+        connection.execute("DELETE FROM scans")
+    lab.stop()
+    lab.start()
+    assert listed(lab) == [(name, True)]
+    assert lab.client().state()["plants"][0]["scans"] == 1
+
+
+def test_a_catalogue_that_cannot_be_read_hides_nothing_else(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    console, path = lab.client("Anna"), lab.console.plants.path
+    with Catalogue.open(path) as catalogue:
+        catalogue.add_plant(Plant(name="P7", species="Zea mays"))
+    plants = console.state()["plants"]
+    for damage, words in (("CAST(x'ff' AS TEXT)", "damaged"), ("'='", "must not begin with =")):
+        with Catalogue.open(path) as catalogue:
+            catalogue.connection.execute(f"UPDATE plants SET species = {damage}")
+        state = console.state()
+        assert (state["plants"], words in state["problems"][0]) == (plants, True)
+    monkeypatch.setattr(Catalogue, "open", Mock(side_effect=RuntimeError("any other error")))
+    assert "any other error" in console.state()["problems"][0]
+    monkeypatch.undo()
+    with Catalogue.open(path) as catalogue:
+        catalogue.connection.execute("UPDATE plants SET species = 'Zea mays'")
+    until(lambda: console.state()["problems"] == [])
+    assert console.command("home 0")[-1] == "table at 0.000 deg"
+
+
+def test_the_web_server_is_started_again(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    console = lab.client("Anna")
+    with monkeypatch.context() as killed:
+        killed.setattr("rhizotwin.console.connections.Server.on_tick", Mock(side_effect=SystemExit("killed")))
+        (message,) = until(lambda: lab.console.messages.plain()[:1])
+        assert str(message["text"]).startswith("web server: an unexpected error occurred (SystemExit: killed)")
+    assert console.command("home 0")[-1] == "table at 0.000 deg"  # at the same address, still in control
 
 
 def test_the_plant_of_the_scene_file_is_not_another_plant(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -248,6 +306,8 @@ DAMAGED = {
     "nested": "[" * 100_000,
     "infinite": DATASET % '{"planned_views": 1e999}',
     "origin": DATASET % "[]",
+    "versionless": DATASET.replace('"schema_version": 1, ', "") % '{"complete": true}',
+    "version": DATASET.replace(": 1", ": 2") % '{"complete": true}',
     "surrogate": '{"scene": {"subject": {"\\ud800": 1}}, "frames": [], "origin": {}}',
 }
 

@@ -4,6 +4,7 @@ import shutil
 import time
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import capture
 from rhizotwin.viewer.app import Viewer
 from tests.rhizotwin import plant as plants
+from tests.rhizotwin.console.conftest import until
 from tests.rhizotwin.viewer.conftest import started
 
 
@@ -39,6 +41,19 @@ def test_what_cannot_be_done_is_said(viewer: Viewer, monkeypatch: pytest.MonkeyP
     viewer.save()
     assert viewer.message == "the corrections could not be saved: the disk is full"
     assert viewer.unsaved() == 1
+
+
+def test_an_error_of_a_thread_is_shown_and_the_rest_goes_on(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Viewer, "_draw_surface", Mock(side_effect=SystemExit("killed")))
+    viewer.refresh()
+    until(lambda: "an unexpected error occurred (SystemExit: killed)" in viewer.message)
+    monkeypatch.undo()
+    viewer.served.server._thread_executor.submit(lambda: 1 / 0).result()  # as viser calls the handlers of clicks
+    assert viewer.message.endswith("the traceback is in the terminal in which 'rhizotwin view' runs")
+    viewer.look.layers ^= {"surface"}
+    viewer.refresh()
+    viewer.wait()
+    assert viewer._keys["edits of surface"] is None
 
 
 def test_a_turntable_camera_keeps_its_height_and_distance():

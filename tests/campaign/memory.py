@@ -1,0 +1,63 @@
+"""Memory of the console during a time-lapse of many scans: `python -m tests.campaign.memory FOLDER [HOURS]`."""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+from rhizotwin import rigs
+from rhizotwin.console.access import Access
+from rhizotwin.console.client import Console as Client
+from rhizotwin.console.console import Console
+from rhizotwin.console.serve import serve
+from rhizotwin.timelapse.experiment import load_experiment
+from tests.rhizotwin.timelapse.conftest import write_experiment
+
+PLANTS = 6
+WARM_H = 4
+"""Hours after which libraries are loaded and caches are full."""
+MOST_MIB = 20.0
+
+
+def resident_mib() -> float:
+    """Return the memory of this process, MiB (Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def hourly_mib(folder: Path, hours: int) -> list[float]:
+    """Scan six plants every simulated hour, with a client that confirms each canister; return the memory at the end of each hour."""
+    folder.mkdir(parents=True)
+    experiment = load_experiment(write_experiment(folder, plants=PLANTS, rounds=hours, schedule="every_h = 1.0\nlate_h = 0.9"))
+    twin = rigs.TwinPictures(fidelity="sketch", profile="clean")
+    bench = rigs.twin_bench(experiment.base_scene(), twin)
+    console = Console(bench, experiment.folder, twin=twin, experiment=experiment)
+    served = serve(console, Access(), host="127.0.0.1", port=8780)
+    client, found = Client(served.address), list[float]()
+    try:
+        client.take_control("campaign")
+        client.start_schedule()
+        while (state := client.state())["activity"]:
+            if state["question"]:
+                client.answer("", question=state["question_number"])
+            client.request("GET", "/api/sketch")
+            if state["schedule"]["scanned"] >= PLANTS * (len(found) + 1):
+                found.append(resident_mib())
+            time.sleep(0.02)
+        assert (state["schedule"]["scanned"], state["schedule"]["missed_count"]) == (PLANTS * hours, 0), state["messages"]
+    finally:
+        served.stop()
+        console.close()
+    return found
+
+
+def main(folder: Path, hours: int = 24) -> float:
+    """Return by how much the memory changed after the first hours, MiB."""
+    found = hourly_mib(folder, hours)
+    sys.stdout.write(f"memory at the end of each hour, MiB: {' '.join(f'{one:.0f}' for one in found)}\n")
+    return max(found[WARM_H:]) - min(found[WARM_H:])
+
+
+if __name__ == "__main__":
+    change_mib = main(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    sys.stdout.write(f"change after hour {WARM_H}: {change_mib:.1f} MiB, at most {MOST_MIB:g}\n")
+    sys.exit(change_mib > MOST_MIB)
