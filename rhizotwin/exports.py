@@ -6,21 +6,18 @@ are valid for the rig, the marker strip and the shoot, and for programs that tra
 note about this.
 """
 
-import io
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
-import nrrd
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rhizotwin import root_mesh, surface_mesh
+from rhizotwin import mesh_files, root_mesh, surface_mesh, voxel_files
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
-from rhizotwin.recon.hull.surface import paint
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
@@ -43,15 +40,12 @@ IN_WATER = (
 )
 Posed = Sequence[tuple[str, NDArray[np.float64]]]
 """File name of each picture, and its pose cam_from_canister (4, 4) in mm."""
-MESHES = (".ply", ".stl", ".glb")
 _SAME_PLACE_MM = 5.0
 """Interval by which the distances and heights of cameras are rounded, in mm. The pinhole distance is computed once for
 all cameras that have the same rounded distance and height."""
 MOST_POINTS = 50_000
 """Maximum number of points of the surface that are written to a COLMAP model. Splatting starts with a Gaussian at each
 point, and structure from motion of a whole scene finds 10,000 to 200,000 points."""
-MOST_VOXELS = 1_500_000_000
-"""Maximum size, in bytes, of the array of voxels that is written to a file."""
 
 
 def export(
@@ -70,7 +64,7 @@ def export(
     result_folder : path
         Folder of the result.
     output : path
-        File with the suffix .ply, .stl, .glb, .nrrd, .rsml, .csv or .json, or folder, see `rhizotwin.api.export`.
+        File, whose suffix selects the format, or folder, see `rhizotwin.api.export`.
     dataset_folder : path or None
         Folder of the dataset; required for the export of cameras.
     roots : {"order", "diameter"} or None
@@ -85,18 +79,20 @@ def export(
     list of Path
         Written files.
     """
-    suffix = output.suffix.lower()
+    suffix = suffix_of(output)
     writers: dict[str, Callable[[Path, Path], list[Path]]] = {
-        **dict.fromkeys(MESHES, _mesh if roots is None else lambda folder, file: _tubes(folder, file, roots)),
-        ".nrrd": _voxels,
+        **dict.fromkeys(mesh_files.SUFFIXES, _mesh if roots is None else lambda folder, file: _tubes(folder, file, roots)),
+        **dict.fromkeys(voxel_files.ENCODERS, _voxels),
         ".rsml": _rsml,
         ".csv": _traits,
     }
     if suffix not in (*writers, ".json", ""):
         known = ", ".join(writers)
         raise UserError(f"{output}: the format {suffix} is unknown; use {known}, .json (nerfstudio cameras) or a folder (COLMAP cameras)")
-    if roots is not None and suffix not in MESHES:
-        raise UserError(f"{output}: --roots applies to meshes only; give an output file with {', '.join(MESHES)}, or remove --roots")
+    if roots is not None and suffix not in mesh_files.SUFFIXES:
+        raise UserError(
+            f"{output}: --roots applies to meshes only; give an output file with {', '.join(mesh_files.SUFFIXES)}, or remove --roots"
+        )
     if undistorted and suffix:
         raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
     if output.exists() and (suffix or not output.is_dir()):  # `new_folder` checks and recovers folders
@@ -111,10 +107,14 @@ def export(
     cameras = Cameras.of(dataset, summary)
     if not cameras.views:
         raise UserError(f"{output}: the result contains no calibrated picture, so there are no cameras to export; choose another result")
-    if not undistorted:
-        return _cameras(output, dataset, cameras)
-    surface = result_files.read_mesh(result_folder / "shape.ply")
-    return _undistorted(output, dataset, cameras, surface.vertices_mm, monitor or Monitor())
+    if undistorted:
+        return _undistorted(output, dataset, cameras, result_folder, monitor or Monitor())
+    return _cameras(output, dataset, cameras)
+
+
+def suffix_of(output: Path) -> str:
+    """Return the suffix of a file in lower case, ``.nii.gz`` for compressed NIfTI files."""
+    return ".nii.gz" if output.name.lower().endswith(".nii.gz") else output.suffix.lower()
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -132,11 +132,7 @@ def _tubes(result_folder: Path, output: Path, colour: str) -> list[Path]:
 
 
 def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
-    """Write a mesh in mm with z up (PLY, STL), or in metres with y up (GLB, by the glTF standard)."""
-    if output.suffix.lower() == ".glb":
-        x, y, z = np.asarray(solid.vertices).T
-        solid.vertices = np.stack([x, z, -y], axis=1) / 1000.0
-    atomic.write_bytes(output, bytes(solid.export(file_type=output.suffix.lower()[1:])))
+    atomic.write_bytes(output, mesh_files.encode(solid, suffix_of(output)))
     return [output]
 
 
@@ -165,37 +161,13 @@ def _roots_of(result_folder: Path) -> Path:
 
 
 def _voxels(result_folder: Path, output: Path) -> list[Path]:
-    """Write the occupancy of all voxels in the bounding box as bytes (0 to 255).
-
-    The position of the box is written in the canister frame, in mm.
-    """
+    """Write the occupancy of all voxels in the bounding box as bytes (0 to 255)."""
     leaves = result_files.read_leaves(result_folder)
-    low, high = leaves.low.min(axis=0), (leaves.low + leaves.size[:, None]).max(axis=0)
-    shape = tuple(int(n) for n in high - low)
-    if np.prod(np.array(shape, np.float64)) > MOST_VOXELS:
+    shape = voxel_files.bounding_shape(leaves)
+    if math.prod(shape) > voxel_files.MOST_VOXELS:
         size = "x".join(str(n) for n in shape)
         raise UserError(f"{output}: a dense block of {size} voxels is too large; reconstruct with larger voxels (--voxel-mm)")
-    block = np.zeros(shape, np.uint8)
-    slab = 64
-    for first in range(0, shape[2], slab):  # in slabs, to limit the memory of floats
-        part = np.zeros((shape[0], shape[1], min(slab, shape[2] - first)), np.float32)
-        index = leaves.low - low
-        touching = (index[:, 2] < first + slab) & (index[:, 2] + leaves.size > first)
-        paint(part, index[touching] - np.array([0, 0, first], np.int32), leaves.size[touching], leaves.occupancy[touching])
-        block[:, :, first : first + slab] = np.round(part * 255.0).astype(np.uint8)
-    centre_mm = leaves.origin_mm + leaves.voxel_mm * (low + 0.5)
-    header: dict[str, Any] = {
-        "space dimension": 3,
-        "space units": ["mm", "mm", "mm"],
-        "space directions": np.eye(3) * leaves.voxel_mm,
-        "space origin": centre_mm,
-        "kinds": ["domain", "domain", "domain"],
-        "encoding": "gzip",
-        "content": "root occupancy, 0 to 255, canister frame (z up)",
-    }
-    written = io.BytesIO()
-    nrrd.write(written, block, header, index_order="F")
-    atomic.write_bytes(output, written.getvalue())
+    atomic.write_bytes(output, voxel_files.ENCODERS[suffix_of(output)](voxel_files.block_of(leaves)))
     return [output]
 
 
@@ -318,11 +290,12 @@ def write_colmap(
     return [output / name for name in written]
 
 
-def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, points_mm: NDArray[np.float64], monitor: Monitor) -> list[Path]:
+def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, result_folder: Path, monitor: Monitor) -> list[Path]:
     """Write pictures with refraction removed, and their pinhole cameras for nerfstudio and COLMAP.
 
     The COLMAP model contains points of the surface, because programs for splatting do not start without points.
     """
+    points_mm = result_files.read_mesh(result_folder / "shape.ply").vertices_mm
     scene = dataset.scene
     if scene.tank is not None:
         raise UserError(

@@ -37,8 +37,11 @@ def export(
 
     The suffix of the output file selects the format:
       .ply .stl   surface, mm, z up (3D printing, MeshLab)
+      .obj .3mf   surface, mm, z up (Blender, slicers)
       .glb        surface, metres, y up as glTF requires (viewers, Blender)
-      .nrrd       voxels, mm; 0 to 255 is the root fraction of a voxel (3D Slicer, ImageJ)
+      .nrrd       voxels, mm; 0 to 255 is the root fraction of a voxel (3D Slicer)
+      .nii .vtk   the same voxels as NIfTI (also .nii.gz) or legacy VTK (ITK-SNAP, ParaView)
+      .tif        the same voxels as a stack of pages with sizes (ImageJ)
       .rsml       centre lines and diameters of the roots, mm, z up (CPlantBox, archiDART, OpenAlea)
       .csv        traits with units and definitions (spreadsheets, R)
       .json       cameras in nerfstudio's transforms.json format, mm
@@ -99,5 +102,7 @@ def _publish(sources: list[Path], folder: Path, study: Path | None, progress: Pr
         raise missing_study(folder)
     described = read_study(study)
     with progress.bar(copy=1.0) as bar:
-        publish(sources, folder, described, monitor=bar)
+        notes = publish(sources, folder, described, monitor=bar)
+    for note in notes:
+        print(f"note: {note}")
     print(f"wrote {folder}; check README.md and contact_sheet.png in this folder, then upload the folder")

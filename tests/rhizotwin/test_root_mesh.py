@@ -1,12 +1,18 @@
 """Roots as coloured tubes, and the exports of a result that need no reconstruction."""
 
+import gzip
+import io
 import json
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import cv2
+import nrrd
 import numpy as np
 import pytest
+import tifffile
 import trimesh
 
 from rhizotwin import exports, root_mesh
@@ -25,6 +31,7 @@ def bent(order: int, diameter_mm: float, *, parent: int = -1) -> Root:
     return Root(points_mm=points, diameters_mm=np.full(60, diameter_mm), order=order, parent=parent)
 
 
+VERTICES = ("v1", "v2", "v3")
 ROOTS = [bent(0, 2.0), bent(1, 0.4, parent=0)]
 
 
@@ -44,13 +51,51 @@ def test_tubes_are_closed_outside_out_and_have_the_roots_volume() -> None:
     assert mesh.volume == pytest.approx(np.pi * length, rel=2e-3)
 
 
-@pytest.mark.parametrize(("name", "unit"), [("a.ply", 1.0), ("a.stl", 1.0), ("a.glb", 1000.0)])
+@pytest.mark.parametrize(("name", "unit"), [("a.ply", 1.0), ("a.stl", 1.0), ("a.obj", 1.0), ("a.glb", 1000.0)])
 def test_tube_meshes_open_elsewhere(result: Path, tmp_path: Path, name: str, unit: float) -> None:
     exports.export(result, tmp_path / name, roots="diameter")
     opened = trimesh.load_mesh(tmp_path / name)
     assert opened.volume * unit**3 == pytest.approx(root_mesh.tubes(ROOTS, colour="order").volume, rel=1e-4)
     if not name.endswith("stl"):
-        assert len(np.unique(np.asarray(opened.visual.vertex_colors), axis=0)) == 2
+        colours = np.unique(np.asarray(opened.visual.vertex_colors), axis=0)
+        yellow = (253, 231, 37) if unit == 1.0 else (250, 203, 5)  # the last of viridis; the colours of GLB are linear
+        assert tuple(colours[1, :3]) == yellow
+
+
+def test_a_3mf_archive_has_the_mesh_with_colours(result: Path, tmp_path: Path) -> None:
+    exports.export(result, tmp_path / "a.3mf", roots="order")
+    with zipfile.ZipFile(tmp_path / "a.3mf") as archive:
+        model = ET.fromstring(archive.read("3D/3dmodel.model"))
+    rows = {tag: [one.attrib for one in model.iter() if one.tag.endswith(f"}}{tag}")] for tag in ("vertex", "triangle", "color")}
+    vertices, faces = (
+        [[float(row[key]) for key in keys] for row in rows[tag]] for tag, keys in (("vertex", "xyz"), ("triangle", VERTICES))
+    )
+    made = trimesh.Trimesh(vertices, np.array(faces, int), process=False)
+    assert (made.volume, model.attrib["unit"]) == (pytest.approx(root_mesh.tubes(ROOTS, colour="order").volume), "millimeter")
+    assert {row["color"] for row in rows["color"]} == {"#1F77B4FF", "#FF7F0EFF"}  # the first two of tab10
+
+
+@pytest.mark.parametrize("name", ["a.nii.gz", "a.vtk", "a.tif"])
+def test_voxels_have_sizes_and_places(tmp_path: Path, name: str) -> None:
+    made = plants.make(tmp_path)
+    exports.export(made.result, tmp_path / name)
+    exports.export(made.result, tmp_path / "a.nrrd")
+    block, about = nrrd.read(str(tmp_path / "a.nrrd"), index_order="C")
+    first_mm, data = np.array(about["space origin"]), (tmp_path / name).read_bytes()
+    if name == "a.tif":
+        with tifffile.TiffFile(io.BytesIO(data)) as opened:
+            found, sizes = opened.asarray(), opened.imagej_metadata
+        stated = [*[-sizes[f"{axis}origin"] * plants.VOXEL_MM for axis in "xyz"], sizes["spacing"]]
+    elif name == "a.vtk":
+        lines, found = data[: -block.size].decode().splitlines(), np.frombuffer(data[-block.size :], np.uint8).reshape(block.shape)
+        stated = [*map(float, lines[5].split()[1:]), float(lines[6].split()[3])]
+    else:
+        data = gzip.decompress(data)
+        found = np.frombuffer(data[352:], np.uint8).reshape(block.shape)
+        affine = np.frombuffer(data[280:328], np.float32).reshape(3, 4)
+        stated = [*affine[:, 3], affine[2, 2]]
+    np.testing.assert_array_equal(found, block)
+    assert stated == pytest.approx([*first_mm, plants.VOXEL_MM])
 
 
 def test_centre_lines_and_traits(result: Path, tmp_path: Path) -> None:
