@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.picture_files import read_mask
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.picture_codec import Grey, encode_png
 
 MASK_MARGIN = 0.1
@@ -45,8 +46,20 @@ class Levels:
 
     def cover(self, grey: Grey) -> NDArray[np.float32]:
         """Convert grey values (H, W) to the fractions of the pixels that are covered by roots, from 0 to 1."""
-        share = (grey.astype(np.float32) - self.black) / max(1, self.white - self.black)
-        return np.asarray(np.clip(share, 0.0, 1.0))
+        share = (np.arange(np.iinfo(grey.dtype).max + 1) - self.black) / max(1, self.white - self.black)
+        return np.asarray(np.clip(share, 0.0, 1.0).astype(np.float32)[grey])
+
+
+@dataclass(frozen=True)
+class _Silhouette:
+    """What one picture of a set of silhouettes shows."""
+
+    levels: Levels
+    """Grey values of its background and of its brightest pixels."""
+    depth: int
+    """Number of bytes per pixel."""
+    is_binary: bool
+    """Whether most root pixels are as bright as the brightest one, which is therefore white."""
 
 
 def read_levels(paths: list[Path], *, image_wh: tuple[int, int]) -> dict[Path, Levels]:
@@ -72,26 +85,27 @@ def read_levels(paths: list[Path], *, image_wh: tuple[int, int]) -> dict[Path, L
         If a picture is unreadable, of another size, completely black, inverted, in grey levels or in its transparency,
         or if white differs between the pictures.
     """
-    found, depths, binary = dict[Path, Levels](), dict[Path, int](), set[Path]()
-    for path in paths:
-        grey, alpha = read_mask(path, image_wh=image_wh)
-        levels = Levels(int(np.median(grey)), int(grey.max()))
-        _check_transparency(grey, alpha, path)
-        _check_background(grey, levels, path)
-        roots = _check_greys(levels.cover(grey), path)
-        if (grey == levels.white).sum() > BINARY * roots:
-            binary.add(path)
-        found[path], depths[path] = levels, grey.dtype.itemsize
-    for depth in set(depths.values()):
-        white = max(found[path].white for path in paths if depths[path] == depth)
-        for path in (path for path in paths if depths[path] == depth):
-            if found[path].white < (1.0 - MASK_MARGIN if path in binary else LEAST_WHITE) * white:
-                raise UserError(
-                    f"{path}: the brightest pixels have the value {found[path].white}, but white has the value {white} in other "
-                    "silhouettes; save all silhouettes with the same white"
-                )
-            found[path] = Levels(found[path].black, white)
+    examined = dict(zip(paths, Monitor().each(lambda path: _examine(path, image_wh), "check", paths), strict=True))
+    found = {}
+    for path, one in examined.items():
+        white = max(other.levels.white for other in examined.values() if other.depth == one.depth)
+        if one.levels.white < (1.0 - MASK_MARGIN if one.is_binary else LEAST_WHITE) * white:
+            raise UserError(
+                f"{path}: the brightest pixels have the value {one.levels.white}, but white has the value {white} in other silhouettes; "
+                "save all silhouettes with the same white"
+            )
+        found[path] = Levels(one.levels.black, white)
     return found
+
+
+def _examine(path: Path, image_wh: tuple[int, int]) -> _Silhouette:
+    """Read a silhouette and check it without the others."""
+    grey, alpha = read_mask(path, image_wh=image_wh)
+    levels = Levels(int(np.median(grey)), int(grey.max()))
+    _check_transparency(grey, alpha, path)
+    _check_background(grey, levels, path)
+    roots = _check_greys(grey, levels, path)
+    return _Silhouette(levels, grey.dtype.itemsize, is_binary=bool((grey == levels.white).sum() > BINARY * roots))
 
 
 def encode_silhouette(grey: Grey, levels: Levels) -> bytes:
@@ -124,27 +138,35 @@ def _check_background(grey: Grey, levels: Levels, path: Path) -> None:
         raise UserError(f"{path} is not a silhouette: its background is grey. Use white roots on black, or remove --masks")
 
 
-def _check_greys(cover: NDArray[np.float32], path: Path) -> int:
+def _check_greys(grey: Grey, levels: Levels, path: Path) -> int:
     """Raise UserError if grey pixels (H, W) are no soft outline of roots.
 
     The result is the number of root pixels.
     """
-    roots, white = cover > MASK_MARGIN, cover > 1.0 - MASK_MARGIN
-    grey, count = roots & ~white, int(roots.sum())
+    x, y, width, height = cv2.boundingRect((grey > levels.black).astype(np.uint8))
+    cover = levels.cover(grey[y : y + height, x : x + width])
+    roots = cover > MASK_MARGIN
+    between = roots & (cover <= 1.0 - MASK_MARGIN)
+    count, share = int(roots.sum()), float(between.sum() / grey.size)
+    if between.sum() > MASK_GREYS * count and _are_labels(cover, roots, between):
+        raise UserError(
+            f"{path} is not a silhouette: {100.0 * between.sum() / count:.0f} % of its root pixels have values between black and white "
+            "that are not those of a soft outline, such as labels of roots. Make all root pixels white, or remove --masks"
+        )
+    if share > MASK_GREYS:
+        raise UserError(
+            f"{path} is not a silhouette: {100.0 * share:.0f} % of its pixels are neither black nor white "
+            f"(maximum {100.0 * MASK_GREYS:.0f} %). Use black and white silhouettes, or remove --masks"
+        )
+    return count
+
+
+def _are_labels(cover: NDArray[np.float32], roots: NDArray[np.bool_], grey: NDArray[np.bool_]) -> bool:
+    """Return whether the grey pixels (H, W) are those of labels, which are even, and not those of soft outlines."""
     even = grey & (cv2.dilate(cover, _RING) - cv2.erode(cover, _RING) < MASK_EVEN)
     pairs = equal = 0
     for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         pair = roots[one] & roots[other] & (grey[one] | grey[other])
         pairs += int(pair.sum())
         equal += int((pair & (cover[one] == cover[other])).sum())
-    if grey.sum() > MASK_GREYS * count and (even.sum() > MASK_GREYS * count or equal > MASK_EQUAL * pairs):
-        raise UserError(
-            f"{path} is not a silhouette: {100.0 * grey.sum() / count:.0f} % of its root pixels have values between black and white that "
-            "are not those of a soft outline, such as labels of roots. Make all root pixels white, or remove --masks"
-        )
-    if grey.mean() > MASK_GREYS:
-        raise UserError(
-            f"{path} is not a silhouette: {100.0 * grey.mean():.0f} % of its pixels are neither black nor white "
-            f"(maximum {100.0 * MASK_GREYS:.0f} %). Use black and white silhouettes, or remove --masks"
-        )
-    return count
+    return bool(even.sum() > MASK_GREYS * roots.sum() or equal > MASK_EQUAL * pairs)
