@@ -41,6 +41,7 @@ from rhizotwin.scenes.model import Camera, Scene
 
 if TYPE_CHECKING:
     from rhizotwin.rig.lens.calibration import Calibration
+    from rhizotwin.scenes.board import CharucoBoard
 
 PICTURES_LIMITS = (3, 1000)
 OutputPictures: TypeAlias = Annotated[Path, output("PICTURES")]
@@ -161,12 +162,7 @@ def camera(
             files.save_scene(calibrated, building / "scene.toml")
             written.append(building / "scene.toml")
         names = [path.name for path in written]
-    if made.board != shown:
-        pattern, value = ("before", "true") if made.board.legacy_pattern else ("since", "false")
-        print(
-            f"note: the board has the pattern of OpenCV {pattern} 4.6, which was used; write legacy_pattern = {value} into the board file"
-        )
-    _print_calibration(made, of=len(paths))
+    _print_calibration(made, given=shown, of=len(paths))
     for name in names:
         print(f"  {output / name}")
 
@@ -183,11 +179,14 @@ def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
     return beside
 
 
-def _print_calibration(made: "Calibration", *, of: int) -> None:
+def _print_calibration(made: "Calibration", *, given: "CharucoBoard", of: int) -> None:
     """Print the estimated lens parameters, and the pictures that were excluded.
 
-    ``of`` is the total number of pictures.
+    ``given`` is the board as stated, and ``of`` the total number of pictures.
     """
+    if made.board != given:
+        pattern, value = ("before", "true") if made.board.legacy_pattern else ("since", "false")
+        print(f"note: the board has the pattern of OpenCV {pattern} 4.6; write legacy_pattern = {value} into the board file")
     for name, reason in made.rejected.items():
         print(f"excluded picture: {name}: {reason}")
     for warning in made.warnings:

@@ -60,9 +60,9 @@ def import_pictures(
     out : Path
         New or empty dataset folder, which is written atomically.
     cameras : Path or None
-        File in nerfstudio's format transforms.json (see `rhizotwin.nerfstudio`), or folder of a COLMAP model, in the
-        canister frame, mm. Pictures without a camera are excluded and listed in a note. If one camera cannot describe
-        the lenses, the pictures are resampled. None: poses are estimated from the marker strip.
+        File in nerfstudio's format transforms.json, or folder of a COLMAP model, in the canister frame, mm. Pictures
+        without a camera are excluded and listed in a note, and those with another lens are resampled. None: poses are
+        estimated from the marker strip.
     masks : bool
         The pictures are silhouettes with white roots on black; requires ``cameras``.
     no_strip : bool
@@ -80,12 +80,7 @@ def import_pictures(
     _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
     scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
     paths, raw = _pictures_in(folder, masks=masks)
-    notes: list[str] = []
-    given: GivenCameras | None = None
-    if cameras is not None:
-        scene, given = read_camera_file(scene, cameras)
-        paths = with_cameras(paths, given, cameras, notes)
-        notes += lens_notes(given)
+    scene, given, paths, notes = _given_cameras(scene, cameras, paths)
     bands = _bands_of(paths, scene)
     angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
     table = [(view, band, *angles[view]) for view, band in bands]
@@ -105,6 +100,16 @@ def import_pictures(
         origin |= {"clipped": copier.clipped, "versions": versions()}
         dataset = save_dataset(Dataset(folder=building, scene=scene, frames=frames, masks=masks, origin=origin))
     return Imported(dataset=replace(dataset, folder=out), notes=(*notes, *copier.notes()))
+
+
+def _given_cameras(scene: Scene, cameras: Path | None, paths: list[Path]) -> tuple[Scene, GivenCameras | None, list[Path], list[str]]:
+    """Return the scene with the lens of the camera file, its cameras, the pictures that have one, and notes."""
+    if cameras is None:
+        return scene, None, paths, []
+    notes: list[str] = []
+    scene, given = read_camera_file(scene, cameras)
+    paths = with_cameras(paths, given, cameras, notes)
+    return scene, given, paths, [*notes, *lens_notes(given)]
 
 
 def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:

@@ -105,11 +105,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
             except UserError as error:
                 rejected[path.name] = str(error).removeprefix(f"{path.name}: ")
                 continue
-            found = find_board(image, board)
-            if isinstance(found, NoBoard) and not seen and board.other_pattern is not None:
-                other = find_board(image, board.other_pattern)
-                if isinstance(other, BoardView):
-                    found, board = other, board.other_pattern
+            found, board = _find(image, board, try_other=not seen)
             if isinstance(found, NoBoard):
                 rejected[path.name] = found.reason
                 continue
@@ -128,6 +124,15 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
             )
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
     return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
+
+
+def _find(image: Picture, board: CharucoBoard, *, try_other: bool) -> tuple[BoardView | NoBoard, CharucoBoard]:
+    """Find the board in a picture, also in its other pattern if ``try_other``, and return the board that was found."""
+    found, other = find_board(image, board), board.other_pattern if try_other else None
+    if isinstance(found, BoardView) or other is None:
+        return found, board
+    again = find_board(image, other)
+    return (again, other) if isinstance(again, BoardView) else (found, board)
 
 
 def calibrate_views(
