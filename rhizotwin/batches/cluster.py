@@ -73,8 +73,7 @@ def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
     """Run jobs on the workers of a scheduler, one at a time per worker, and yield each job with its final outcome."""
     from distributed import as_completed
 
-    memory = {job.name: job for job in jobs}
-    tries = dict.fromkeys(memory, 1)
+    tries = dict.fromkeys((job.name for job in jobs), 1)
     doing = {_submit(client, job, 1): job for job in sorted(jobs, key=lambda job: -job.pixels)}
     waiting = as_completed(list(doing))
     for future in waiting:

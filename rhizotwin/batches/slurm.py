@@ -168,9 +168,10 @@ def _submit_some(
 
 
 def _submit(one: _Attempt) -> str:
-    log = _log_folder(one.job)
-    log.mkdir(parents=True, exist_ok=True)
-    words = ["--parsable", f"--job-name={_name(one.job)}", f"--mem={math.ceil(one.memory_mib)}M", f"--output={log}/slurm-%j.txt"]
+    folder = _log_folder(one.job)
+    folder.mkdir(parents=True, exist_ok=True)
+    log = str(folder).replace("%", "%%") + "/slurm-%j.txt"  # other % are replaced by Slurm
+    words = ["--parsable", f"--job-name={_name(one.job)}", f"--mem={math.ceil(one.memory_mib)}M", f"--output={log}"]
     words += [] if one.minutes is None else [f"--time={one.minutes}"]
     script = f"#!/bin/sh\nexec {shlex.quote(sys.executable)} -m {__name__} <<'JOB'\n{json.dumps(one.job.plain())}\nJOB\n"
     return _call("sbatch", *words, given=script).strip().partition(";")[0]
