@@ -270,4 +270,6 @@ class Exchange:
     def _no_answer(self, what: str) -> NoAnswerError:
         heard = f" (last received: {self._output[-1]!r})" if self._output else ""
         text = self._journal.lines[self._number].text
-        return NoAnswerError(f"{self._wire.name}: {what} after {text}{heard}; check supply, cable, port, baud rate and firmware, then start again")
+        return NoAnswerError(
+            f"{self._wire.name}: {what} after {text}{heard}; check supply, cable, port, baud rate and firmware, then start again"
+        )
