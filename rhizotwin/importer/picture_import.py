@@ -74,8 +74,7 @@ def import_pictures(
     Raises
     ------
     UserError
-        If a picture is unreadable, damaged or of another size, if silhouettes contain grey areas, or if cameras and
-        pictures do not correspond.
+        If a picture is unreadable, damaged, of another size or no silhouette, or cameras and pictures do not match.
     """
     _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
     scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
