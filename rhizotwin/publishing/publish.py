@@ -27,7 +27,7 @@ _ACROSS, _EDGE_PX = 4, 320
 """Number of pictures in each row of the contact sheet, and maximum length of the longer edge of a picture in pixels."""
 
 
-def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[Path]:
+def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[str]:
     """Write a folder that can be uploaded to a data repository.
 
     Parameters
@@ -43,8 +43,8 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
 
     Returns
     -------
-    list of Path
-        The output folder as the only element.
+    list of str
+        Sentences about information that is missing.
 
     Raises
     ------
@@ -56,8 +56,13 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
     version = versions(())["rhizotwin"]
     with new_folder(output) as building:
         published.copy(scans, results, building, monitor=monitor)
-        files = {"README.md": "Description of the contents", "contact_sheet.png": "One picture of each scan and shape"}
+        files = {
+            "README.md": "Description of the contents",
+            "LICENSE.txt": "Licence of all files in this folder",
+            "contact_sheet.png": "One picture of each scan and shape",
+        }
         atomic.write_text(building / "README.md", _readme(study, scans, results))
+        atomic.write_text(building / "LICENSE.txt", _licence(study))
         atomic.write_bytes(building / "contact_sheet.png", _contact_sheet(scans, results))
         if results:
             files["traits.csv"] = "Traits of all results with 90 % intervals and verdicts"
@@ -65,13 +70,22 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
             atomic.write_text(building / "traits.csv", stored_traits.spreadsheet(rows))
         (building / "miappe").mkdir()
         for name, text in miappe.tables(study, scans, results).items():
-            files[f"miappe/{name}"] = f"MIAPPE 1.1: {Path(name).stem.replace('_', ' ')}"
+            files[f"miappe/{name}"] = f"MIAPPE {miappe.VERSION}: {Path(name).stem.replace('_', ' ')}"
             atomic.write_text(building / "miappe" / name, text)
         files[CHECKSUMS] = "SHA-256 of every other file; check with: sha256sum -c"
         atomic.write_text(building / CHECKSUMS, "")  # the entry must exist before the file is written
         crate.write(building, study, scans, results, files=files, version=version)
         atomic.write_text(building / CHECKSUMS, _checksums(building))
-    return [output]
+    unknown = miappe.missing(study, scans, results)
+    return [f"MIAPPE also requires {', '.join(unknown)}; enter what is known, and publish again"] if unknown else []
+
+
+def _licence(study: Study) -> str:
+    names = ", ".join(author.name for author in study.authors)
+    return (
+        f"{study.title}\n{study.published[:4]}, {names}\n\nThe files in this folder are published under the {LICENCES[study.licence]}.\n"
+        f"Text of the licence: {study.licence_url}\n\nSPDX-License-Identifier: {study.licence}\n"
+    )
 
 
 def _checksums(folder: Path) -> str:
@@ -120,8 +134,9 @@ def _readme(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> st
         f"| `{published.SCANS}/` | scans ({len(scans)}): pictures, with scene and rig data (`dataset.json`) |",
         f"| `{published.RESULTS}/` | reconstructions ({len(results)}): surface (PLY), centre lines (RSML), traits, report |",
         *(["| `traits.csv` | traits of all results with 90 % intervals and verdicts |"] if results else []),
+        "| `LICENSE.txt` | licence |",
         "| `contact_sheet.png` | one picture of each scan and shape |",
-        "| `miappe/` | tables of MIAPPE 1.1 |",
+        f"| `miappe/` | tables of MIAPPE {miappe.VERSION} |",
         "| `ro-crate-metadata.json` | machine-readable metadata (RO-Crate) |",
         f"| `{CHECKSUMS}` | checksums; verify with `sha256sum -c {CHECKSUMS}` |",
         *("", "| scan | pictures | plant | source |", "|---|---|---|---|"),

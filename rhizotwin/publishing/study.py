@@ -71,14 +71,26 @@ class Study:
     """Date of publication, such as 2026-11-25. If it is empty, the current date is used."""
     publication_doi: str = ""
     """DOI of the paper about the data, such as 10.1234/abc."""
+    identifier: str = ""
+    """Identifier of the data without spaces, such as a reserved DOI (MIAPPE: investigation unique ID). If it is empty,
+    an identifier is computed from the data."""
     start: str = ""
-    """Date on which the experiment started (MIAPPE: start date of study)."""
+    """Date on which the experiment started (MIAPPE: start date of study). If it is empty, it is the date of the first
+    scan."""
+    end: str = ""
+    """Date on which the experiment ended (MIAPPE: end date of study)."""
     institution: str = ""
-    """Institution at which the plants were grown (MIAPPE: contact institution)."""
+    """Institution at which the plants were grown (MIAPPE: contact institution). If it is empty, it is the affiliation
+    of the first author that has one."""
+    site: str = ""
+    """Name of the greenhouse or laboratory (MIAPPE: experimental site name). If it is empty, it is the institution."""
+    design: str = ""
+    """Design of the experiment (MIAPPE: description of the experimental design). If it is empty, numbers of plants,
+    treatments and days are stated."""
     country: str = ""
     """Country of the institution, as ISO 3166 code or name (MIAPPE: geographic location, country)."""
     facility: str = "growth chamber"
-    """Type of growth facility (MIAPPE: type of growth facility)."""
+    """Growth facility (MIAPPE: description of growth facility)."""
     cultivation: str = "single plants in round acrylic canisters of nutrient solution"
     """Cultivation of the plants (MIAPPE: cultural practices)."""
 
@@ -112,7 +124,9 @@ def read_study(path: Path) -> Study:
             raise here.at("affiliation_url").error("must be a web address such as https://ror.org/01zkghx44", author.affiliation_url)
         if author.orcid and not _is_orcid(author.orcid):
             raise here.at("orcid").error("must be an ORCID iD with a valid check digit, such as 0000-0002-1825-0097", author.orcid)
-    for key in ("published", "start"):
+    if study.identifier != "".join(study.identifier.split()):
+        raise place.at("identifier").error("must not contain spaces", study.identifier)
+    for key in ("published", "start", "end"):
         _check_date(getattr(study, key), place.at(key))
     if study.publication_doi and not _DOI.fullmatch(study.publication_doi):
         raise place.at("publication_doi").error("must be a DOI without https://doi.org/, such as 10.1234/abc", study.publication_doi)
