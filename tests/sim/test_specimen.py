@@ -217,9 +217,6 @@ def test_an_implausible_unit_is_named(tmp_path: Path, unit: str, resolution: flo
     file = Path(rsml(tmp_path / "a.rsml", [(0, 0, 0), (0, 0, -long)], unit=unit, diameter=thick))
     file.write_text(file.read_text().replace("<resolution>1<", f"<resolution>{resolution}<"))
     assert re.search(cure, build(RsmlSpecimen(file=str(file), place="auto")).notes[1])
-    meters = Path(rsml(tmp_path / "m.rsml", [(0, 0, 0), (0, 0, -100)], unit="m", diameter=1.0))
-    with pytest.raises(UserError, match="set --specimen-unit 'mm'"):
-        build(RsmlSpecimen(file=str(meters), place="auto"))
 
 
 def test_flip_scale_and_shift_in_this_order(tmp_path: Path) -> None:

@@ -179,6 +179,13 @@ def test_centre_lines_that_equal_the_truth(planted: Path) -> None:
     assert (found.roots.tip_recall, found.roots.tip_precision) == (1.0, 1.0)
     assert (found.topology.matched, found.topology.parents, found.topology.orders) == (1.0, 1.0, 1.0)
     assert all(abs(one.error) < 1e-9 for one in found.traits.values())
+    # CPlantBox omits the first points of laterals
+    tap, *laterals = small_system()
+    shorter = [replace(root, points_mm=root.points_mm[1:], diameters_mm=root.diameters_mm[1:]) for root in laterals]
+    rsml.write_rsml(planted / "omitted.rsml", [tap, *shorter])
+    found = score_file.score_rsml(planted / "omitted.rsml", planted)
+    assert abs(found.roots.length_error) < 1e-4
+    assert "3 roots that begin at a distance" in found.notes[0]
 
 
 def test_a_wrong_parent_and_a_missing_root_are_seen() -> None:
