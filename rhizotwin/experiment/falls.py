@@ -106,9 +106,9 @@ def sentences(falls: Mapping[str, Sequence[Fall]]) -> list[str]:
         for one in own:
             found.setdefault((one.plant, one.after.day), []).append((quantity, one))
     told = []
-    for (plant, day), own in sorted(found.items()):
-        sizes = " and ".join(f"{quantity} fell from {one.before.value:.4g} to {one.after.value:.4g}" for quantity, one in own)
-        partner = next((one.partner for _, one in own if one.partner), "")
+    for (plant, day), pairs in sorted(found.items()):
+        sizes = " and ".join(f"{quantity} fell from {one.before.value:.4g} to {one.after.value:.4g}" for quantity, one in pairs)
+        partner = next((one.partner for _, one in pairs if one.partner), "")
         cause = f"it may have been exchanged with plant {partner}" if partner else "it may have died or been replaced"
-        told.append(f"plant {plant}, day {day:g}: {sizes} since day {own[0][1].before.day:g}, by more than the error; {cause}")
+        told.append(f"plant {plant}, day {day:g}: {sizes} since day {pairs[0][1].before.day:g}, by more than the error; {cause}")
     return told

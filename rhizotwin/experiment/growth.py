@@ -91,7 +91,8 @@ def measure(found: Sequence[Measured]) -> Growth:
     doses = read_doses(plants)
     compared, responses, why_not = _compare(seen, doses)
     notes = [*falls.sentences(fallen), *notes, *why_not]
-    compared_without, responses_without = {}, {}
+    compared_without: dict[str, list[Difference]] = {}
+    responses_without: dict[str, list[Response]] = {}
     if suspects:
         others = {trait: [one for one in values if one.plant not in suspects] for trait, values in seen.items()}
         known = {plant: own for plant, own in doses.items() if plant not in suspects}

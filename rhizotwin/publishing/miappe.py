@@ -7,6 +7,7 @@ names for all fields that are written.
 
 import uuid
 from collections.abc import Sequence
+from typing import Any
 
 from rhizotwin.publishing.published import Found, Scan
 from rhizotwin.publishing.study import Study
@@ -82,7 +83,7 @@ def _investigation(study: Study) -> Table:
 def _study(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> Table:
     plants = _subjects(scans, results)
     institution = study.institution or next((one.affiliation for one in study.authors if one.affiliation), "")
-    different = {
+    different: dict[str, set[Any]] = {
         "plant": {name for name, _ in plants},
         "treatment": {one.treatment for _, one in plants if one.treatment},
         "day": {one.day for _, one in plants if one.day is not None},
