@@ -22,6 +22,7 @@ AFTER_STOP = {
     "batch": "finished scans are kept; run the same command again to continue",
     "scan": "the pictures taken so far are kept; run the same command with --resume to continue",
     "timelapse": "the catalogue and the pictures are kept; run the same command again to continue",
+    "bench": "finished cases are kept; run the same command again to continue",
     "console": "scans, results and the queue are kept; run the same command again to continue",
     "twin": "",
     "rig": "",

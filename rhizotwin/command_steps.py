@@ -8,7 +8,6 @@ from rhizotwin import engine, private_page
 from rhizotwin.arguments import Page, Progress
 from rhizotwin.calls import SHARES
 from rhizotwin.front_door import Method, reconstruct
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import read_toml
 from rhizotwin.scenes.schema import Place, from_plain
 
@@ -94,15 +93,14 @@ def reconstruct_whole(
     UserError
         If the dataset cannot be used, or ``output`` contains files that are not part of a result.
     """
-    from rhizotwin.stored import save
-
-    save.check_place(output, dataset)  # before the long computation
     from rhizotwin.report import page
     from rhizotwin.report.result_pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scoring.score import truth_mesh_path
+    from rhizotwin.stored import save
     from rhizotwin.stored.result_files import read_mesh
 
+    save.check_place(output, dataset)  # before the long computation
     # loaded only once, so that later changes of the folder have no effect
     loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None

@@ -209,28 +209,23 @@ def reconstruct(
         If the pictures, the device or the combination of options cannot be used.
     """
     require("dataset", dataset, "Dataset", "path")
-    _check_options(voxel_mm, mass_g, settings)
-    if method != "ours" and (keep_stages is not None or mass_g is not None):
+    _check_options(voxel_mm, mass_g, settings, keep_stages)
+    if method != "ours" and (keep_stages, mass_g) != (None, None):
         raise UserError(f"--keep-stages and --mass-g are not supported by --method {method}; remove these options")
-    heads = [] if keep_stages is None else [name for name in HEADS if (Path(keep_stages) / name).is_file()]
-    if heads:
-        raise UserError(f"--keep-stages: {keep_stages} contains {heads[0]}; choose a new folder for the intermediate results")
     from rhizotwin.scenes.dataset import load_dataset
 
     given = load_dataset(dataset) if isinstance(dataset, str | Path) else dataset
     _choose(device)
+    from rhizotwin import baselines
     from rhizotwin.recon.reconstruct import reconstruct as find
     from rhizotwin.recon.settings import Settings
 
     if voxel_mm is not None:
-        checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
-        settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
+        settings = replace(settings or Settings(), voxel_mm=from_plain(Settings, {"voxel_mm": voxel_mm}, Place("reconstruct")).voxel_mm)
     with watch(monitor, SHARES) as bar:
         if method == "ours":
             return _guarded(find(given, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=bar))
-        from rhizotwin.baselines import reconstruct_baseline
-
-        return _guarded(reconstruct_baseline(given, method, settings=settings, monitor=bar))
+        return _guarded(baselines.reconstruct_baseline(given, method, settings=settings, monitor=bar))
 
 
 def load_result(folder: str | Path) -> Result:
@@ -380,13 +375,16 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     return score_solid(result, shape, volume_mm3=float(solid.volume()))
 
 
-def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Settings | None) -> None:
-    """Check the types of the options and the range of the mass before the long computation starts."""
+def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Settings | None, stages: Path | str | None) -> None:
+    """Check the types of the options, the mass, and the folder for stages before the long computation starts."""
     for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
         require(name, value, kind, "None")
     low, high = MASS_LIMITS_G
     if mass_g is not None and not low <= mass_g <= high:
         raise UserError(f"mass_g must be {low:g} to {high:g} g, not {mass_g:g}")
+    heads = [] if stages is None else [name for name in HEADS if (Path(stages) / name).is_file()]
+    if heads:
+        raise UserError(f"--keep-stages: {stages} contains {heads[0]}; choose a new folder for the intermediate results")
 
 
 def _guarded(result: reconstructed.Result) -> Result:

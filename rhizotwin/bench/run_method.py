@@ -7,18 +7,18 @@ import os
 import platform
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
+from rhizotwin.bench import supervisor
 from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.offers import CameraSource, offer
 from rhizotwin.bench.outputs import score_outputs
@@ -30,24 +30,6 @@ SCHEMA = 1
 BUILT_IN = ("ours", "thesis", "regularised", "hull")
 State = Literal["done", "failed", "timeout", "nothing", "unreadable"]
 TIMEOUT_S = 3600.0
-_SMALL = """
-import json, subprocess, sys
-try:
-    measured = {"exit_code": subprocess.call(sys.argv[2:])}
-except OSError as error:
-    sys.exit(f"{sys.argv[2]} cannot be started: {error.strerror}")
-try:
-    import resource
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes there, KiB elsewhere
-    measured |= {"cpu_s": used.ru_utime + used.ru_stime, "memory_mib": used.ru_maxrss / unit}
-except ImportError:
-    pass
-with open(sys.argv[1], "w", encoding="utf-8") as file:
-    json.dump(measured, file)
-"""
-"""Code of a helper process that starts the method and measures its memory. Linux includes the memory of the parent in
-the peak memory of a child process, so the parent must be small."""
 _LAST_WORDS = 400
 """Maximum number of characters that are quoted from the last line of output if a method fails."""
 
@@ -107,7 +89,7 @@ def run(
     cameras: CameraSource = "estimated",
     timeout_s: float = TIMEOUT_S,
     keep: Path | None = None,
-    finished: Mapping[str, Row] = MappingProxyType({}),
+    finished: Mapping[str, Row] | None = None,
     say: Callable[[Row], None] = lambda _: None,
 ) -> list[Row]:
     """Run a method on each case of a benchmark in a folder without ground truth, and score the output.
@@ -128,8 +110,8 @@ def run(
         Timeout for one case, after which the method and its child processes are killed.
     keep : path, optional
         Folder in which the output of the method is stored, with one subfolder per case.
-    finished : mapping from str to Row
-        Rows of an interrupted run by case, which are reused.
+    finished : mapping from str to Row, optional
+        Rows of an interrupted run by case, which are reused; None if no run was interrupted.
     say : callable
         Function that is called with each row.
 
@@ -141,14 +123,14 @@ def run(
     Raises
     ------
     UserError
-        If an output subfolder already exists in ``keep``.
+        If an output subfolder already exists in ``keep``, although no run was interrupted.
     """
     command, rows = command_of(method, cameras=cameras), []
     for case in benchmark.cases:
-        if keep is not None and case.name not in finished and (keep / case.name).exists():
+        if keep is not None and finished is None and (keep / case.name).exists():
             raise UserError(f"the folder {keep / case.name} already exists; remove the folder, or choose another folder for --keep")
     for case in benchmark.cases:
-        row = finished.get(case.name) or _run_case(case.name, folder / case.name, command, cameras, timeout_s, keep)
+        row = (finished or {}).get(case.name) or _run_case(case.name, folder / case.name, command, cameras, timeout_s, keep)
         rows.append(row)
         say(row)
     return rows
@@ -212,7 +194,7 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
     }
 
 
-def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
+def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row] | None:
     """Return the rows of cases that an interrupted run with the same command has already finished.
 
     Parameters
@@ -226,90 +208,75 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
 
     Returns
     -------
-    dict of Row
-        Rows by case. The dictionary is empty if there is no such file or its run is complete. A complete run is
-        repeated, because the method may have changed.
+    dict of Row or None
+        Rows by case, or None if there is no such file or its run is complete. A complete run is repeated, because the
+        method may have changed.
     """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
         expected = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
         if expected != (*(stored[name] for name in ("schema_version", "benchmark", "command", "cameras")), stored["versions"]["rhizotwin"]):
-            return {}
+            return None
         rows = [Row(**row) for row in stored["rows"]]
     except (UserError, KeyError, TypeError, ValueError, RecursionError):
-        return {}
+        return None
     is_complete = {row.case for row in rows} >= {case.name for case in benchmark.cases}
-    return {} if is_complete else {row.case: row for row in rows if row.state == "done"}
+    return None if is_complete else {row.case: row for row in rows if row.state == "done"}
 
 
 def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
     """Run a method on one case, and score its output.
 
-    If ``keep`` is given, the output is moved to this folder afterwards.
+    If ``keep`` is given, the output is moved to this folder afterwards, where it replaces that of an interrupted run.
     """
-    with tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True) as temporary:
-        working = Path(temporary)
+    with _supervised() as (working, supervising):
         offered, output = working / "dataset", working / "output"
         try:
             offer(dataset, offered, cameras=cameras)
         except UserError as error:
             return Row(case=case, state="failed", sentence=f"the method was not run, because its input could not be written: {error}")
         words = [word.replace("{dataset}", str(offered)).replace("{output}", str(output)) for word in shlex.split(command)]
-        row = _scored(_run_once(case, words, working, timeout_s), output, dataset)
+        row = _scored(_run_once(case, words, working, supervising, timeout_s), output, dataset)
         if keep is not None and output.is_dir():
             keep.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(keep / case, ignore_errors=True)
             shutil.move(output, keep / case)
         return row
 
 
-def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> Row:
-    """Run a command, and measure its time and memory.
+@contextmanager
+def _supervised() -> Iterator[tuple[Path, subprocess.Popen[str]]]:
+    """Yield a temporary folder, and the process that removes it and ends the method, even if this process is killed."""
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True))
+        words = [sys.executable, "-I", supervisor.__file__, folder]
+        started = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        yield Path(folder), stack.enter_context(started)  # at the end, its pipes are closed, and it cleans up
 
-    The command gets its own process group, so that its child processes can be ended with it.
-    """
-    used, began = working / "used.json", time.perf_counter()
-    with (working / "errors.txt").open("w+b") as errors:
-        child = subprocess.Popen(
-            [sys.executable, "-I", "-c", _SMALL, str(used), *words],
-            stdin=subprocess.DEVNULL,
-            stdout=errors,
-            stderr=errors,
-            start_new_session=True,
-        )
-        try:
-            child.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            return Row(
-                case=case, state="timeout", sentence=f"stopped at the time limit of {timeout_s:g} s", wall_s=time.perf_counter() - began
-            )
-        finally:
-            _end(child)  # also ends the child processes of the method
-            child.wait()
-        errors.seek(0)
-        last = errors.read().decode(errors="replace").strip().splitlines()
-    measured = json.loads(used.read_text(encoding="utf-8")) if used.is_file() else {}
-    code = measured.get("exit_code", child.returncode)
+
+def _run_once(case: str, words: list[str], working: Path, supervising: subprocess.Popen[str], timeout_s: float) -> Row:
+    """Run a command under supervision, and return its time and memory."""
+    began = time.perf_counter()
+    assert supervising.stdin is not None
+    assert supervising.stdout is not None
+    supervising.stdin.write(json.dumps({"words": words, "timeout_s": timeout_s}) + "\n")
+    supervising.stdin.flush()
+    measured = json.loads(supervising.stdout.readline() or '{"exit_code": -9}')  # someone has killed it
+    wall_s = time.perf_counter() - began
+    if "timeout" in measured:
+        return Row(case=case, state="timeout", sentence=f"stopped at the time limit of {timeout_s:g} s", wall_s=wall_s)
+    last = (working / "output.txt").read_bytes().decode(errors="replace").strip().splitlines()
+    code = measured["exit_code"]
     cause = f": {printable(last[-1])[:_LAST_WORDS]}" if last else ""
     return Row(
         case=case,
         state="failed" if code else "done",
         sentence=f"exited with code {code}{cause}" if code else "",
         exit_code=code,
-        wall_s=time.perf_counter() - began,
+        wall_s=wall_s,
         cpu_s=measured.get("cpu_s"),
         memory_mib=measured.get("memory_mib"),
     )
-
-
-def _end(child: subprocess.Popen[bytes]) -> None:
-    """Kill a process and all processes of its group."""
-    try:
-        if hasattr(os, "killpg"):
-            os.killpg(child.pid, signal.SIGKILL)
-        elif child.poll() is None:
-            child.kill()
-    except (ProcessLookupError, PermissionError):
-        pass
 
 
 def _scored(row: Row, output: Path, dataset: Path) -> Row:

@@ -180,7 +180,7 @@ def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, 
     with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
 
         def record(row: run_method.Row) -> None:
-            earlier = " (from an earlier run)" if row.case in finished else ""
+            earlier = " (from an earlier run)" if row.case in (finished or {}) else ""
             print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}{earlier}", flush=True)
             rows.append(row)
             stored = run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras)

@@ -2,21 +2,24 @@
 
 import json
 import shutil
+import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 import pytest
 
-from rhizotwin.bench import benchmarks, fingerprints, offers, results, run_method
+from rhizotwin.bench import benchmarks, fingerprints, offers, results, run_method, supervisor
 from rhizotwin.bench.benchmarks import Benchmark, Case
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import load_truth, save_truth
 from rhizotwin.sim import simulate as simulation
 from tests.command import Command
+from tests.rhizotwin.console.conftest import until
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "examples" / "methods" / "hull_by_voxels.py"
@@ -127,6 +130,27 @@ def test_a_method_that_goes_wrong_is_a_row(command: Command, tiny: Path, tmp_pat
     assert str(tmp_path) not in found["sentence"]
 
 
+ESCAPES = '(setsid sh -c \'echo $$ > "$0.new"; mv "$0.new" "$0"; exec sleep 600\' "$0" &); sleep 600'
+"""Method whose process has a session of its own, and no parent."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, processes that have left the tree are not found")
+@pytest.mark.parametrize("ended", ["time limit", "killed"])
+def test_no_process_outlives_its_case(tmp_path: Path, ended: str) -> None:
+    folder, found = tmp_path / "case", tmp_path / "pid"
+    folder.mkdir()
+    task = {"words": ["sh", "-c", ESCAPES, str(found)], "timeout_s": 1.0 if ended == "time limit" else 600.0}
+    with subprocess.Popen([sys.executable, "-I", supervisor.__file__, folder], stdin=PIPE, stdout=PIPE, text=True) as process:
+        process.stdin.write(json.dumps(task) + "\n")
+        process.stdin.flush()
+        until(found.is_file)
+        if ended == "time limit":
+            assert json.loads(process.stdout.readline()) == {"timeout": True}
+            assert folder.exists(), "its output is scored"
+    assert not Path("/proc", found.read_text().strip()).exists()
+    assert not folder.exists()
+
+
 def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     several = replace(TINY, cases=(TINY.cases[0], replace(TINY.cases[0], name="other")))
     monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, several)
@@ -142,7 +166,6 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     command.fails(*words, named=["kept/ball already exists"])  # a complete run is begun anew
     stored = json.loads(rows.read_text())
     rows.write_text(json.dumps({**stored, "rows": stored["rows"][:1]}))  # as if it had been stopped there
-    shutil.rmtree(kept / "other")
     assert "ball: done (from an earlier run)" in command.works(*words).out
     assert [one["case"] for one in json.loads(rows.read_text())["rows"]] == ["ball", "other"]
     assert (count.read_text(), sorted(path.name for path in kept.iterdir())) == ("...", ["ball", "other"])
