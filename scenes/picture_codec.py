@@ -52,7 +52,15 @@ def is_sealed(data: bytes) -> bool:
 def check_header(data: bytes, *, where: str, image_wh: tuple[int, int] | None = None) -> None:
     """Check the size and the kind of a picture without decoding it, which takes a tenth of the time.
 
-    The parameters and errors are those of `decode_grey`.
+    Parameters
+    ----------
+    data, where, image_wh : bytes, str, tuple of int or None
+        See `decode_grey`.
+
+    Raises
+    ------
+    UserError
+        See `decode_grey`, except for damaged pixels.
     """
     try:
         if tiff_pictures.is_tiff(data):

@@ -115,13 +115,12 @@ def _check_page(data: bytes, page: tifffile.TiffPage, image_wh: tuple[int, int] 
         raise UnfitError("the TIFF file contains several pictures; save each of them as a separate file")
     kind = int(page.photometric)
     if kind not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE) and not (kind == _YCBCR and page.compression in _JPEG):
-        name = getattr(page.photometric, "name", kind)
-        raise UnfitError(f"the picture has pixels of the kind {name}, but grey or RGB is required; convert it to PNG")
+        raise UnfitError(f"the picture has pixels of the kind {_name(page.photometric)}, but grey or RGB is required; convert it to PNG")
     colours = 3 if kind in (_RGB, _YCBCR) else 1
     if samples < colours or samples > 4 or (colours == 1 and samples > 2):
-        raise UnfitError(f"the picture has {samples} channels of the kind {page.photometric.name}; convert it to a grey or RGB PNG")
+        raise UnfitError(f"the picture has {samples} channels of the kind {_name(page.photometric)}; convert it to a grey or RGB PNG")
     if page.compression not in _WITHOUT_CODECS:
-        _codecs(f"{getattr(page.compression, 'name', page.compression)} compression")
+        _codecs(f"{_name(page.compression)} compression")
     if bits not in (1, 8, 16):
         _codecs(f"{bits} bits per pixel")
 
@@ -129,6 +128,11 @@ def _check_page(data: bytes, page: tifffile.TiffPage, image_wh: tuple[int, int] 
 def _is_reduced(page: Any) -> bool:
     """Return whether a further page of a TIFF is a thumbnail or a mask of the first (TIFF 6.0, NewSubfileType)."""
     return bool(page.aspage().subfiletype & 0b101)
+
+
+def _name(value: int) -> str:
+    """Return the name of a value in a TIFF, or the value if it is unknown to tifffile."""
+    return str(getattr(value, "name", value))
 
 
 def _codecs(what: str) -> Any:
@@ -171,7 +175,7 @@ def _decode(data: bytes, page: tifffile.TiffPage) -> NDArray[Any]:
                 f"damaged (strip or tile {k + 1} of the TIFF file contains {len(unpacked)} bytes of pixels instead of {rows * row})"
             )
         piece, (plane, _, y, x, _), _ = page.decode(unpacked, k)
-        part = piece[0, : length - y, : width - x]
+        part = np.asarray(piece)[0, : length - y, : width - x]
         found[plane, 0, y : y + part.shape[0], x : x + part.shape[1]] = part
     return found
 
@@ -213,7 +217,8 @@ def _to_opencv(image: NDArray[Any], page: tifffile.TiffPage) -> Pixels:
     if kind == _WHITE_IS_ZERO:
         colours = full - colours
     if kind == _PALETTE:
-        levels = page.colormap if page.colormap.max() < 256 else page.colormap >> 8  # some programs write 8 bits
+        levels = np.asarray(page.colormap)
+        levels = levels if levels.max() < 256 else levels >> 8  # some programs write 8 bits
         colours = np.moveaxis(levels[:, colours[..., 0]].astype(np.uint8), 0, -1)
     if alpha.size and page.extrasamples and int(page.extrasamples[0]) == _ASSOCIATED and alpha.min() < full:
         raise UnfitError("the colours of the picture are multiplied by its transparency; save it without transparency")

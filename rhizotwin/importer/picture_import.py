@@ -74,7 +74,7 @@ def import_pictures(
     Raises
     ------
     UserError
-        If a picture is unreadable, damaged, of another size or no silhouette, or cameras and pictures do not match.
+        If a picture is unreadable, damaged, of another size or an impossible silhouette, or has no camera.
     """
     _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
     scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
