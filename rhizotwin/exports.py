@@ -90,9 +90,7 @@ def export(
         known = ", ".join(writers)
         raise UserError(f"{output}: the format {suffix} is unknown; use {known}, .json (nerfstudio cameras) or a folder (COLMAP cameras)")
     if roots is not None and suffix not in mesh_files.SUFFIXES:
-        raise UserError(
-            f"{output}: --roots applies to meshes only; give an output file with {', '.join(mesh_files.SUFFIXES)}, or remove --roots"
-        )
+        raise UserError(f"{output}: --roots applies to meshes only; use {', '.join(mesh_files.SUFFIXES)}, or remove --roots")
     if undistorted and suffix:
         raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
     if output.exists() and (suffix or not output.is_dir()):  # `new_folder` checks and recovers folders

@@ -36,16 +36,13 @@ def export(
     """Convert a result to other file formats, or publish datasets and results.
 
     The suffix of the output file selects the format:
-      .ply .stl   surface, mm, z up (3D printing, MeshLab)
-      .obj .3mf   surface, mm, z up (Blender, slicers)
-      .glb        surface, metres, y up as glTF requires (viewers, Blender)
-      .nrrd       voxels, mm; 0 to 255 is the root fraction of a voxel (3D Slicer)
-      .nii .vtk   the same voxels as NIfTI (also .nii.gz) or legacy VTK (ITK-SNAP, ParaView)
-      .tif        the same voxels as a stack of pages with sizes (ImageJ)
-      .rsml       centre lines and diameters of the roots, mm, z up (CPlantBox, archiDART, OpenAlea)
-      .csv        traits with units and definitions (spreadsheets, R)
-      .json       cameras in nerfstudio's transforms.json format, mm
-      no suffix   folder with the cameras in COLMAP's text format, mm
+      .ply .stl .obj .3mf        surface, mm, z up (3D printing, MeshLab, slicers)
+      .glb                       surface, metres, y up as glTF requires (viewers, Blender)
+      .nrrd .nii .nii.gz .vtk .tif  voxels, mm; 0 to 255 is the root fraction of a voxel (3D Slicer, ParaView, ImageJ)
+      .rsml                      centre lines and diameters of the roots, mm, z up (CPlantBox, archiDART, OpenAlea)
+      .csv                       traits with units and definitions (spreadsheets, R)
+      .json                      cameras in nerfstudio's transforms.json format, mm
+      no suffix                  folder with the cameras in COLMAP's text format, mm
 
     With --roots, the roots are written as a mesh of tubes, coloured by order or diameter (STL has no colours). The
     exported cameras are in air. Programs that assume straight rays cannot reconstruct roots in water with these
