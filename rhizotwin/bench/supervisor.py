@@ -75,8 +75,8 @@ def descendants() -> list[int]:
     else:
         with subprocess.Popen(["ps", "-A", "-o", "pid=,ppid=,stat="], stdout=subprocess.PIPE, text=True) as lister:
             for line in lister.communicate()[0].splitlines():
-                process, above, status = line.split()[:3]
-                parents[int(process)] = (int(above), status.startswith("Z") or int(process) == lister.pid)
+                process, shown, status = line.split()[:3]
+                parents[int(process)] = (int(shown), status.startswith("Z") or int(process) == lister.pid)
     found, waiting = [], [os.getpid()]
     while waiting:
         above = waiting.pop()

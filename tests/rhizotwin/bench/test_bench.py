@@ -123,7 +123,9 @@ def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) 
 def test_a_method_that_goes_wrong_is_a_row(command: Command, tiny: Path, tmp_path: Path, program: str, state: str, word: str) -> None:
     (tmp_path / "method.py").write_text(program)
     method = f"{sys.executable} {tmp_path / 'method.py'} {{output}}"
-    command.works("bench", "run", "tiny-1", tiny, "--method", method, "--timeout-s", "1", "-o", tmp_path / "rows.json")
+    command.works(
+        "bench", "run", "tiny-1", tiny, "--method", method, "--timeout-s", 1 if state == "timeout" else 60, "-o", tmp_path / "rows.json"
+    )
     (found,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
     assert found["state"] == state
     assert word in found["sentence"]
