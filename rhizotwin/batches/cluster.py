@@ -7,7 +7,7 @@ job that loses several workers fails with a message.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +69,7 @@ def connected(where: str, jobs: Sequence[Job], *, say: Callable[[str], None]) ->
         yield client
 
 
-def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
+def run(jobs: Sequence[Job], client: Client) -> Generator[tuple[Job, Outcome], None, None]:
     """Run jobs on the workers of a scheduler, one at a time per worker, and yield each job with its final outcome."""
     from distributed import as_completed
 

@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import connection, get_context
@@ -40,7 +40,7 @@ class _Worker:
 
 def run(
     jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None, stop: Callable[[], bool] = lambda: False
-) -> Iterator[tuple[Job, Outcome]]:
+) -> Generator[tuple[Job, Outcome], None, None]:
     """Run jobs, the largest first, and yield each job with its final outcome.
 
     Parameters

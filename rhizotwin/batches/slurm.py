@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -73,7 +73,7 @@ class _Attempt:
     ended_s: float | None = None
 
 
-def run(jobs: Sequence[Job], *, workers: int | None, say: Callable[[str], None]) -> Iterator[tuple[Job, Outcome]]:
+def run(jobs: Sequence[Job], *, workers: int | None, say: Callable[[str], None]) -> Generator[tuple[Job, Outcome], None, None]:
     """Run jobs by Slurm, and yield each job with its final outcome.
 
     A job that was killed for its memory or its duration is submitted once more with twice as much. A job that was
