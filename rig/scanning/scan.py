@@ -247,12 +247,13 @@ class _Scan:
         self._turntable.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._views.bright = preflight.measure_exposure(shot.image).bright
+        if not self._homed:
+            self._identify(shot.image)  # first, because it may name the plant to which other markers belong
         if seen is None and (other := other_canister(shot.image, self._scene.strip)):
             raise RigError(
                 f"turntable: the canister has the markers {other}, which are not those of the scene; put the right one on the table"
             )
         if not self._homed:
-            self._identify(shot.image)
             before = self._session.frames_of(index)
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
             seen = self._turntable.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
