@@ -141,12 +141,13 @@ def _candidates(box: tuple[Floats, Floats] | None, scales: Iterable[float]) -> I
     signed = [
         np.eye(3)[list(order)] * np.array(signs)[:, None] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
     ]
-    usual = [((1, 0, 0), (0, 0, -1), (0, 1, 0)), ((1, 0, 0), (0, 0, 1), (0, -1, 0)), ((-1, 0, 0), (0, -1, 0), (0, 0, 1))]
-    signed.sort(key=lambda axes: (-np.linalg.det(axes), *(not np.array_equal(axes, one) for one in (np.eye(3), *usual))))
+    usual: list[object] = [((1, 0, 0), (0, 0, -1), (0, 1, 0)), ((1, 0, 0), (0, 0, 1), (0, -1, 0)), ((-1, 0, 0), (0, -1, 0), (0, 0, 1))]
+    signed.sort(key=lambda axes: (-np.linalg.det(axes), *(axes.tolist() != np.array(one).tolist() for one in (np.eye(3), *usual))))
     for axes, scale in product(signed, scales):
         rows = tuple(tuple(float(value) for value in row) for row in axes)
         yield Convention(scale, rows)
         if box is not None and scale == 1.0:
             corner_mm, half_mm = box[0], box[1] / 2.0
             shift_mm = corner_mm + np.abs(axes) @ half_mm - axes @ (corner_mm + half_mm)
-            yield Convention(scale, rows, tuple(float(value) for value in shift_mm))
+            x, y, z = map(float, shift_mm)
+            yield Convention(scale, rows, (x, y, z))

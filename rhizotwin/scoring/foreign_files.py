@@ -7,6 +7,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import nrrd
 import numpy as np
@@ -197,8 +198,8 @@ def _check_glb(path: Path) -> None:
         magic, version, _, length, kind = struct.unpack("<4sIII4s", file.read(20).ljust(20))
         text = file.read(min(length, result_files.MOST_SHAPE_MIB * 2**20))
     try:
-        content = json.loads(text.decode()) if (magic, version, kind) == (b"glTF", 2, b"JSON") else None
-        required = [str(name) for name in content["asset"] and content.get("extensionsRequired", [])]
+        content: Any = json.loads(text.decode()) if (magic, version, kind) == (b"glTF", 2, b"JSON") else None
+        required = [str(name) for name in content.get("extensionsRequired", [])]
         elsewhere = [buffer["uri"] for buffer in content.get("buffers", []) if not buffer.get("uri", "data:").startswith("data:")]
         sparse = any("sparse" in accessor for accessor in content.get("accessors", []))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):

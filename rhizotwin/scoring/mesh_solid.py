@@ -38,9 +38,10 @@ def to_solid(mesh: Mesh) -> MeshSolid | None:
 
 
 def _unite_shells(shells: list[manifold3d.Manifold]) -> manifold3d.Manifold | None:
-    bodies = [unite_overlaps(shell) for shell in shells if shell.volume() > 0.0]
-    cavities = [unite_overlaps(_invert(shell)) for shell in shells if shell.volume() < 0.0]
-    if None in bodies or None in cavities:
+    found_bodies = [unite_overlaps(shell) for shell in shells if shell.volume() > 0.0]
+    found_cavities = [unite_overlaps(_invert(shell)) for shell in shells if shell.volume() < 0.0]
+    bodies, cavities = ([solid for solid in solids if solid is not None] for solids in (found_bodies, found_cavities))
+    if len(bodies) < len(found_bodies) or len(cavities) < len(found_cavities):
         return None
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
     if not cavities:
