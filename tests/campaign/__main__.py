@@ -107,29 +107,31 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=[*SHARES, "load", "memory"], help="one part")
     options = parser.parse_args()
-    begun_s, wrong = time.monotonic(), 0
+    shares = SHARES if options.only is None else {name: 1.0 for name in SHARES if name == options.only}
+    wrong = 0
     with tempfile.TemporaryDirectory(prefix="rhizotwin-campaign-") as place:
         folder, rng = Path(place), np.random.default_rng(options.seed)
         ball = make_ball(folder / "made") if options.only not in ("load", "memory") else folder
+        begun_s, spent = time.monotonic(), 0.0
         print(f"{'part':<12}{'kills':>6}{'finds':>6}{'minutes':>9}", flush=True)
 
         def report(name: str, part: Callable[[], Seen]) -> None:
             nonlocal wrong
             part_s = time.monotonic()
             kills, found = part()
+            if not kills and name in SHARES:
+                found = [*found, "nothing was killed; give more --minutes"]
             wrong += len(found)
             print(f"{name:<12}{kills:>6}{len(found):>6}{(time.monotonic() - part_s) / 60.0:>9.1f}", *found, sep="\n  ", flush=True)
 
-        spent = 0.0
-        for name, share in SHARES.items():
+        for name, share in shares.items():
             spent += share
             kills, until_s = round(options.kills * share), begun_s + 60.0 * options.minutes * spent
-            if options.only is None or options.only == name:
-                (folder / name).mkdir()
-                if name == "laboratory":
-                    report(name, lambda: laboratory(folder / "laboratory", ball, rng, kills, until_s))  # noqa: B023 - called at once
-                else:
-                    report(name, lambda: commands(name, folder / name, ball, rng, kills, until_s))  # noqa: B023 - called at once
+            (folder / name).mkdir()
+            if name == "laboratory":
+                report(name, lambda: laboratory(folder / "laboratory", ball, rng, kills, until_s))  # noqa: B023 - called at once
+            else:
+                report(name, lambda: commands(name, folder / name, ball, rng, kills, until_s))  # noqa: B023 - called at once
         for name, part in (("load", load), ("memory", remembered)):
             if options.only is None or options.only == name:
                 report(name, lambda: part(folder / name))  # noqa: B023 - called at once

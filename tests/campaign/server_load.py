@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -82,7 +82,7 @@ async def page(address: str) -> None:
 LOADS = {one.__name__: one for one in (idle, slow_body, wrong_password, page)}
 
 
-async def _repeat(load: Callable, address: str) -> None:
+async def _repeat(load: Callable[[str], Awaitable[None]], address: str) -> None:
     while True:
         with suppress(OSError, asyncio.IncompleteReadError, ValueError):
             await load(address)

@@ -31,7 +31,12 @@ run_method.offer = lambda found, goal, **_: shutil.copytree(found, goal)
 sys.exit(cli.main(sys.argv[1:]))
 """
 """A benchmark of three small cases, whose cameras are not estimated."""
-METHOD = "import os, shutil, sys, time; time.sleep(0.5); os.makedirs(sys.argv[3], exist_ok=True); shutil.copy(sys.argv[1], sys.argv[3] + '/shape.ply')"
+METHOD = """
+import os, shutil, sys, time
+time.sleep(0.5)
+os.makedirs(sys.argv[3], exist_ok=True)
+shutil.copy(sys.argv[1], sys.argv[3] + "/shape.ply")
+"""
 
 
 @dataclass

@@ -4,6 +4,7 @@ import sqlite3
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -162,6 +163,7 @@ def test_query_without_an_end_is_interrupted(catalogue: Catalogue, monkeypatch: 
 
 def execute(path: Path, statement: str) -> None:
     with closing(sqlite3.connect(path)) as raw:
+        raw.execute("PRAGMA writable_schema = ON")
         raw.execute(statement)
         raw.commit()
 
@@ -184,11 +186,23 @@ def test_foreign_files_are_rejected(tmp_path: Path):
     with pytest.raises(UserError, match="already exists"):
         Catalogue.create(path)
     assert path.read_bytes() == before
-    for k, change in enumerate(("PRAGMA user_version = 9", "CREATE TRIGGER t AFTER INSERT ON plants BEGIN DELETE FROM scans; END")):
+    trigger = "CREATE TRIGGER t AFTER INSERT ON plants BEGIN DELETE FROM scans; END"
+    undecodable = "UPDATE sqlite_schema SET name = CAST(x'ff' AS TEXT), sql = 'x' WHERE name = 'plants'"
+    for k, change in enumerate(("PRAGMA user_version = 9", trigger, undecodable)):
         Catalogue.create(other := tmp_path / f"{k}.rhizotwin").close()
         execute(other, change)
         with pytest.raises(UserError, match="rebuild"):
             Catalogue.open(other)
+
+
+def test_a_full_disk_is_named(catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch):
+    """SQLite calls it an I/O error if it cannot create the file of shared memory."""
+    monkeypatch.setattr(schema, "_connect", Mock(side_effect=sqlite3.OperationalError("disk I/O error")))
+    with pytest.raises(UserError, match="disk I/O error"):
+        Catalogue.open(catalogue.path)
+    monkeypatch.setattr(schema.shutil, "disk_usage", lambda _: Mock(free=0))
+    with pytest.raises(UserError, match="the disk is full"):
+        Catalogue.open(catalogue.path)
 
 
 def test_damaged_text_is_named(catalogue: Catalogue, tmp_path: Path, make_result):
