@@ -11,6 +11,7 @@ from benchmarks.cases import Case, Pictures
 from benchmarks.run import Say
 from rhizotwin.experiment import mass_curves, tables
 from rhizotwin.scenes.atomic import write_bytes, write_text
+from rhizotwin.scenes.table_file import read_table
 
 PHANTOM = Pictures(scene="printed_8ml", image_wh=(400, 300))
 """Pictures on which levels and assumptions are measured."""
@@ -79,8 +80,8 @@ def committed_records(profile: str) -> list[Record]:
 def plants(records: Sequence[Record]) -> list[Plant]:
     """Return the thesis's 18 plants in its order, with the records of the twin's plants."""
     found = []
-    masses = tables.read_table(tables.shipped("kliman_2022_masses.csv"))
-    volumes = {row.cells["plant"]: row.cells["volume (ml)"] for row in tables.read_table(tables.shipped("kliman_2022_volumes.csv"))}
+    masses = read_table(tables.shipped("kliman_2022_masses.csv"))
+    volumes = {row.cells["plant"]: row.cells["volume (ml)"] for row in read_table(tables.shipped("kliman_2022_volumes.csv"))}
     for number, row in enumerate(masses):
         scene = f"radish_day{_DAYS[number // 3]:02d}{'abc'[number % 3]}"
         name = row.cells["plant"]

@@ -287,6 +287,8 @@ class Placing:
     place: Literal["given", "auto"] | None = None
     """Position of the specimen: given (coordinates of the file) or auto (upright and centred below the net pot, which \
 holds the plant)."""
+    vertical_axis: Literal["x", "y", "z"] | None = None
+    """Axis of an RSML file along which the depth is measured; default: z, or y in drawings with two coordinates."""
     flip: Flag | None = None
     """Turn the specimen upside down before it is scaled, for files in which z points down."""
     scale: Annotated[float, option(lambda text: read_number(text, SCALE_LIMITS, ""), "S")] | None = None
@@ -344,8 +346,6 @@ negative z; for files with other coordinates see --place."""
 such as '0.1 mm'."""
     specimen_diameter_mm: DiameterMm | None = None
     """Diameter in mm of roots for which the RSML file has no diameter."""
-    vertical_axis: Literal["x", "y", "z"] | None = None
-    """Axis of an RSML file along which the depth is measured; default: z, or y in drawings with two coordinates."""
     placing: Placing = Placing()
     """Position of the specimen."""
     views: Views | None = None

@@ -57,7 +57,6 @@ def load_scene(
     specimen: str | Path | None = None,
     specimen_unit: str | None = None,
     specimen_diameter_mm: float | None = None,
-    vertical_axis: Literal["x", "y", "z"] | None = None,
     placing: Placing | None = None,
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
@@ -78,11 +77,9 @@ def load_scene(
         Unit of the coordinates in an RSML file that does not specify a unit.
     specimen_diameter_mm : float, optional
         Diameter of roots for which the RSML file has no diameter, mm.
-    vertical_axis : {"x", "y", "z"}, optional
-        Axis of the RSML file along which the depth is measured; default: z, or y in drawings with two coordinates.
     placing : Placing, optional
-        Position of a specimen from a file, with the fields ``place``, ``flip``, ``scale`` and ``shift_mm``;
-        ``Placing(place="auto")`` moves the specimen below the grid of the net pot.
+        Position of a specimen from a file, with the fields ``place``, ``vertical_axis``, ``flip``, ``scale`` and
+        ``shift_mm``; ``Placing(place="auto")`` moves the specimen below the grid of the net pot.
     views : int, optional
         Number of pictures in each ring; default: as in the scene.
     image_wh : tuple of int, optional
@@ -100,7 +97,6 @@ def load_scene(
         specimen=None if specimen is None else Path(specimen),
         specimen_unit=specimen_unit,
         specimen_diameter_mm=specimen_diameter_mm,
-        vertical_axis=vertical_axis,
         placing=placing,
         views=views,
         image_wh=image_wh,

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from rhizotwin.arguments import Placing
 from rhizotwin.scenes import files
@@ -19,7 +18,6 @@ def change_scene(
     specimen: Path | None = None,
     specimen_unit: str | None = None,
     specimen_diameter_mm: float | None = None,
-    vertical_axis: Literal["x", "y", "z"] | None = None,
     placing: Placing | None = None,
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
@@ -35,8 +33,6 @@ def change_scene(
         File of a mesh or of traced roots that replaces the specimen.
     specimen_unit, specimen_diameter_mm : (str or None), (float or None)
         Unit of the coordinates and diameter of the roots, mm, for traced roots whose file does not specify them.
-    vertical_axis : {"x", "y", "z"} or None
-        Axis of a file with traced roots along which the depth is measured.
     placing : Placing or None
         Position of the specimen in the canister.
     views : int or None
@@ -52,24 +48,22 @@ def change_scene(
         If a value or a combination of values is invalid.
     """
     is_rsml = specimen is not None and specimen.suffix.lower() in _RSML_SUFFIXES
-    for option, value in (
-        ("--specimen-unit", specimen_unit),
-        ("--specimen-diameter-mm", specimen_diameter_mm),
-        ("--vertical-axis", vertical_axis),
-    ):
+    for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
         if value is not None and not is_rsml:
             raise UserError(f"{option} applies to traced roots only; give a file with --specimen FILE.rsml, or remove {option}")
     if specimen is not None:
         if not specimen.is_file():
             raise UserError(f"the file {specimen} does not exist; give a mesh (PLY, STL, OBJ) or traced roots (RSML)")
         file = str(specimen.resolve())
-        traced = RsmlSpecimen(file=file, unit=specimen_unit, diameter_mm=specimen_diameter_mm, vertical_axis=vertical_axis)
+        traced = RsmlSpecimen(file=file, unit=specimen_unit, diameter_mm=specimen_diameter_mm)
         scene = replace(scene, specimen=traced if is_rsml else MeshSpecimen(file=file))
     given = {name: value for name, value in vars(placing or Placing()).items() if value is not None}
     if given:
         if not isinstance(scene.specimen, PlacedFile):
             name = next(iter(given)).replace("_", "-")
             raise UserError(f"--{name} applies to a specimen from a file only; give a file with --specimen FILE")
+        if "vertical_axis" in given and not isinstance(scene.specimen, RsmlSpecimen):
+            raise UserError("--vertical-axis applies to traced roots only; give a file with --specimen FILE.rsml")
         scene = replace(scene, specimen=replace(scene.specimen, **given))
     if views is not None:
         scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))

@@ -94,7 +94,8 @@ def _check_canister(scene: Scene, place: Place) -> None:
     least_mm = pot.outer_radius_mm / POT_RATIO
     if canister.outer_radius_mm < least_mm:
         slip = _unit_slip(canister.outer_radius_mm, least_mm, pot.outer_radius_mm)
-        must = f"must be at least {least_mm:.4g}, because the canister holds the net pot, whose outer_radius_mm is {pot.outer_radius_mm:g}{slip}"
+        held = f"the canister holds the net pot, whose outer_radius_mm is {pot.outer_radius_mm:g}"
+        must = f"must be at least {least_mm:.4g}, because {held}{slip}"
         raise place.at("canister", "outer_radius_mm").error(must, canister.outer_radius_mm)
     if canister.inner_radius_mm <= 0.0:
         raise place.at("canister", "wall_mm").error(f"must be below outer_radius_mm, {canister.outer_radius_mm:g}", canister.wall_mm)

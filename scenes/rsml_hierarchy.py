@@ -145,7 +145,20 @@ def resolve_parent_nodes(entries: list[Entry], parents: list[int]) -> list[int |
 
 
 def parents_first(path: Path, entries: list[Entry], parents: list[int]) -> list[int]:
-    """Return the indices of all entries depth first, so that parents precede their laterals."""
+    """Return the indices of all entries depth first, so that parents precede their laterals.
+
+    Parameters
+    ----------
+    path : Path
+        File, for messages.
+    entries, parents : list of Entry, list of int
+        Roots, and the index of the parent of each; -1 for a root without a parent.
+
+    Raises
+    ------
+    UserError
+        If roots are parents of each other.
+    """
     laterals: list[list[int]] = [[] for _ in entries]
     for index, parent in enumerate(parents):
         if parent >= 0:

@@ -33,8 +33,8 @@ SPHERE_SUBDIVISIONS = 6
 """Number of subdivisions of the icosahedron that approximates a sphere. After scaling to the volume of the ball, its
 81920 faces deviate from the ball by at most 0.0045 % of the radius."""
 MOST_SIDEWAYS = 0.5
-"""Cosine of the angle between a main root and the vertical below which it is said to run sideways: 60 degrees. Seminal
-roots of cereals grow at up to about 50 degrees."""
+"""Cosine of the angle between a main root and the vertical below which a note says that it runs sideways: 60 degrees.
+Seminal roots of cereals grow at up to about 50 degrees."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
 """Common resolutions of scanners and screens, dots per inch. A resolution in a file that equals one of them is probably
 in dots per inch."""

@@ -21,6 +21,7 @@ from rhizotwin.recon.uncertainty import checks, root_residual
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.recon.uncertainty.checks import Estimate
+from rhizotwin.recon.uncertainty.root_residual import Residual
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traced_roots import merge_shared_stretches
@@ -98,29 +99,42 @@ def estimates(
     lost = (*lost, *_thin_objections(places.thin_share(_THIN_PX)))
     views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
     residuals = [view for view in views if view is not None]
+    changes = _changes(
+        roots,
+        residuals,
+        merged=_merged_length(places, silhouettes[0].coverage.shape, bank.count),
+        hidden=_hidden_length(places, silhouettes[0].coverage.shape),
+        darker=scattered or 0.0,
+    )
+    factors = {name: calibration.factor(name) for name in changes}
+    return tuple(_estimate(name, change, lost, factor=factors[name]) for name, change in changes.items())
+
+
+def _changes(roots: Sequence[Root], residuals: Sequence[Residual], *, merged: float, hidden: float, darker: float) -> dict[str, _Change]:
+    """Return the changes that the pictures suggest, keyed by the name of the trait.
+
+    Parameters
+    ----------
+    residuals : sequence of Residual
+        Differences between the pictures and the rendered roots.
+    merged, hidden : float
+        Fractions of the roots that may be merged into others, and hidden by thick ones.
+    darker : float
+        Fraction of light that is scattered around roots.
+    """
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
+    lacking, width = merged + hidden, [view.width for view in residuals]
+    wider = _mean_of(width)
+    less_wide, more_wide = max(0.0, -wider) + lacking + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)
+    longer, shorter = [_LEVEL * view.missing + lacking for view in residuals], [_LEVEL * view.surplus + shared for view in residuals]
     tips = float(sum(root.tip_seen for root in roots))
-    width = [view.width for view in residuals]
-    merged, wider, darker = _merged_length(places, silhouettes[0].coverage.shape, bank.count), _mean_of(width), scattered or 0.0
-    hidden = _hidden_length(places, silhouettes[0].coverage.shape)
-    changes = {
-        "total_length_mm": (
-            length_mm,
-            _Change(
-                [_LEVEL * view.surplus + shared for view in residuals], [_LEVEL * view.missing + merged + hidden for view in residuals]
-            ),
-        ),
-        "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips + merged + hidden for view in residuals])),
-        "mean_diameter_mm": (
-            rsml.mean_diameter_mm(roots),
-            _Change([max(0.0, -wider) + merged + hidden + 0.5 * max(0.0, -darker)], [max(0.0, wider) + 0.5 * max(0.0, darker)], width),
-        ),
+    more_tips, less_tips = [view.missing_tips + lacking for view in residuals], [view.surplus_tips for view in residuals]
+    return {
+        "total_length_mm": _Change(length_mm, shorter, longer, merged, hidden),
+        "tips": _Change(tips, less_tips, more_tips, merged, hidden),
+        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], merged, hidden, width),
     }
-    return tuple(
-        _estimate(name, value, change, lost, merged=merged, hidden=hidden, factor=calibration.factor(name))
-        for name, (value, change) in changes.items()
-    )
 
 
 def _thin_objections(thin: float) -> tuple[str, ...]:
@@ -162,12 +176,17 @@ def _mean_of(values: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class _Change:
-    """Relative changes of a trait that the pictures suggest."""
+    """Value of a trait, and relative changes that the pictures suggest."""
 
+    value: float
     less: Sequence[float]
     """Amount by which the trait may be smaller, by picture."""
     more: Sequence[float]
     """Amount by which the trait may be larger, by picture."""
+    merged: float
+    """Fraction of the roots that may be merged, which is included."""
+    hidden: float
+    """Fraction of the roots that thick ones may hide, which is included."""
     scatter: Sequence[float] | None = None
     """Changes whose standard error is used; ``more`` minus ``less`` for None."""
 
@@ -178,26 +197,21 @@ class _Change:
         return NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
 
 
-def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], *, merged: float, hidden: float, factor: float) -> Estimate:
+def _estimate(name: str, change: _Change, lost: Sequence[str], *, factor: float) -> Estimate:
     """Convert relative changes in each picture to an interval: means on their sides, scatter and model error on both.
 
     Parameters
     ----------
     name : str
         Name of the trait.
-    value : float
-        Value of the trait.
     change : _Change
-        Changes that the pictures suggest.
+        Value, and changes that the pictures suggest.
     lost : sequence of str
         Reasons for which the scan as a whole is not trusted.
-    merged : float
-        Fraction of the roots that may be merged, which is included in the change.
-    hidden : float
-        Fraction of the roots that thick roots may hide, which is included in the change.
     factor : float
         Factor of the calibration on both half-widths.
     """
+    value, merged, hidden = change.value, change.merged, change.hidden
     error = change.error
     under, over = _mean_of(change.less), _mean_of(change.more)
     less, more = (factor * math.hypot(error, _MODEL[name], side) for side in (under, over))

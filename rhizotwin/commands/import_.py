@@ -22,8 +22,9 @@ def import_(
 ) -> None:
     """Create a dataset from a folder of pictures.
 
-    The pictures must have the same size, and are sorted by name. They are turned as their orientation tags state. The scene describes the rig on which they were taken:
-    canister, water, marker strip (printed markers around the plant's net pot) and camera. If the number of pictures
+    The pictures must have the same size, and are sorted by name. They are turned as their orientation tags state. The
+    scene describes the rig on which they were taken: canister, water, marker strip (printed markers around the plant's
+    net pot) and camera. If the number of pictures
     equals the number of planned views in the scene, the planned turntable angles are used.
 
     Parameters

@@ -9,7 +9,6 @@ from cyclopts import Parameter
 
 from rhizotwin import command_steps
 from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, option, with_metavar
-from rhizotwin.scenes.traits import density_note
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings
@@ -99,10 +98,7 @@ def reconstruct(
     settings = command_steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
     kept: dict[str, Any] = {"keep_stages": study.keep_stages, "method": study.method}
     written = command_steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
-    summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
-    _print_summary(summary, progress)
-    if mass_g is not None and (note := density_note(1000.0 * mass_g / summary["volume_mm3"]) if summary["volume_mm3"] else ""):
-        print(f"note: with {mass_g:g} g, the fresh mass per volume is {note}")
+    _print_summary(json.loads((output / "result.json").read_text(encoding="utf-8")), mass_g, progress)
     if progress.quiet:
         return
     if progress.verbose:
@@ -114,9 +110,10 @@ def reconstruct(
         print(f"to compare it with the true roots: rhizotwin score {output} {dataset}")
 
 
-def _print_summary(summary: dict[str, Any], progress: Progress) -> None:
-    """Print the volume and the main traits of a result, and its warnings."""
+def _print_summary(summary: dict[str, Any], mass_g: float | None, progress: Progress) -> None:
+    """Print the volume and the main traits of a result, its warnings, and a note if the density is not plausible."""
     from rhizotwin.report import words
+    from rhizotwin.scenes.traits import density_note
     from rhizotwin.stored import calibration_table
 
     for warning in summary["warnings"]:
@@ -130,6 +127,8 @@ def _print_summary(summary: dict[str, Any], progress: Progress) -> None:
     headline, beside = words.headline(summary)
     used = sum(view["used"] for view in summary["views"])
     print(f"{headline}, {beside}; {used} of {len(summary['views'])} views used")
+    if mass_g is not None and summary["volume_mm3"] and (note := density_note(1000.0 * mass_g / summary["volume_mm3"])):
+        print(f"note: with {mass_g:g} g, the fresh mass per volume is {note}")
     if progress.quiet:
         return
     for line in words.root_summary(summary):

@@ -91,13 +91,8 @@ def measure(found: Sequence[Measured]) -> Growth:
     doses = read_doses(plants)
     compared, responses, why_not = _compare(seen, doses)
     notes = [*falls.sentences(fallen), *notes, *why_not]
-    compared_without: dict[str, list[Difference]] = {}
-    responses_without: dict[str, list[Response]] = {}
-    if suspects:
-        others = {trait: [one for one in values if one.plant not in suspects] for trait, values in seen.items()}
-        known = {plant: own for plant, own in doses.items() if plant not in suspects}
-        compared_without, responses_without, why_not = _compare({trait: values for trait, values in others.items() if values}, known)
-        notes += [f"without {', '.join(suspects)}: {why}" for why in why_not]
+    compared_without, responses_without, why_not = _compare_without(seen, doses, suspects)
+    notes += [f"without {', '.join(suspects)}: {why}" for why in why_not]
     if doses and len(doses) < len(plants):
         notes.append(
             f"{len(plants) - len(doses)} of {len(plants)} plants have no known nutrient solution and are excluded from the dose response"
@@ -116,6 +111,17 @@ def measure(found: Sequence[Measured]) -> Growth:
         responses_without=responses_without,
         drift=_drift(found),
     )
+
+
+def _compare_without(
+    seen: Mapping[str, Sequence[Observation]], doses: Mapping[str, Mapping[str, float]], suspects: Sequence[str]
+) -> tuple[dict[str, list[Difference]], dict[str, list[Response]], list[str]]:
+    """Compare as `_compare` does without some plants. Nothing is compared if there are none."""
+    if not suspects:
+        return {}, {}, []
+    others = {trait: [one for one in values if one.plant not in suspects] for trait, values in seen.items()}
+    known = {plant: own for plant, own in doses.items() if plant not in suspects}
+    return _compare({trait: values for trait, values in others.items() if values}, known)
 
 
 def _compare(
