@@ -26,9 +26,15 @@ def pytest_sessionstart() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that have slow tests, so that no process waits for another at the end."""
+    """Run each file in one process, and those that share one scan in the same; begin with these and with slow ones.
+
+    The shared scan is rendered and reconstructed once in this way, and no process waits for another at the end.
+    """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    shared = {item.path for item in items if {"made", "found"} & set(getattr(item, "fixturenames", ()))}
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group("shared scan" if item.path in shared else str(item.path)))
+    items.sort(key=lambda item: (item.path not in shared, item.path not in slow))
 
 
 @pytest.fixture(scope="session", autouse=True)
