@@ -50,6 +50,14 @@ def command(capfd: pytest.CaptureFixture[str]) -> Command:
     return Command(capfd)
 
 
+@pytest.fixture(scope="module")
+def coarse_ball() -> Iterator[None]:
+    """Make balls of 5120 faces, not of 81920, for tests in whose pictures that makes no difference."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rhizotwin.sim.specimen.SPHERE_SUBDIVISIONS", 4)
+        yield
+
+
 @dataclass(frozen=True)
 class Reconstructed:
     """A result folder with its stages, and the result in memory that was written to it."""

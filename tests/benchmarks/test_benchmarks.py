@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import accuracy, arguments, cases, gate, speed, worker
+from benchmarks import accuracy, cases, gate, speed, worker
 from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.run import Run
@@ -17,11 +17,6 @@ from rhizotwin.scenes import atomic
 
 PLANT = Pictures(scene="radish_day05a", rings=2, views=3, image_wh=(80, 60))
 CASES = [Case(pictures=PLANT), Case(pictures=PLANT, method="thesis")]
-
-
-def test_help_names_every_command():
-    text = arguments.parser().format_help()
-    assert [name for name in command._COMMANDS if name not in text] == []
 
 
 def test_every_case_has_its_own_name_and_a_scene_of_the_library():

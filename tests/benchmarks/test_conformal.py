@@ -1,6 +1,7 @@
-"""Split conformal calibration gives its nominal coverage, and the committed factors follow from the committed table."""
+"""Split conformal calibration gives its nominal coverage, the committed factors follow from the table, and random scans draw as said."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -8,40 +9,24 @@ import pandas as pd
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import conformal, intervals_page, intervals_table
+from benchmarks import conformal, intervals_page, intervals_table, random_scans
 from benchmarks.intervals_table import TRAITS
+from benchmarks.random_scans import PROFILES, SIGNED, TROUBLES, VIEWS, RandomScan
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import calibration
+from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.files import load_profile
 
 COMMITTED = Path(intervals_table.__file__).with_name("intervals.csv")
 
 
 def scans(count: int, *, seed: int, true_sigma: float = 0.02, half: float = 0.1) -> pd.DataFrame:
     """Return volumes of 100 with normal errors, and intervals of one half-width."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for number in range(count):
-        true = 100.0 * (1.0 + true_sigma * rng.standard_normal())
-        row = {
-            "number": number,
-            "profile": "clean",
-            "family": "sphere",
-            "troubles": "",
-            "views": "24",
-            "width_px": 400,
-            "regime": "clear",
-            "reasons": "",
-        }
-        for trait in TRAITS:
-            row |= {
-                f"{trait}.true": true,
-                f"{trait}.value": 100.0,
-                f"{trait}.low": 100.0 * (1.0 - half),
-                f"{trait}.high": 100.0 * (1.0 + half),
-            }
-            row[f"{trait}.reliable"] = True
-        rows.append(row)
-    return pd.DataFrame(rows)
+    true = 100.0 * (1.0 + true_sigma * np.random.default_rng(seed).standard_normal(count))
+    about = {"profile": "clean", "family": "sphere", "troubles": "", "views": "24", "width_px": 400, "regime": "clear", "reasons": ""}
+    found = {"true": true, "value": 100.0, "low": 100.0 * (1.0 - half), "high": 100.0 * (1.0 + half), "reliable": True}
+    of_traits = {f"{trait}.{name}": value for trait in TRAITS for name, value in found.items()}
+    return pd.DataFrame({"number": np.arange(count)} | about | of_traits)
 
 
 def test_factors_make_narrow_intervals_nominal() -> None:
@@ -86,13 +71,12 @@ def test_rank_of_the_quantile_by_hand() -> None:
 
 
 def test_interval_score_by_hand() -> None:
+    """Widths of 20, and 2 / 0.1 times what is outside, relative to the truth."""
     some = scans(3, seed=0)
     for trait in TRAITS:
         some[f"{trait}.true"] = [100.0, 80.0, 112.0]
-    # widths of 20, and 2 / 0.1 times what is outside, relative to the truth
-    assert conformal.interval_score(some, "volume_mm3").tolist() == pytest.approx(
-        [0.2, (20.0 + 20.0 * 10.0) / 80.0, (20.0 + 20.0 * 2.0) / 112.0]
-    )
+    expected = [0.2, (20.0 + 20.0 * 10.0) / 80.0, (20.0 + 20.0 * 2.0) / 112.0]
+    assert conformal.interval_score(some, "volume_mm3").tolist() == pytest.approx(expected)
 
 
 def test_probability_integral_of_right_intervals_is_uniform() -> None:
@@ -127,3 +111,34 @@ def test_the_committed_factors_follow_from_the_committed_table() -> None:
     assert all(line in documented for line in text.strip().splitlines() if line), (
         "run `./run bench intervals --table benchmarks/intervals.csv`"
     )
+
+
+@pytest.mark.parametrize("number", [5, 11, 17, 23, 29, 35])
+def test_a_mixture_has_its_troubles_and_no_others(number: int) -> None:
+    mixture, camera, real = RandomScan(number=number), load_profile("camera"), load_profile("real")
+    wrong = mixture.scene_to_render().disturbances
+    assert wrong == mixture.scene_to_render().disturbances
+    for trouble, names in TROUBLES.items():
+        for name in names:
+            value, most = getattr(wrong, name), getattr(real, name)
+            if trouble in mixture.troubles():
+                assert 0.2 * most <= abs(value) <= 1.51 * most + 1.0
+                assert value >= 0 or name in SIGNED
+            else:
+                assert value == getattr(camera, name)
+
+
+def test_a_mixture_may_contain_all_that_real_adds_to_camera() -> None:
+    camera, real = load_profile("camera"), load_profile("real")
+    for number, profile in enumerate(PROFILES[:-1]):
+        assert RandomScan(number=number).scene_to_render().disturbances == load_profile(profile)
+    mixed = {name for names in (*TROUBLES.values(), *random_scans.WITH.values()) for name in names}
+    assert mixed == {one.name for one in fields(Disturbances) if getattr(camera, one.name) != getattr(real, one.name)}
+
+
+def test_the_draw_covers_families_sizes_and_rings_in_range() -> None:
+    scans = [RandomScan(number=number) for number in range(300)]
+    assert {scan.family for scan in scans} == set(random_scans.FAMILIES)
+    assert {scan.image_wh for scan in scans} == set(random_scans.SIZES)
+    assert {len(scan.rings()) for scan in scans} == {1, 2}
+    assert all(VIEWS[0] <= sum(ring.views for ring in scan.rings()) <= VIEWS[1] + 1 for scan in scans)

@@ -60,22 +60,6 @@ def test_cases_are_frozen_once_and_compared_with_the_code(jobs, tmp_path, capsys
     assert all(change["same"] for change in stored[0]["changes"])
 
 
-@pytest.mark.usefixtures("jobs")
-def test_a_case_that_crashes_is_reported_and_the_rest_goes_on(tmp_path, capsys, monkeypatch):
-    assert run("freeze", "-o", tmp_path / "frozen", "--cases", "bean,wheat") == 0
-    answer = worker.start
-
-    def crash_once(*_arguments, **_given):
-        monkeypatch.setattr(worker, "start", answer)
-        raise RuntimeError("ZeroDivisionError: no views")
-
-    monkeypatch.setattr(worker, "start", crash_once)
-    assert run("against", tmp_path / "frozen") == 1
-    out = capsys.readouterr().out
-    assert "| bean | CRASHED |" in out
-    assert "| wheat | +1.0 |" in out
-
-
 def test_each_kind_of_change_is_found_by_itself(tmp_path):
     before = load_result(plant.make(tmp_path / "again").result)
     solid = before.solid

@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import __main__ as command
 from benchmarks import accuracy, cases, gate, perturb, scatter
 from benchmarks.metric import Metric
-from benchmarks.run import Run
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -112,40 +110,6 @@ def test_the_gate_takes_its_tolerance_from_the_scatter(tmp_path: Path) -> None:
     still = replace(measured, ranges={KEY: 0.0})
     assert verdict(0.98992, still) == "same"
     assert verdict(0.98985, still) == "WORSE"
-
-
-@pytest.fixture
-def fake_ladder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Let the command line run with a recall that depends on what is done to the pictures."""
-    recall = {"none": 0.99, "lossy:1": 0.98} | {f"rounded:{seed}": 0.99 + 1e-4 * (seed % 3 - 1) for seed in range(1, 21)}
-
-    def measure(chosen: list[cases.Case], *, change: str = "none", **_given: object) -> Run:
-        return Run(
-            metrics=[Metric(key=f"{case.name}/recall", value=recall[change], unit="1", direction="up", abs_tol=1e-5) for case in chosen]
-        )
-
-    monkeypatch.setattr(accuracy, "measure", measure)
-    monkeypatch.setattr(command, "HERE", tmp_path)
-    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path / "cache"))
-
-
-@pytest.mark.usefixtures("fake_ladder")
-def test_the_command_measures_the_scatter_and_gates_by_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    gated = ["accuracy", "--quick", "--gate"]
-    assert command.main(["accuracy", "--quick", "--update-baseline"]) == 0
-    assert command.main([*gated, "--change", "rounded:3"]) == 1
-    assert f"of {len(cases.quick())} of them is an estimate" in capsys.readouterr().out
-    assert command.main(["scatter", "--quick", "--scenes", "sphere*"]) == 0
-    assert command.main(gated) == 0
-    assert f"of {len(cases.quick()) - 1} of them is an estimate" in capsys.readouterr().out
-    assert command.main(["scatter", "--quick"]) == 0
-    assert capsys.readouterr().out.count("open in 20 of 20 runs") == len(cases.quick())
-    before = (tmp_path / "scatter_accuracy.json").read_bytes()
-    assert command.main(["scatter", "--quick", "--change", "lossy", "--runs", "1"]) == 0
-    assert capsys.readouterr().out.count("open in 0 of 1 runs") == len(cases.quick())
-    assert (tmp_path / "scatter_accuracy.json").read_bytes() == before
-    assert command.main([*gated, "--change", "rounded:3"]) == 0
-    assert command.main([*gated, "--change", "lossy:1"]) == 1
 
 
 @pytest.mark.nightly

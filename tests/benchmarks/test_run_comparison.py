@@ -27,22 +27,6 @@ def write(path, records, crashed=()):
     return path
 
 
-def test_the_command_names_what_got_better_and_worse(tmp_path, record_of, capsys):
-    before = [record_of(case, volume_error=0.05) for case in CASES]
-    after = [record_of(case, volume_error=-0.08 if case.pictures.scene == "radish_day10c" else 0.02) for case in CASES[1:]]
-    a, b = write(tmp_path / "a.json", before), write(tmp_path / "b.json", after)
-    assert command.main(["compare", str(a), str(b)]) == 0
-    said = capsys.readouterr().out
-    assert "11 cases in both, 1 only in A, 0 only in B" in said
-    assert "volume error (size)        5.00     3.09    -1.91" in said
-    worse, better = said.split("volume worse (most first):")[1].split("volume better (most first):")
-    assert "radish_day10c/clean" in worse
-    assert "+5.00 % -> -8.00 % (+3.00 in size)" in worse
-    assert worse.count("radish") == 2
-    assert better.count("radish") == 9
-    assert "bench only:" in said
-
-
 def row(said, name):
     """Return pairs, better and worse of a number."""
     line = next(line for line in said.splitlines() if line.startswith(name))
