@@ -1,4 +1,4 @@
-"""Markers: corners against a renderer that shares nothing with them, and what is said when there are none."""
+"""Markers: corners in pictures of the emulated rig, which shares nothing with them, and what is said when there are none."""
 
 from dataclasses import dataclass, replace
 
@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.marker_fit import fit_marker
 from rhizotwin.recon.calibration.markers import Markers, detect_markers
 from rhizotwin.recon.optics.cameras import matrix
+from rhizotwin.rig.twin.sketch import Sketch
+from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Camera, MarkerStrip, Scene
-from tests.recon.calibration.strip_pictures import render_strip
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,12 @@ def shot() -> Shot:
     """Take a blurred, noisy picture through a bent lens, by a camera that is not quite level."""
     scene = Scene(camera=Camera(distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)))
     pose = plan.views(scene)[0].cam_from_rig @ frames.from_rotvec(np.array([0.01, -0.015, 0.4]), np.array([0.5, -0.8, 0.3]))
-    picture = render_strip(scene, pose, blur_px=1.0, full_well_e=8000.0, seed=3)
+    fine, still = replace(scene, camera=scene.camera.resized((1600, 1200))), np.eye(4)
+    sketch = Sketch(fine, distortion=scene.camera.distortion, canister_from_strip=still)
+    light = sketch.light(Sight(cam_from_rig=pose, rig_from_canister=still, table_deg=0.0, panel=1.0, front=1.0))
+    light, rng = cv2.GaussianBlur(cv2.resize(light, (800, 600), interpolation=cv2.INTER_AREA), (0, 0), 1.0), np.random.default_rng(3)
+    noisy = (rng.poisson(light * 8000.0) + rng.normal(0.0, 3.0, light.shape)) / 8000.0
+    picture = (np.clip(np.round(noisy * 4095.0), 0, 4095) * 16).astype(np.uint16)
     return Shot(scene, pose, picture, detect_markers(picture, scene.strip))
 
 

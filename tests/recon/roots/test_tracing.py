@@ -1,17 +1,21 @@
-"""Density, tracing, and what tubes leave unexplained."""
+"""Shadows of cells, density, tracing, and what tubes leave unexplained."""
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.roots import residual_search, tracing
 from rhizotwin.recon.roots.density import Cells, estimate
+from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 from rhizotwin.recon.tubes import tube_picture
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import score_roots
-from tests.recon.strings import TRUNK, TWIG, nothing, pictured, strung
+from tests.recon.hull.exact_pictures import ring_of
+from tests.recon.strings import TRUNK, TWIG, blank_of, nothing, pictured, strung
 
 GRID = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
 INDEX = (np.argwhere(np.ones((36, 20, 80), bool)) + np.array([0, 0, 10])).astype(np.int32)
@@ -60,3 +64,32 @@ def test_what_most_views_show_unexplained_is_hung_on_tubes(views: int, found: bo
     if found:
         assert np.linalg.norm(grown.centre_mm[grown.branches[1][-1]] - TWIG[-1]) < 0.8
         assert grown.branches[1][0] in bare.branches[0]
+
+
+VIEWS, WIDTH, HEIGHT = 5, 200, 150
+
+
+def test_shadows_fall_where_the_cells_are() -> None:
+    """The second picture says nothing in its left half."""
+    empty, told = blank_of(ring_of(VIEWS, (WIDTH, HEIGHT))), np.ones((VIEWS, HEIGHT, WIDTH), bool)
+    told[1, :, : WIDTH // 2] = False
+    seen = Evidence.from_silhouettes(empty.bank, [Silhouette(np.zeros((HEIGHT, WIDTH), np.float32), part) for part in told])
+    rng = np.random.default_rng(6)
+    points_mm, amount = rng.uniform((-8.0, -8.0, -50.0), (8.0, 8.0, -30.0), (300, 3)), rng.random(300)
+    at, view = seen.project(points_mm), np.arange(VIEWS)[:, None]
+    nearest, low = np.floor(at.px + 0.5).astype(int), np.floor(at.px).astype(int)
+    shown = at.visible & told[view, nearest[..., 1], nearest[..., 0]]
+    area, f = np.where(shown, np.linalg.norm(np.cross(at.du, at.dv), axis=-1), 0.0), at.px - low
+    expected = np.zeros((VIEWS, HEIGHT, WIDTH))
+    for i, j in np.ndindex(2, 2):
+        share = np.abs(1 - i - f[..., 0]) * np.abs(1 - j - f[..., 1])
+        np.add.at(expected, (view, low[..., 1] + j, low[..., 0] + i), share * area * amount)
+    footprints = Footprints.project(seen, points_mm)
+    table = Table(footprints, Windows.around(footprints))
+    views = range(1, 4)
+    found = table.shadows(views, mi.Float(amount.astype(np.float32)))
+    whole = np.array(table.windows.cut(seen, mi.Float(expected.ravel().astype(np.float32))))
+    pixels = table.windows.pixels
+    np.testing.assert_allclose(np.array(found), whole[pixels * views.start : pixels * views.stop], atol=0.02 * expected.max())
+    assert whole.sum() == pytest.approx(expected.sum())  # the windows hold all shadows
+    assert len(whole) < 0.5 * expected.size

@@ -119,28 +119,6 @@ def test_a_canister_beyond_the_lens_is_masked_down_to_the_edge() -> None:
     assert not masked[:250].any()
 
 
-@pytest.mark.parametrize(
-    ("distance_mm", "height_mm", "tilt_deg", "roll_deg", "radius_mm"),
-    [(420.0, 120.0, 10.0, 90.0, 80.0), (60.0, 480.0, 83.0, 0.0, 120.0)],
-)
-def test_the_room_holds_the_shoot(distance_mm: float, height_mm: float, tilt_deg: float, roll_deg: float, radius_mm: float) -> None:
-    lens = Camera(image_wh=(350, 350), focal_px=(275.0, 275.0), principal_px=(174.5, 174.5))
-    top_mm, high_mm = SCENE.net_pot.top_mm, 60.0
-    points = np.concatenate([circle(radius_mm, top_mm + rise) for rise in (0.5, high_mm)])
-    pose = frames.rotation_z(np.deg2rad(roll_deg)) @ frames.level_camera(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)
-    every = [View(camera=lens, cam_from_canister=pose @ frames.rotation_z(2.0 * np.pi * k / 12)) for k in range(12)]
-    silhouettes = []
-    for view in every:
-        covered = np.zeros((350, 350), np.float32)
-        px = np.round(cam_pixels(lens, frames.apply(view.cam_from_canister, points))).astype(int)
-        px = px[((px >= 0) & (px < 350)).all(axis=1)]
-        covered[px[:, 1], px[:, 0]] = 1.0
-        silhouettes.append(whole(covered))
-    room = shoot_hull._room(silhouettes, every, SCENE)
-    assert radius_mm < room.radius_mm < 0.81 * np.hypot(distance_mm, height_mm - top_mm)
-    assert high_mm + top_mm < room.top_mm < high_mm + top_mm + 1.05 * height_mm
-
-
 def test_empty_silhouettes_are_no_shoot() -> None:
     with pytest.raises(UserError, match="no volume in common"):
         carved([whole(np.zeros((300, 400), np.float32))] * 4, views()[::4], finest_mm=2.0)

@@ -75,17 +75,6 @@ def test_where_tubes_are_few_wide_roots_tell_the_attenuation(monkeypatch: pytest
     assert attenuation.sigma == root_light.LEARNED_SIGMA
 
 
-@pytest.mark.parametrize(("shared", "expected"), [(False, 0.7), (True, 1.0)], ids=["views and roots", "roots alone"])
-def test_what_only_scatters_is_not_told_apart(shared: bool, expected: float) -> None:
-    """Both count, on the safe side by the root of two; errors that a root has in all views tell no more for being seen often."""
-    roots, nodes, views, rng = 16, 10, 25, np.random.default_rng(3)
-    of_roots = [np.tile(np.repeat(rng.normal(size=roots), nodes), (views, 1)) for _ in range(200)]
-    differences = [one if shared else rng.normal(size=one.shape) for one in of_roots]
-    found = [tube_attenuation.significance(one, np.repeat(np.arange(roots), nodes)) for one in differences]
-    assert np.std(found) == pytest.approx(expected, abs=0.15)
-    assert abs(np.mean(found)) < 0.2
-
-
 def test_the_covariance_is_the_scatter_over_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the step from the true light, for a model without error: five roots are few clusters, so that it is known to a third."""
     monkeypatch.setattr(root_light, "LEAST_VARIANCE", 1e-9)

@@ -1,4 +1,4 @@
-"""The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
+"""The volume's error budget: how terms add up and are calibrated, the verdict, and what tubes and silhouettes leave open."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -16,8 +16,9 @@ from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty import occlusion, solid_uncertainty
-from rhizotwin.recon.uncertainty.budget import Budget, Term
+from rhizotwin.recon.uncertainty import calibration, occlusion, solid_uncertainty
+from rhizotwin.recon.uncertainty.budget import Budget, Term, part_interval
+from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration, find_calibration
 from rhizotwin.scenes.model import Scene
 from tests.recon.hull import blocks, exact_pictures
 
@@ -127,3 +128,40 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     assert trimmed_away.less_mm3 == disagreeing.less_mm3 == 0.0
     assert disagreeing.more_mm3 == pytest.approx(ball.volume_mm3() * (1.04**1.5 - 1.0), rel=0.02)
     assert trimmed_away.more_mm3 == pytest.approx(more * (larger.volume_mm3() - ball.volume_mm3()), rel=0.1)
+
+
+TERMS = (Term.symmetric("outlines", 3.0, "outlines"), Term(name="occluded", less_mm3=0.0, more_mm3=4.0, why="hidden"))
+
+
+def find(**changes) -> Calibration:
+    usual = {"views": 24, "px_a_mm": 2.0, "missed": 0.0, "translucent": False, "width_mm": None, "hidden": 0.0}
+    return find_calibration(**usual | changes)
+
+
+@pytest.mark.parametrize("changes", [{"views": 8}, {"px_a_mm": 12.0}])
+def test_scans_unlike_the_calibration_scans_are_not_calibrated(changes) -> None:
+    assert find(**changes) == NOT_CALIBRATED
+    assert NOT_CALIBRATED.factor("volume_mm3") == 1.0
+
+
+def test_the_first_regime_that_applies_is_used() -> None:
+    assert find().regime == find(width_mm=2.0).regime == "clear"
+    assert find(hidden=0.1).regime == "hidden parts"
+    assert find(hidden=0.1, width_mm=0.3).regime == "thin roots"
+    assert find(hidden=0.1, width_mm=0.3, translucent=True).regime == "translucent roots"
+    assert find(hidden=0.1, width_mm=0.3, translucent=True, missed=0.2).regime == "inconsistent views"
+
+
+def test_a_factor_scales_both_half_widths_and_those_of_parts() -> None:
+    halved = Calibration(regime="test", factors={"volume_mm3": 0.5})
+    plain, scaled = (Budget(volume_mm3=100.0, terms=TERMS, views=24, calibration=one) for one in (NOT_CALIBRATED, halved))
+    assert scaled.interval_mm3 == pytest.approx(0.5 * (100.0 + np.array(plain.interval_mm3)))
+    assert part_interval(TERMS, whole_mm3=100.0, part_mm3=100.0, calibration=halved) == pytest.approx(scaled.interval_mm3)
+
+
+def test_factors_are_stored_positive_and_none_in_old_results() -> None:
+    made = Calibration(regime="hidden top", factors={"tips": 1.5})
+    assert Calibration.from_plain(made.plain()) == made
+    assert Calibration.from_plain(None) == NOT_CALIBRATED
+    assert calibration._table()
+    assert all(factor > 0.0 for factors in calibration._table().values() for factor in factors.values())
