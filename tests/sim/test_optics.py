@@ -1,8 +1,7 @@
-"""The rendered canister against Snell's and Fresnel's laws traced separately, and pixels told by their corners against all rays."""
+"""The rendered canister and tank against Snell's and Fresnel's laws traced separately, and pixels told by corners against all rays."""
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -10,10 +9,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import rhizotwin.sim.render
+from rhizotwin.recon.optics.cameras import View, project_through_tank
+from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, NetPot, Ring, Scene, Water
+from rhizotwin.scenes.model import Camera, CapturePlan, NetPot, Ring, Scene, Tank
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.solids import to_surface, unite_roots
@@ -164,20 +165,33 @@ def test_smooth_pixels_are_what_all_rays_give(monkeypatch: pytest.MonkeyPatch) -
     assert 0.0 < np.abs(light - all_light).max() < 2e-4
 
 
-def test_without_refraction_a_ball_is_where_opencv_projects_it() -> None:
-    distortion = (-0.12, 0.05, 0.002, -0.001, 0.01)
-    scene = Scene(
-        canister=Canister(n_wall=1.0),
-        water=Water(n_water=1.0),
-        camera=replace(Camera().resized((400, 300)), distortion=distortion),
-        plan=CapturePlan(rings=(Ring(views=3),)),
-    )
-    centres = [(0.0, 0.0, -50.0), (10.0, 55.0, -110.0), (-30.0, -50.0, -20.0)]
-    for k, centre in enumerate(centres):
-        cam_from_canister = draw_world(scene, seed=0).cameras[k].cam_from_canister
-        camera = scene.camera
-        matrix = np.array([[camera.focal_px[0], 0, camera.principal_px[0]], [0, camera.focal_px[1], camera.principal_px[1]], [0, 0, 1]])
-        rotvec, shift_mm = frames.to_rotvec(cam_from_canister), cam_from_canister[:3, 3]
-        expected = cv2.projectPoints(np.array([centre]), rotvec, shift_mm, matrix, np.array(distortion))[0].ravel()
-        _, coverage = Renderer(scene, draw_world(scene, seed=0), ball(centre, 3.0), samples=16).view(k)
-        np.testing.assert_allclose(centroid(coverage), expected, atol=0.03)
+TANKS = {
+    "beside, in another liquid": ((0.0, 66.0, -80.0), 0, Tank(n_liquid=1.38), Disturbances()),
+    "a turned tank": ((-20.0, 45.0, -90.0), 0, Tank(turn_deg=3.0), Disturbances()),
+    "everything misplaced": ((20.0, -60.0, -70.0), 2, Tank(), MISPLACED),
+}
+
+
+@pytest.mark.parametrize(("centre_mm", "number", "tank", "wrong"), TANKS.values(), ids=TANKS)
+def test_a_ball_is_seen_where_the_closed_form_says(
+    centre_mm: tuple[float, float, float], number: int, tank: Tank, wrong: Disturbances
+) -> None:
+    scene = Scene(plan=CapturePlan(rings=(Ring(views=5),)), tank=tank, disturbances=wrong)
+    camera = draw_world(scene, seed=4).cameras[number]
+    cam_from_tank = camera.cam_from_canister @ frames.invert(camera.rig_from_canister) @ frames.rotation_z(np.deg2rad(tank.turn_deg))
+    view = View(camera=scene.camera, cam_from_canister=camera.cam_from_canister, cam_from_tank=cam_from_tank)
+    expected, seen, _ = project_through_tank(view, Optics.from_scene(scene), np.array([centre_mm]))
+    assert seen.all()
+    check_place(scene, expected[0], centre_mm, view=number, atol_px=2e-3)
+
+
+def test_the_empty_tank_passes_the_panel_and_keeps_the_strip_dry() -> None:
+    scene = replace(Scene(tank=Tank(), plan=CapturePlan(rings=(Ring(views=1),))), camera=Scene().camera.resized((100, 75)))
+    light, coverage = Renderer(scene, draw_world(scene, seed=0), None, samples=4).view(0)
+    open_air = replace(scene, tank=None)
+    bare, _ = Renderer(open_air, draw_world(open_air, seed=0), None, samples=4).view(0)
+    assert not coverage.any()
+    glass, wet = (1.0 - ((1.49 - n) / (1.49 + n)) ** 2 for n in (1.0, 1.333))  # Fresnel, normal incidence
+    # through two walls of the tank, air and liquid, and twice through the canister's, liquid and water
+    assert light[37, 49:51].mean() == pytest.approx(scene.lights.backlight_level * glass**2 * wet**6, rel=2e-3)
+    assert np.abs(light[:16] - bare[:16]).max() < 1e-3  # above the liquid nothing is changed

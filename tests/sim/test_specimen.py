@@ -1,8 +1,9 @@
-"""Specimens of every kind become one closed solid in the water, hung there if asked, or are refused in one sentence."""
+"""Specimens and shoots of every kind become one closed solid, hung in the water if asked, or are refused in one sentence."""
 
 import re
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.scenes.shoots import Shoot
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
 from rhizotwin.scenes.thickened_roots import BURIED_MM
 from rhizotwin.sim import placement, solids
+from rhizotwin.sim import shoot as shoots
+from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
 SCENE = Scene()
@@ -239,3 +243,36 @@ def test_what_a_refusal_advises_is_accepted(tmp_path: Path, size: float) -> None
     for told in ({"place": "auto"}, {"shift_mm": tuple(map(float, shift.groups()))}):
         placed = build(RsmlSpecimen(file=file, scale=scale, **told))
         assert placed.extents_max_mm[2] == pytest.approx(GRID_MM, abs=0.1)
+
+
+def shoot_of(**changes: object) -> ShootSolid:
+    solid = build_shoot(Scene(shoot=replace(Shoot(), **changes)))
+    assert solid is not None
+    return solid
+
+
+def test_it_is_closed_stands_on_the_pot_and_has_its_seeds_leaves() -> None:
+    assert build_shoot(Scene()) is None
+    solid = shoot_of(seed=3)
+    np.testing.assert_array_equal(shoot_of(seed=3).vertices, solid.vertices)
+    assert shoot_of(seed=4).leaf_area_mm2 != solid.leaf_area_mm2
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(solid.volume_mm3, rel=1e-9)
+    assert solid.vertices[:, 2].min() == pytest.approx(Scene().net_pot.top_mm + shoots.GAP_MM, abs=0.01)
+    assert solid.height_mm == pytest.approx(solid.vertices[:, 2].max() - Scene().net_pot.top_mm)
+
+
+def test_a_flat_blade_has_its_outline_s_area_times_its_thickness() -> None:
+    flat = {"leaves": 1, "size_sd": 0.0, "elevation_sd_deg": 0.0, "droop_deg": 0.0, "fold_deg": 0.0}
+    thin, thick = shoot_of(**flat, thickness_mm=0.2), shoot_of(**flat, thickness_mm=0.4)
+    along = (np.arange(100_000) + 0.5) / 100_000
+    width = np.maximum(np.sqrt(1.0 - (2.0 * along**0.85 - 1.0) ** 2), shoots.TIP_SHARE)
+    assert thin.leaf_area_mm2 == pytest.approx(40.0 * 24.0 * width.mean(), rel=0.01)
+    # petiole and stem are the same in both, but for what of them lies in the blade
+    assert thick.volume_mm3 - thin.volume_mm3 == pytest.approx(0.2 * thin.leaf_area_mm2, rel=0.02)
+
+
+def test_leaves_in_the_pot_are_refused() -> None:
+    with pytest.raises(UserError, match=r"below the top of the net pot .* Increase shoot\.elevation_deg"):
+        shoot_of(elevation_deg=-40.0)
