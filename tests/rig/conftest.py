@@ -21,7 +21,7 @@ Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
 Fault = Callable[[bytes], list[Piece]]
 SPEED_DEG_PER_S = 30.0
-COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 106, 107, 110, 113, 114, 115, 150, 154, 155, 204, 211, 400))}
+COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114, 115, 150, 154, 155, 204, 211, 400))}
 
 
 @dataclass
@@ -46,7 +46,6 @@ class _Board(LatePort):
         self.moves: list[float] = []
         self.energised = False
         self.strips: dict[int, dict[str, int]] = {0: {}, 1: {}}
-        self.outputs: dict[int, int] = {}
         self.done: list[str] = []  # commands that were carried out
         self.sent: list[bytes] = []
         self.waiting: list[Piece] = []
@@ -133,8 +132,6 @@ class _Board(LatePort):
             self.energised = name == "M17"
         elif name == "M150":
             self.strips[int(values["S"])] = {letter: int(value) for letter, value in values.items() if letter != "S"}
-        elif name in ("M106", "M107"):
-            self.outputs[int(values["P"])] = int(values.get("S", 0))
         elif name == "M114":
             self.put(f"X:{self.x_deg:.2f} Y:0.00 Z:0.00 E:0.00 Count X:{round(self.x_deg * 160 / 9)} Y:0 Z:0\n")
         elif name == "M115":

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.rig import bands
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
 from rhizotwin.rig.scanning.observers import Observers
@@ -20,7 +19,7 @@ from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.schema import Place
-from tests.rig.fake_devices import LENS, STRIP, World, devices, opened, run, scan_twin
+from tests.rig.fake_devices import LENS, STRIP, World, devices, run, scan_twin
 
 BANDS = (Band(name="red", wavelength_nm=670.0, panel_level=0.0), Band(name="white"), Band(name="nir", wavelength_nm=850.0))
 SCENE = Scene(
@@ -110,20 +109,6 @@ def test_an_old_picture_is_not_stored_as_that_of_another_band(change: int, tmp_p
     for frame in made.frames:
         assert any(band == frame.band and np.array_equal(image, read_image(made, frame)) for band, image in taken), frame.file
     assert any("identical" in event["text"] for event in made.origin["log"])
-
-
-def test_lamps_outputs_and_filter_decide_the_band() -> None:
-    twin, shown = twin_of(profile="clean"), {}
-    with opened(twin) as devices:
-        devices.arm.prepare()
-        for part in RIG.camera.bands:
-            bands.light(devices.lights, twin.rig, part.name)
-            devices.arm.turn_filter(part.filter_deg)
-            sight = twin.world.sight()
-            shown[part.name] = (sight.band, round(sight.panel, 3), round(sight.front, 3))
-        assert shown == {"red": ("red", 0.0, 1.0), "white": ("white", 1.0, 1.0), "nir": ("nir", 1.0, 1.0)}
-        bands.light(devices.lights, twin.rig, "red")
-        assert twin.world.sight().band == "", "the filter is that of another band"
 
 
 def test_a_scene_with_a_band_that_the_rig_lacks_is_refused(tmp_path: Path) -> None:

@@ -194,9 +194,16 @@ def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
     assert bench.is_safe()
 
 
-def test_rig_files_that_cannot_work_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(EXAMPLE.replace("/dev/ttyUSB1", "/dev/ttyUSB0"))
-    with pytest.raises(UserError, match=r"port.*must differ from the port of"):
+CLASHES = [
+    ("/dev/ttyUSB1", "/dev/ttyUSB0", "port.*must differ from the port of"),
+    ("step_pin = 23", "step_pin = 24", "differ from step_pin"),
+]
+
+
+@pytest.mark.parametrize(("own", "other", "says"), CLASHES)
+def test_rig_files_that_cannot_work_are_refused(own: str, other: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(EXAMPLE.replace(own, other))
+    with pytest.raises(UserError, match=says):
         load_rig(tmp_path / "rig.toml")
 
 

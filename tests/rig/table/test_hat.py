@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -12,12 +11,11 @@ import pytest
 
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import open_board
-from rhizotwin.rig.rig_file import BandPart, HatPart, RigFile, TurntablePart, load_rig
+from rhizotwin.rig.rig_file import BandPart, HatPart, RigFile, TurntablePart
 from rhizotwin.rig.scanning.scan_turntable import BoardFaultError, ScanTurntable
 from rhizotwin.rig.table.hat import HatLights, HatTurntable
 from rhizotwin.rig.table.ramp import step_times_s
 from rhizotwin.rig.twin.clock import VirtualClock
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 HAT = HatPart()
@@ -208,12 +206,6 @@ def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "lgpio", None)
     with pytest.raises(RigError, match="the library lgpio is missing"):
         open_board(RIG, clock=VirtualClock())
-
-
-def test_pins_that_clash_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text("[hat]\nstep_pin = 24\n")
-    with pytest.raises(UserError, match="must differ from step_pin"):
-        load_rig(tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize("steps", [7, 300])

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from rhizotwin.rig.rig_file import BandPart, LightsPart, TurntablePart
+from rhizotwin.rig.rig_file import LightsPart, TurntablePart
 from rhizotwin.rig.table.lights import MarlinLights
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.turntable import MarlinTurntable
@@ -227,18 +227,6 @@ def test_lamps_are_only_taken_for_set_when_they_are(board: Any, lights: MarlinLi
     board.request_faults = {len(board.sent) + 1: lambda data: [(0.0, data.replace(b"R255", b"R254"))]}
     lights.set(panel=1.0, front=0.0)
     assert board.strips[1] == {"R": 255, "U": 250, "B": 240, "P": 255}
-
-
-def test_a_band_has_its_colours_and_alone_its_output(board: Any) -> None:
-    red, nir = BandPart(name="red", front_rgb=(255, 0, 0)), BandPart(name="nir", output=1)
-    lights = MarlinLights(MarlinLink(board), LAMPS, board.clock, bands=(red, nir, BandPart(name="uv", output=3)))
-    lights.set(panel=0.0, front=1.0, band=red)
-    assert board.strips == {1: OFF, 0: {"R": 255, "U": 0, "B": 0, "P": 255}}
-    assert board.outputs == {1: 0, 3: 0}
-    lights.set(panel=0.0, front=0.0, band=nir)
-    assert board.outputs == {1: 255, 3: 0}
-    lights.off()
-    assert board.outputs == {1: 0, 3: 0}
 
 
 Fault = Callable[[bytes], list[tuple[float, bytes]]]

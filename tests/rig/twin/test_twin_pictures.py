@@ -25,6 +25,7 @@ from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.specimen import build_specimen
 from rhizotwin.sim.world import TrueCamera, draw_world
 
+pytestmark = pytest.mark.usefixtures("coarse_ball")
 WRONG = Disturbances(
     distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0),
     canister_offset_mm=1.0,
