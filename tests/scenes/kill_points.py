@@ -1,7 +1,7 @@
 """Kill a writer before each of its file operations in turn, and look at what it leaves. Run by test_folders.py in a process of one thread.
 
-python kill_points.py SCENARIO FOLDER [STEP] kills at every STEP-th point and prints how many these were; anything lost or left
-over ends it with a traceback.
+python kill_points.py SCENARIO FOLDER kills at every point and prints how many these were; anything lost or left over ends it
+with a traceback. Whole commands are killed at random moments by `tests.campaign`.
 """
 
 import os
@@ -121,47 +121,6 @@ def scan(work: Path) -> int:
     return every(lambda: None, action, work, reader=look, in_part=True)
 
 
-def command(name: str, work: Path, step: int) -> int:
-    """Kill a command line: its folder is old or new, or can be gone on with, and the same command finishes it."""
-    from rhizotwin import cli
-    from tests.fuzz.folders import Given, prepared, stand_ins
-    from tests.fuzz.process import load
-
-    load()
-    stand_ins(save=False)
-    words, base, in_part = COMMANDS[name]
-    line = prepared(Given(words, base=base), lambda *_: None, work.parent / "place", name=b"goal")
-    goal = work.parent / "place" / "here" / "goal"
-    line = [word.replace(str(goal), str(work / "goal")) for word in line]
-
-    def before() -> None:
-        if base:
-            shutil.copytree(goal, work / "goal", ignore=shutil.ignore_patterns("edits.json"))
-
-    def action() -> None:
-        code = cli.main(line)
-        if code == cli.EXIT_MISTAKE:
-            raise UserError("already exists")
-        assert code == 0, line
-
-    return every(before, action, work, reader=lambda: look(work / "goal"), in_part=in_part, step=step)
-
-
-COMMANDS = {
-    "edit": ("edit {r} --apply {log} -o {f}", "", False),
-    "edit over a result": ("edit {r} --apply {log} -o {f}", "result", False),
-    "reconstruct": ("reconstruct {d} -o {f}", "", False),
-    "reconstruct over a result": ("reconstruct {d} -o {f}", "result", False),
-    "report": ("report {f}", "result", False),
-    "export": ("export {r} --dataset {d} -o {f}", "", False),
-    "import": ("import {d}/images --scene {scene} -o {f}", "", False),
-    "growth": ("growth {growth} -o {f}", "", False),
-    "batch": ("batch {d} -o {f}", "", True),
-    "simulate": ("simulate {scene} --views 2 --image-wh 32x24 -o {f}", "", True),
-}
-"""Command lines of the fuzzer (`tests.fuzz.folders`), what their folder holds before, and whether it may be seen in part."""
-
-
 def every(
     before: Callable[[], object],
     action: Callable[[], object],
@@ -169,14 +128,13 @@ def every(
     *,
     reader: Callable[[], None],
     in_part: bool = False,
-    step: int = 1,
 ) -> int:
-    """Kill ``action`` at each ``step``-th of its operations, look, then do it again; return how many there were.
+    """Kill ``action`` at each of its operations, look, then do it again; return how many there were.
 
     Where the action may leave a part of what it does, the reader alone judges that.
     """
     states = []
-    for point in range(1, 100_000, step):
+    for point in range(1, 100_000):
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
         before()
@@ -226,9 +184,7 @@ if __name__ == "__main__":
         name, folder = sys.argv[1], work / "work"
         if name == "scan":
             points = scan(folder)
-        elif name in FILES:
+        else:
             before, action = (partial(function, folder) for function in FILES[name])
             points = every(before, action, folder, reader=lambda: look(folder / "goal"))
-        else:
-            points = command(name, folder, int(sys.argv[3]))
         sys.stdout.write(f"{points} points\n")

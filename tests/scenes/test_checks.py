@@ -1,12 +1,15 @@
-"""Parts of a scene that do not fit each other are refused."""
+"""Parts of a scene that do not fit each other are refused; bands of a camera, and how pictures of one view belong together."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from rhizotwin.scenes.bands import Band
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.bands import Band, bands_by_range, vegetation_indices
 from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Lights, MarkerStrip, NetPot, Ring, Scene, Tank, Water
 from rhizotwin.scenes.plants import Plant
@@ -78,3 +81,39 @@ def test_line_of_a_misfit() -> None:
     text = "[water]\nn_water = 1.333\nlevel_mm = -150.0\n"
     with pytest.raises(UserError, match=r"^mine\.toml, line 3: \[water\] level_mm"):
         check_scene(Scene(water=Water(level_mm=-150.0)), where="mine.toml", text=text)
+
+
+SCENE = Scene(camera=Camera(bands=(WHITE, RED, NIR)), plan=CapturePlan(rings=(Ring(views=2), Ring(views=2, bands=("red", "white")))))
+
+
+def test_views_are_taken_in_the_bands_of_their_ring() -> None:
+    assert plan.ring_bands(SCENE, 0) == ("white", "red", "nir")
+    assert plan.ring_bands(SCENE, 1) == ("red", "white")
+    assert plan.main_band(SCENE, 1) == "white", "red has no panel"
+    assert plan.ring_bands(Scene(), 0) == ("",)
+    assert (plan.picture_name(7, "red"), plan.picture_name(7, "")) == ("view_007_red", "view_007")
+
+
+def test_ranges_have_their_nearest_band_and_indices_a_formula() -> None:
+    near = Band(name="near", wavelength_nm=800.0)
+    assert bands_by_range((WHITE, RED, NIR, near)) == {"green": "white", "red": "red", "nir": "nir"}
+    assert vegetation_indices({"red": 0.05, "nir": 0.45}) == {"ndvi": pytest.approx(0.8)}
+    assert vegetation_indices({"red": 0.05, "nir": 0.45, "red_edge": 0.25})["ndre"] == pytest.approx(0.2 / 0.7)
+    assert vegetation_indices({"red": 0.05}) == {}
+
+
+def frame(name: str, **changes: Any) -> Frame:
+    return Frame(file=f"images/{name}.png", sha256="", **changes)
+
+
+FRAMES = {
+    "no band": ((frame("a", view=0),), r"\[frames 1\] band.*one of the camera's bands, white, red, nir"),
+    "same band": (tuple(frame(name, band="red", view=0) for name in "ab"), r"\[frames 2\] view.*differ from the view of images/a"),
+}
+
+
+@pytest.mark.parametrize(("frames", "says"), FRAMES.values(), ids=FRAMES)
+def test_frames_that_contradict_the_bands_are_refused(frames: tuple[Frame, ...], says: str, tmp_path: Path) -> None:
+    save_dataset(Dataset(folder=tmp_path, scene=SCENE, frames=frames))
+    with pytest.raises(UserError, match=says):
+        load_dataset(tmp_path)

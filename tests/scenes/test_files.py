@@ -1,17 +1,22 @@
-"""Scene and profile files: round trips, and one clear sentence for each mistake."""
+"""Scene and profile files, their subject and descriptions, and the library: round trips, one clear sentence for each mistake."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rhizotwin.command_steps import settings_of
-from rhizotwin.scenes import files
+from rhizotwin.report import rig_figure
+from rhizotwin.scenes import files, key_descriptions, subject
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import library, load_scene
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.versioned_json import read_versioned_json
 
 MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [
@@ -119,3 +124,95 @@ def test_own_profile_file(tmp_path: Path) -> None:
     path.write_text("[disturbances]\nbubles = 3\n")
     with pytest.raises(UserError, match=r'line 2: \[disturbances\] bubles: unknown key \(did you mean "bubbles"'):
         files.load_profile(str(path))
+
+
+WHOLE = Subject(plant="P7", species="Raphanus sativus", treatment="low N", day=15.0, date="2022-10-16", replicate=2, notes="fell over")
+
+
+def test_scene_files_and_datasets_keep_it_or_do_without(tmp_path: Path) -> None:
+    files.save_scene(Scene(subject=WHOLE), tmp_path / "scene.toml")
+    assert files.load_scene(tmp_path / "scene.toml").subject == WHOLE
+    save_dataset(Dataset(folder=tmp_path, scene=Scene(subject=WHOLE), frames=(Frame(file="a.png", sha256=""),)))
+    assert load_dataset(tmp_path).scene.subject == WHOLE
+    path = tmp_path / "dataset.json"
+    plain = json.loads(path.read_text(encoding="utf-8"))
+    del plain["scene"]["subject"]  # as earlier versions wrote it
+    path.write_text(json.dumps(plain), encoding="utf-8")
+    assert load_dataset(tmp_path).scene.subject == Subject()
+
+
+def test_cells_of_a_table_give_it_back() -> None:
+    assert subject.from_cells(subject.as_text(WHOLE), "table.csv, line 2") == WHOLE
+    assert subject.from_cells({"plant": " P7 ", "volume (mm3)": "3"}, "x") == Subject(plant="P7")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"date": "16.10.2022"}, "must be a date such as 2022-10-06"),
+        ({"treatment": "=HYPERLINK(1)"}, "must not begin with = or @"),
+        ({"plant": "a\nb"}, "one line"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(wrong: dict[str, object], says: str) -> None:
+    with pytest.raises(UserError, match=says):
+        files.scene_from_dict({"subject": wrong}, where="scene.toml")
+
+
+# Wet root masses in g of radish 1 to 18 (thesis, table A.1), three an age: days 5, 10, ... 30; taken as ml at 1.0 g/ml.
+WET_ROOT_G = [
+    0.0348, 0.0585, 0.0625, 0.1192, 0.2399, 0.2618, 0.3329, 0.1478, 0.1869,
+    0.956, 0.9287, 0.5903, 1.7722, 0.6957, 1.1488, 1.18, 0.3414, 1.7325,
+]  # fmt: skip
+RADISHES = [f"radish_day{day:02d}{plant}" for day in range(5, 31, 5) for plant in "abc"]
+
+FAMILIES = ["bean", "maize", "wheat", "lettuce", "bulb", "carrot", "radish_swollen"]
+
+
+def test_the_library_is_complete_and_each_scene_has_its_name() -> None:
+    listed = list(library())
+    assert {"sphere_20mm", "printed_8ml", *FAMILIES, *RADISHES} < {name for name, _ in listed}
+    scenes = [load_scene(name) for name, _ in listed]
+    assert [(scene.name, scene.description) for scene in scenes] == listed
+    assert all(text.strip() and "\n" not in text for _, text in listed)
+    assert {scene.disturbances for scene in scenes} == {Disturbances()}
+    with pytest.raises(UserError, match=r"ambiguous; choose radish_day15a, radish_day15b, radish_day15c$"):
+        load_scene("radish_day15")
+
+
+def test_radishes_have_the_volumes_names_and_days_of_the_thesis() -> None:
+    scenes = [load_scene(name) for name in RADISHES]
+    assert [scene.specimen.volume_ml for scene in scenes] == WET_ROOT_G
+    assert len({scene.specimen.seed for scene in scenes}) == len(RADISHES)
+    assert [scene.subject.plant for scene in scenes] == [f"radish {number}" for number in range(1, 19)]
+    assert [scene.subject.day for scene in scenes] == [5.0 * (1 + k // 3) for k in range(18)]
+
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+def test_every_key_has_a_meaning_unit_and_range():
+    found = list(key_descriptions.keys())
+    assert len({key.path for key in found}) == len(found) > 100
+    assert [key.path for key in found if not key.why] == []
+    by_path = {key.path: key for key in found}
+    wall = by_path["canister.wall_mm"]
+    assert (wall.default, wall.unit, wall.limits) == (3.175, "mm", "0.2 to 50")
+
+
+@pytest.mark.parametrize("name", ["sphere_20mm", "two_radishes"])
+def test_a_written_scene_explains_every_line_and_reads_back(name: str, tmp_path: Path):
+    scene = files.load_scene(name)
+    files.save_scene(scene, tmp_path / "copy.toml")
+    assert files.load_scene(tmp_path / "copy.toml") == scene
+    lines = (tmp_path / "copy.toml").read_text(encoding="utf-8").splitlines()
+    keys = [(line, before) for before, line in pairwise(lines) if "=" in line and line[0] != "#" and not line.startswith("kind =")]
+    assert len(keys) > 50
+    assert [line for line, before in keys if before[:1] != "#"] == []
+    diameters = sum(line.startswith("# Mean diameter at the base of the root") for line in lines)
+    assert diameters == {"sphere_20mm": 0, "two_radishes": 6}[name]  # of the plants' own specimens, too
+
+
+def test_page_and_figure_in_the_documents_are_of_the_program():
+    assert (DOCS / "scene-keys.md").read_text(encoding="utf-8") == key_descriptions.page()
+    assert (DOCS / "pictures" / "rig.svg").read_text(encoding="utf-8") == rig_figure.svg(Scene(name="the default rig")) + "\n"

@@ -45,8 +45,8 @@ class Capsule:
         return np.linalg.norm(points - a - s[:, None] * axis, axis=1) <= self.radius_mm
 
 
-def union_mm3(capsules: list[Capsule], *, rng: np.random.Generator, count: int = 4_000_000) -> float:
-    """Return the volume of the union, by points drawn evenly from a box around it: a share of one in fifty is known to half a percent."""
+def union_mm3(capsules: list[Capsule], *, rng: np.random.Generator, count: int = 1_000_000) -> float:
+    """Return the volume of the union, by points drawn evenly from a box around it: a share of one in fifty is known to a percent."""
     ends = np.array([(one.start_mm, one.end_mm) for one in capsules]).reshape(-1, 3)
     reach = max(one.radius_mm for one in capsules)
     low, high = ends.min(axis=0) - reach, ends.max(axis=0) + reach
