@@ -6,8 +6,9 @@ This project uses OpenCV's conventions: x right, y down, z forward, and pixel ce
 file is the canister frame, in millimetres.
 
 Lens parameters are at the top of the file or in the frames. The two programs read them differently: nerfstudio 1.1.5
-ignores those of a frame if they are also at the top, and instant-ngp ignores those at the top. Only instant-ngp reads
-``is_fisheye``, and only nerfstudio ``camera_model``. A file that they read differently is rejected.
+ignores those of a frame if they are also at the top, and instant-ngp ignores those at the top. instant-ngp reads
+``is_fisheye``, nerfstudio only in its parser for files of instant-ngp, and ``camera_model`` in its own. A file that
+they read differently is rejected.
 """
 
 import json

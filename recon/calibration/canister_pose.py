@@ -31,7 +31,7 @@ from scipy.optimize import least_squares
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View, cam_pixels, matrix, project_inner, tank_pose
+from rhizotwin.recon.optics.cameras import View, cam_pixels, camera_directions, project_inner, tank_pose
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import MAD, inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
@@ -206,23 +206,18 @@ class _Edges:
         """Return the lines of sight through the edge pixels (M, 2) of each view."""
         px = np.concatenate([pixels for pixels, _ in found])
         owner = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
-        undone = [
-            cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix(view.camera), np.array(view.camera.distortion)).reshape(-1, 2)
-            for (pixels, _), view in zip(found, views, strict=True)
-            if len(pixels)
-        ]
+        rays = [camera_directions(view.camera, pixels) for (pixels, _), view in zip(found, views, strict=True) if len(pixels)]
         side = np.concatenate([sides for _, sides in found])
         one = px[(owner == owner[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
         along = int(np.argmax(np.ptp(one, axis=0)))  # rows, if edges are vertical in the pictures
         block = np.ones(2)
         block[along] = TOGETHER_MM * views[0].camera.focal_px[0] / views[0].rho_mm
-        rays = np.column_stack([np.concatenate([*undone, np.empty((0, 2))]), np.ones(len(px))])
         return _Edges(
             views=views,
             optics=optics,
             view=owner,
             side=side,
-            ray=rays / np.linalg.norm(rays, axis=1, keepdims=True),
+            ray=np.concatenate([*rays, np.empty((0, 3))]),
             place=np.asarray(np.unique(np.floor(px / block), axis=0, return_inverse=True)[1].ravel(), np.int64),
         )
 

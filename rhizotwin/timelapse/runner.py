@@ -5,7 +5,6 @@ power failure. A scan is recorded as started before the rig moves, and as finish
 dataset. The folder of a dataset depends only on plant and planned time, so that no scan is repeated.
 """
 
-import sqlite3
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from rhizotwin import rigs
-from rhizotwin.catalogue import adding, identity
+from rhizotwin.catalogue import adding, identity, schema
 from rhizotwin.catalogue.records import State, Visit
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.visits import list_visits, plan_visits, update_visit
@@ -184,7 +183,7 @@ class Runner:
             else:
                 self._attempt(catalogue, visit, member, folder)
         except UserError as error:
-            if isinstance(error, NobodyError) or isinstance(error.__cause__, OSError | sqlite3.Error):
+            if isinstance(error, NobodyError) or isinstance(error.__cause__, (OSError, *schema.ERRORS)):
                 raise
             scene = self.experiment.base_scene()
             check_disk(folder, count_pictures(scene), scene.camera)  # a full disk must not make all scans missed
