@@ -9,7 +9,7 @@ from benchmarks.accuracy import describe_case
 from benchmarks.cases import Case
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def record_of() -> Callable[..., dict[str, Any]]:
     """Make the record of a case with chosen errors."""
 

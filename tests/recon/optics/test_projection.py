@@ -74,7 +74,7 @@ def random_points(optics: refraction.Optics, count: int) -> np.ndarray:
 @pytest.mark.parametrize(("n_wall", "n_water"), [(1.49, 1.333), (1.0, 1.0), (1.49, 1.36)])
 def test_kernel_agrees_with_the_reference(n_wall: float, n_water: float) -> None:
     bank, view, optics = bank_and_view(n_wall, n_water)
-    points = random_points(optics, 4000)
+    points = random_points(optics, 2000)
     expected, count = cameras.project(view, optics, points)
     found = in_kernel(bank, points)
     seen = found["visible"]
@@ -89,7 +89,7 @@ def test_kernel_agrees_with_the_reference(n_wall: float, n_water: float) -> None
 @pytest.mark.parametrize("sways", [False, True])
 def test_gradients_agree_with_finite_differences(sways: bool) -> None:
     bank, view, optics = bank_and_view(sways=sways)
-    points = random_points(optics, 300)
+    points = random_points(optics, 150)
     found = in_kernel(bank, points)
     step = 1e-3
     for axis in range(3):

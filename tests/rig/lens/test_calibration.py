@@ -1,4 +1,4 @@
-"""The lens from pictures of the board: corners, fit, what is left out and refused, and the twin's pictures of the board."""
+"""The lens from pictures of the board: corners, fit, what is refused, and the twin's pictures; a camera's curve from exposures."""
 
 import json
 from dataclasses import replace
@@ -15,12 +15,16 @@ from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, find_board
 from rhizotwin.rig.lens.calibration import calibrate, calibrate_views
 from rhizotwin.rig.lens.calibration_report import write_report
 from rhizotwin.rig.lens.lens_fit import fit_lens
+from rhizotwin.rig.lens.transfer_fit import fit_transfer
+from rhizotwin.rig.lens.transfer_series import read_series
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.picture_codec import encode_png
+from rhizotwin.scenes.transfer import LINEAR, SRGB, Curve
 from rhizotwin.sim.board import board_picture, draw_pose, project, simulate_board
 
 Array = NDArray[np.float64]
@@ -114,6 +118,7 @@ def seen_views(
 CURVED = replace(Camera(), distortion=BENCH, principal_px=(410.0, 290.0))
 LENSES = {
     "straight": (Camera(), {"fx / fy", "k3", "p1, p2", "k2", "k1"}),
+    "bench": (CURVED, {"fx / fy", "k3"}),
     "everything": (Camera(focal_px=(900.0, 905.0), distortion=(-0.25, 0.1, 0.001, -0.001, -0.3)), set()),
 }
 
@@ -131,11 +136,9 @@ def test_the_lens_is_found_with_no_more_terms_than_it_has(true: Camera, left_out
 
 
 def test_standard_deviations_are_honest() -> None:
-    """In a lens as on the bench, whose terms are the same in every fit."""
     off, poses = [], [draw_pose(Scene(camera=CURVED), BOARD, seed=0, index=k) for k in range(12)]
     for seed in range(6):
         fit = fit_lens(seen_views(CURVED, seed=seed, poses=poses), BOARD, CURVED.image_wh)
-        assert set(fit.left_out) == {"fx / fy", "k3"}
         off.append([(fit.focal_px[1] - 1300.0) / fit.focal_std_px[1], (fit.principal_px[0] - 410.0) / fit.principal_std_px[0]])
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.7
 
@@ -242,3 +245,46 @@ def test_no_usable_picture_at_all_is_one_sentence(tmp_path: Path) -> None:
         write_image(tmp_path / f"{k}.png", np.full((300, 400), 100, np.uint8))
     with pytest.raises(RigError, match=r"none of the 3 pictures can be used; 0.png: no board was found.*2 other pictures"):
         calibrate(sorted(tmp_path.iterdir()), BOARD)
+
+
+TIMES = (0.002, 0.004, 0.008, 0.016, 0.032)
+SHOULDER = Curve("film", tuple((np.linspace(0.0, 1.0, 513) ** 1.6 * (0.7 + 0.3 * np.linspace(0.0, 1.0, 513) ** 3)).tolist()))
+
+
+def pictures(curve: Curve, times: tuple[float, ...] = TIMES) -> list[np.ndarray]:
+    """Expose a ramp from dark to bright: the middle time reaches 0.8 of full scale."""
+    rng = np.random.default_rng(0)
+    scene = np.geomspace(0.004, 0.8, 120)[None, :] * np.ones((90, 1))
+    lights = (np.clip(rng.poisson(8000.0 * scene * t / 0.008) / 8000.0, 0.0, 1.0) for t in times)
+    return [np.rint(255.0 * curve.number(light)).astype(np.uint8) for light in lights]
+
+
+@pytest.mark.parametrize("curve", [LINEAR, SRGB, SHOULDER], ids=lambda one: one.name)
+def test_a_curve_comes_back(curve: Curve) -> None:
+    found = fit_transfer(pictures(curve), TIMES)
+    share = np.linspace(0.1, 0.95, 30)
+    factor = found.curve.of(np.array(0.6)) / curve.of(np.array(0.6))  # exposures tell no common factor
+    assert factor == pytest.approx(1.0, abs=0.04)
+    np.testing.assert_allclose(found.curve.of(share), factor * curve.of(share), atol=0.015)
+    assert found.residual < 0.05
+    assert (found.curve in (LINEAR, SRGB)) == (curve in (LINEAR, SRGB))
+
+
+@pytest.mark.parametrize("exposures", ["0.002,nan,0.008", "0.002,0,0.008", "0.002,0.008"])
+def test_impossible_exposure_times_are_refused(exposures: str, tmp_path: Path) -> None:
+    paths = [tmp_path / f"{k}.png" for k in range(3)]
+    for path in paths:
+        path.write_bytes(encode_png(np.zeros((16, 16), np.uint8)))
+    with pytest.raises(UserError, match="specify a positive exposure time for each picture"):
+        read_series(paths, exposures)
+
+
+def test_exposures_that_are_too_alike_are_refused() -> None:
+    times = (0.008, 0.009, 0.010)
+    with pytest.raises(RigError, match=r"0\.008 to 0\.01 s"):
+        fit_transfer(pictures(SRGB, times), times)
+
+
+def test_pictures_all_clipped_are_refused() -> None:
+    with pytest.raises(RigError, match="too few pixels"):
+        fit_transfer([np.full((90, 120), 255, np.uint8)] * 5, TIMES)
