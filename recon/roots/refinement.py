@@ -41,7 +41,7 @@ class TreeRefinement:
         tree = self.fit(tree).tubes
         tree = tips.place_tips(self.whole, tree, self.px_a_mm)
         proved = node_support.compute_support(Rendering.draw(self.evidence, tree))
-        gone = ghosts.find_ghosts(tree, proved, self.thick(tree)) | self.find_duplicates(tree)
+        gone = ghosts.find_ghosts(tree, proved, self.thick(tree), self.px_a_mm) | self.find_duplicates(tree)
         tree = tree.cut_detours(gone)
         return link_pieces(tree.keep(tree.prune_mask(gone)))
 

@@ -200,7 +200,8 @@ def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         steps = _LAST_STEPS if tree.evidence.mu_per_mm is None else _TRANSLUCENT_STEPS
         fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, steps=steps, light=light)
         proved = node_support.compute_support(fit.rendering)
-        gone = ghosts.find_ghosts(fit.tubes, proved, tree.thick) | ghosts.find_enclosed(fit.tubes, ghosts.FLANK_PX / tree.px_a_mm)
+        gone = ghosts.find_ghosts(fit.tubes, proved, tree.thick, tree.px_a_mm)
+        gone |= ghosts.find_enclosed(fit.tubes, ghosts.FLANK_PX / tree.px_a_mm)
         found = fit.tubes.cut_detours(gone)
         stays = found.prune_mask(gone)
         found = found.keep(stays)

@@ -55,6 +55,16 @@ def test_a_thin_branch_inside_a_thick_root_is_its_outline(radius_mm: float, x: f
     np.testing.assert_array_equal(ghosts.find_enclosed(found, 0.1), (found.owner == 1) & enclosed)
 
 
+@pytest.mark.parametrize(("tail_mm", "base_mm", "ghost"), [(0.02, 1.5, True), (0.1, 1.5, False), (0.02, 0.05, False)])
+def test_the_invisible_rest_of_a_thick_root_is_a_ghost(tail_mm: float, base_mm: float, *, ghost: bool):
+    """A root that narrows and stays visible, and one that is as thin everywhere, are kept."""
+    found = strung(TRUNK)
+    tail = found.centre_mm[:, 2] < -40.0
+    found = tubes.with_geometry(found, found.centre_mm, np.where(tail, tail_mm, base_mm))
+    shown = node_support.Support(*[np.full(len(tail), value) for value in (9.0, 0.0, 9.0)])
+    np.testing.assert_array_equal(ghosts.find_ghosts(found, shown, np.zeros(len(tail), bool), 4.0), tail & ghost)
+
+
 def test_a_branch_that_no_picture_shows_is_removed_in_the_end() -> None:
     """After the fit, the branch is as thin as tubes can be; without its removal, its length would still count."""
     false = line((0.0, 0.0, -25.0), (-8.0, 4.0, -30.0), (-10.0, 6.0, -45.0))
