@@ -92,7 +92,7 @@ MISTAKES = [
     ("calibrate simulate printed_8ml -o pictures", "not empty"),
     ("calibrate simulate printed_8ml -o twin --pictures 1", "give 3 to 1000"),
     ("scan --rig twin -o d --table-angle 400", "-360 to 360"),
-    ("scan --rig no_such_rig.toml -o d", "--scene is missing"),
+    ("scan --rig no_such_rig.toml -o d", "there is no rig file no_such_rig.toml"),
     ("camera no_such_rig.toml --port 70000", "1 to 65535"),
 ]
 
