@@ -34,7 +34,7 @@ of 2 mm."""
 _INVISIBLE_PX, _TAPER = 0.25, 0.25
 """Diameter below which a root covers less than the blur at the edges of others varies, px, and maximum ratio of the
 radius to the largest one of the branch. A node below both is not a part of the root: a line of 0.16 px wound for 40 mm
-around roots of the print after a root of 13 px had ended. In twelve reconstructions of other plants, one node of 45,000
+around roots of the print after a root of 13 px had ended. In eleven other reconstructions, one node of 50,000
 is below both."""
 _INSIDE = 0.9
 """Fraction of a root's radius within which another centre line is a duplicate of the root."""
