@@ -2,6 +2,7 @@
 # ruff: noqa: D102 - overridden methods are described once
 
 import json
+import shlex
 import shutil
 import subprocess
 import sys
@@ -154,7 +155,7 @@ class BenchRun(Target):
             shutil.copytree(self.ball, self.work / "sets" / f"ball{number}")
         shutil.copy(self.ball.with_name("result") / "shape.ply", self.work)
         (self.work / "method.py").write_text(METHOD)
-        method = f"{sys.executable} {self.work / 'method.py'} {self.work / 'shape.ply'} {{dataset}} {{output}}"
+        method = shlex.join([sys.executable, str(self.work / "method.py"), str(self.work / "shape.ply"), "{dataset}", "{output}"])
         return ["bench", "run", "tiny-1", self.work / "sets", "--method", method, "-o", self.work / "mine.json", "--cameras", "true"]
 
     def rows(self) -> list[str]:
