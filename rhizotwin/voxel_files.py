@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -20,36 +21,10 @@ MOST_VOXELS = 1_500_000_000
 """Maximum size, in bytes, of the array of voxels that is written to a file."""
 _SLAB = 64
 """Number of horizontal layers that are converted at once, to limit the memory of floats."""
-_NIFTI = np.dtype(
-    [
-        ("sizeof_hdr", "<i4"),
-        ("unused", "S36"),
-        ("dim", "<i2", 8),
-        ("intent", "S14"),
-        ("datatype", "<i2"),
-        ("bitpix", "<i2"),
-        ("slice_start", "<i2"),
-        ("pixdim", "<f4", 8),
-        ("vox_offset", "<f4"),
-        ("scl_slope", "<f4"),
-        ("scl_inter", "<f4"),
-        ("slice_end", "<i2"),
-        ("slice_code", "u1"),
-        ("xyzt_units", "u1"),
-        ("calibration", "S24"),
-        ("descrip", "S80"),
-        ("aux_file", "S24"),
-        ("qform_code", "<i2"),
-        ("sform_code", "<i2"),
-        ("quatern", "<f4", 3),
-        ("qoffset", "<f4", 3),
-        ("srow", "<f4", (3, 4)),
-        ("intent_name", "S16"),
-        ("magic", "S4"),
-        ("extension", "S4"),
-    ]
-)
-"""Header of a NIfTI-1 file, and four bytes that state that no extension follows (nifti1.h, R. Cox 2007)."""
+_NIFTI = struct.Struct("<i36x8h14x2h2x8f3f3xB24x80s24x2h3f3f12f16x4s4x")
+"""Header of a NIfTI-1 file, and four bytes that state that no extension follows (nifti1.h, R. Cox 2007). The fields are
+sizeof_hdr, dim, datatype, bitpix, pixdim, vox_offset, scl_slope, scl_inter, xyzt_units, descrip, qform_code,
+sform_code, quatern, qoffset, srow and magic."""
 _UINT8, _MM, _SCANNER = 2, 2, 1
 """Codes of NIfTI for bytes, millimetres and coordinates of the device."""
 _CONTENT = "root occupancy, 0 to 255, canister frame (mm, z up)"
@@ -104,14 +79,13 @@ def encode_nrrd(block: Block) -> bytes:
 
 def encode_nifti(block: Block) -> bytes:
     """Return a NIfTI-1 file in which x, y and z of the canister frame are right, anterior and superior."""
-    header = np.zeros((), _NIFTI)
-    header["sizeof_hdr"], header["magic"], header["vox_offset"], header["scl_slope"] = 348, b"n+1", _NIFTI.itemsize, 1.0
-    header["dim"] = [3, *block.values.shape, 1, 1, 1, 1]
-    header["datatype"], header["bitpix"], header["xyzt_units"], header["descrip"] = _UINT8, 8, _MM, _CONTENT.encode()
-    header["pixdim"] = [1.0, *[block.voxel_mm] * 3, 0.0, 0.0, 0.0, 0.0]
-    header["qform_code"] = header["sform_code"] = _SCANNER
-    header["qoffset"], header["srow"] = block.first_mm, np.column_stack([block.voxel_mm * np.eye(3), block.first_mm])
-    return header.tobytes() + block.values.tobytes(order="F")
+    header = _NIFTI.pack(
+        *(348, 3, *block.values.shape, 1, 1, 1, 1, _UINT8, 8),
+        *(1.0, *[block.voxel_mm] * 3, 0.0, 0.0, 0.0, 0.0),
+        *(_NIFTI.size, 1.0, 0.0, _MM, _CONTENT.encode(), _SCANNER, _SCANNER),
+        *(0.0, 0.0, 0.0, *block.first_mm, *np.column_stack([block.voxel_mm * np.eye(3), block.first_mm]).flat, b"n+1"),
+    )
+    return header + block.values.tobytes(order="F")
 
 
 def encode_vtk(block: Block) -> bytes:
