@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rhizotwin.scenes.transfer import SRGB
+
 if TYPE_CHECKING:
     import trimesh
 
@@ -44,19 +46,17 @@ def encode(mesh: trimesh.Trimesh, suffix: str) -> bytes:
         mesh.vertices = np.stack([x, z, -y], axis=1) / 1000.0
         if mesh.visual.kind == "vertex":
             colours = np.array(mesh.visual.vertex_colors)
-            colours[:, :3] = np.round(255.0 * _to_linear(colours[:, :3] / 255.0))
+            colours[:, :3] = np.round(255.0 * SRGB.of(colours[:, :3] / 255.0))  # glTF 2.0 requires linear colours in COLOR_0
             mesh.visual.vertex_colors = colours
     content = mesh.export(file_type=suffix[1:])
     return content.encode() if isinstance(content, str) else bytes(content)
 
 
-def _to_linear(srgb: np.ndarray) -> np.ndarray:
-    """Convert sRGB colours to linear colours, which glTF 2.0 requires in COLOR_0 (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
 def _encode_3mf(mesh: trimesh.Trimesh) -> bytes:
-    """Return a 3MF archive (3MF Core Specification 1.3; colours by the Materials and Properties Extension)."""
+    """Return a 3MF archive (3MF Core Specification 1.3; colours by the Materials and Properties Extension).
+
+    Trimesh 5.2 omits colours, and writes different bytes in each call.
+    """
     colours, has_colours = "", mesh.visual.kind == "vertex"
     triangles = [f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces.tolist()]
     if has_colours:
