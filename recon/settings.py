@@ -5,13 +5,12 @@ All other parameters are derived from data, or are constants in the modules that
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import read_toml
 from rhizotwin.scenes.limits import bounded
-from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.schema import Place, from_plain
 
 
@@ -255,12 +254,5 @@ def load_settings(file: Path | str) -> Settings:
     UserError
         If the file is missing or is not valid TOML, or contains an unknown key or a value outside its limits.
     """
-    path = Path(file)
-    if not path.is_file():
-        raise UserError(f"{path} does not exist. The settings must be a TOML file with lines such as `voxel_mm = 0.2`.")
-    try:
-        text = read_file(path).decode()
-        mapping = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # not UTF-8, not TOML, or integers with thousands of digits
-        raise UserError(f"{path} is not valid TOML: {error}") from None
-    return from_plain(Settings, mapping, Place(str(path), text))
+    table, text = read_toml(Path(file))
+    return from_plain(Settings, table, Place(str(file), text))

@@ -8,8 +8,6 @@ from rhizotwin import engine, private_page
 from rhizotwin.arguments import Page, Progress
 from rhizotwin.calls import SHARES
 from rhizotwin.front_door import Method, reconstruct
-from rhizotwin.scenes.files import read_toml
-from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings, Settings
@@ -48,10 +46,9 @@ def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "
     UserError
         If the file cannot be read or is invalid.
     """
-    from rhizotwin.recon.settings import Settings
+    from rhizotwin.recon.settings import Settings, load_settings
 
-    table, text = ({}, "") if file is None else read_toml(file)
-    chosen: Settings = from_plain(Settings, table, Place(str(file), text))
+    chosen = Settings() if file is None else load_settings(file)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
     return chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
 

@@ -193,8 +193,7 @@ class Nodes:
 
         ``values`` is a mi.Vector3f (N,), and the result is a flattened mi.Vector3f (V, N).
         """
-        views, count = self.shape
-        return dr.gather(mi.Vector3f, values, dr.arange(mi.UInt32, views * count) % dr.opaque(mi.UInt32, count))
+        return dr.gather(mi.Vector3f, values, projection.pair_all(*self.shape)[1])
 
 
 def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:

@@ -184,9 +184,15 @@ def project_into_all(bank: ViewBank, points_mm: Array) -> Projected:
 
     The result is flattened (V, N), and is not evaluated.
     """
-    lane, count = dr.arange(mi.UInt32, bank.count * len(points_mm)), dr.opaque(mi.UInt32, len(points_mm))
-    view = lane // count
-    return project(bank, view, dr.gather(mi.Point3f, points(points_mm), lane - view * count), mi.Bool(True))
+    view, point = pair_all(bank.count, len(points_mm))
+    return project(bank, view, dr.gather(mi.Point3f, points(points_mm), point), mi.Bool(True))
+
+
+def pair_all(views: int, count: int) -> tuple[UInt32, UInt32]:
+    """Return the indices of view and point (mi.UInt32) of each element of a flattened array (V, N)."""
+    lane, points_a_view = dr.arange(mi.UInt32, views * count), dr.opaque(mi.UInt32, count)
+    view = lane // points_a_view
+    return view, lane - view * points_a_view
 
 
 def px_a_mm(bank: ViewBank, point_mm: Array) -> float:

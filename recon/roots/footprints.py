@@ -77,6 +77,7 @@ class Footprints:
     """Number of cells."""
     image_wh: tuple[int, int]
     steps_a_px: Float
+    """Number of steps per pixel in ``place`` (mi.Float)."""
     place: UInt32
     """Column and row of each cell in each view, in steps of a fraction of a pixel, 16 bits each (mi.UInt32, flattened
     (V, N))."""
@@ -90,7 +91,7 @@ class Footprints:
         count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.size
         steps_a_px = dr.opaque(mi.Float, _STEPS / max(evidence.image_wh))
         p = projection.project_into_all(evidence.bank, centre_mm)
-        view = dr.arange(mi.UInt32, count * views) // dr.opaque(mi.UInt32, count)
+        view, _ = projection.pair_all(views, count)
         visible = p.visible & readable(p.px, width, height)
         px = dr.select(visible, p.px, mi.Vector2f(0.0))
         usable = dr.gather(mi.Float16, evidence.usable, view * (width * height) + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))

@@ -54,7 +54,7 @@ def test_the_page_has_every_number_with_its_default_and_limits() -> None:
         ("[trust]\nleast_views = 8.5", "must be a whole number"),
         ("[trust]\nsway_mm = [0.2, 0.1]", r"sway_mm = \[0.2, 0.1\]: the second limit must not be below the first"),
         ("voxel_mm = ", "not valid TOML"),
-        (None, "does not exist"),
+        (None, "there is no such file"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(tmp_path: Path, text: str | None, named: str) -> None:
