@@ -12,7 +12,7 @@ import numpy as np
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, find_board
-from rhizotwin.rig.lens.lens_fit import DROPPED, TERMS, LensFit, fit_lens
+from rhizotwin.rig.lens.lens_fit import DROPPED, TERMS, LensFit, fit_lens, residual_rms
 from rhizotwin.scenes import frames, toml_text
 from rhizotwin.scenes.atomic import write_json, write_text
 from rhizotwin.scenes.board import CharucoBoard, check_board
@@ -219,7 +219,7 @@ def numbers(made: Calibration) -> dict[str, Any]:
         "pictures": [
             {
                 "file": name,
-                "rms_px": float(np.sqrt(np.mean(np.sum(fit.residuals_px[name] ** 2, axis=1)))),
+                "rms_px": residual_rms(fit.residuals_px[name]),
                 "corners": len(view.ids),
                 "tilt_deg": made.tilts_deg[name],
                 "blur_px": view.blur_px,

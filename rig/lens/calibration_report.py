@@ -5,10 +5,11 @@ import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
 
 from rhizotwin.rig.lens.calibration import CELLS_WH, Calibration, covered_cells, model_text
-from rhizotwin.rig.lens.lens_fit import TERMS
+from rhizotwin.rig.lens.lens_fit import TERMS, residual_rms
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.schema import to_plain
@@ -83,13 +84,11 @@ def _distortion(axes: "Axes", made: Calibration) -> None:
     """Draw the displacement of pixels by the lens distortion."""
     width, height = made.camera.image_wh
     x, y = np.meshgrid(np.linspace(0.0, width - 1.0, 60), np.linspace(0.0, height - 1.0, 45))
-    u, v = (x - made.fit.principal_px[0]) / made.fit.focal_px[0], (y - made.fit.principal_px[1]) / made.fit.focal_px[1]
-    k1, k2, p1, p2, k3 = made.fit.distortion
-    r2 = u * u + v * v
-    radial = r2 * (k1 + r2 * (k2 + r2 * k3))
-    du = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
-    dv = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
-    moved_px = np.hypot(du * made.fit.focal_px[0], dv * made.fit.focal_px[1])
+    (fx, fy), (cx, cy) = made.fit.focal_px, made.fit.principal_px
+    rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    matrix, still = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.zeros(3)
+    px, _ = cv2.projectPoints(rays, still, still, matrix, np.array(made.fit.distortion))
+    moved_px = np.linalg.norm(px.reshape(*x.shape, 2) - np.stack([x, y], axis=-1), axis=-1)
     if float(moved_px.max()) > 1e-6:
         axes.clabel(axes.contour(x, y, moved_px, levels=8, cmap="viridis"), fontsize=7)
     axes.plot(*made.fit.principal_px, "k+")
@@ -108,16 +107,12 @@ def _scatter(axes: "Axes", made: Calibration) -> None:
 
 def _pictures(axes: "Axes", made: Calibration) -> None:
     names = list(made.fit.views)
-    rms = [_rms(made, name) for name in names]
+    rms = [residual_rms(made.fit.residuals_px[name]) for name in names]
     axes.barh(range(len(names)), rms, color="#6080a0")
     axes.axvline(made.fit.rms_px, color="#a03020", linewidth=1.0)
     axes.set_yticks(range(len(names)), [name[-40:] for name in names], fontsize=7, parse_math=False)
     axes.invert_yaxis()
     axes.set_xlabel("residual of each picture, px rms; the line marks the residual of all pictures", fontsize=9)
-
-
-def _rms(made: Calibration, name: str) -> float:
-    return float(np.sqrt(np.mean(np.sum(made.fit.residuals_px[name] ** 2, axis=1))))
 
 
 def _page(made: Calibration) -> str:
@@ -127,7 +122,8 @@ def _page(made: Calibration) -> str:
     rejected = [["picture", "reason"], *([name, reason] for name, reason in made.rejected.items())]
     used = [["picture", "corners", "tilt, degrees", "residual, px", "blur, px"]]
     for name, view in fit.views.items():
-        used.append([name, str(len(view.ids)), f"{made.tilts_deg[name]:.0f}", f"{_rms(made, name):.3f}", f"{view.blur_px:.2f}"])
+        rms_px = residual_rms(fit.residuals_px[name])
+        used.append([name, str(len(view.ids)), f"{made.tilts_deg[name]:.0f}", f"{rms_px:.3f}", f"{view.blur_px:.2f}"])
     picture = base64.b64encode(png(draw(made), dpi=DPI)).decode()
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Camera calibration</title>'

@@ -126,7 +126,7 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
         if worst is None:
             break
         name, rms_px = worst
-        others = float(np.median([_rms(r) for r in start.residuals]))
+        others = float(np.median([residual_rms(r) for r in start.residuals]))
         rejected[name] = (
             f"the corners deviate from the lens model of the other pictures by {rms_px:.2f} px rms (typically {others:.2f} px); "
             "check that the board is flat and was not moving"
@@ -210,7 +210,8 @@ def _solve(
     return found
 
 
-def _rms(residuals: Array) -> float:
+def residual_rms(residuals: Array) -> float:
+    """Return the root mean square length of the residuals (N, 2) of a picture, in their unit."""
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
@@ -219,7 +220,7 @@ def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, 
 
     The result is None if this picture is consistent with the others.
     """
-    rms = np.array([_rms(r) for r in found.residuals])
+    rms = np.array([residual_rms(r) for r in found.residuals])
     k = int(np.argmax(rms))
     return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None
 
