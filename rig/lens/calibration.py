@@ -20,6 +20,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.orientation import read_orientation
 from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.picture_reduction import Picture
 from rhizotwin.scenes.provenance import versions
@@ -70,7 +71,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     Parameters
     ----------
     paths : sequence of path
-        Pictures (PNG, JPG or TIFF, 8 or 16 bits) from one camera, with constant focus and size.
+        Pictures (PNG, JPG or TIFF, 8 or 16 bits) from one camera, with constant focus, size and orientation tag.
     board : CharucoBoard
         Printed board. The number of squares and the markers must be correct, whereas the scale does not affect the
         lens. If the pictures show it in the other pattern (`CharucoBoard.legacy_pattern`), that pattern is used.
@@ -92,7 +93,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     """
     check_board(board)
     seen: dict[str, BoardView] = {}
-    sizes: dict[str, tuple[int, int]] = {}
+    kinds: dict[str, tuple[int, int, int]] = {}  # width, height and orientation tag
     rejected: dict[str, str] = {}
     common_bits = 0
     depth = 8
@@ -100,8 +101,9 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     with monitor.stage("boards"), monitor.steps("boards", len(paths), "picture") as step:
         for path in paths:
             step()
+            data = path.read_bytes()
             try:
-                image: Picture = decode_grey(path.read_bytes(), where=path.name)
+                image: Picture = decode_grey(data, where=path.name)
             except UserError as error:
                 rejected[path.name] = str(error).removeprefix(f"{path.name}: ")
                 continue
@@ -109,21 +111,21 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
             if isinstance(found, NoBoard):
                 rejected[path.name] = found.reason
                 continue
-            seen[path.name], sizes[path.name] = found, (image.shape[1], image.shape[0])
+            seen[path.name], kinds[path.name] = found, (image.shape[1], image.shape[0], read_orientation(data))
             if image.dtype == np.uint16:
                 depth, common_bits = 16, common_bits | int(np.bitwise_or.reduce(image, axis=None))
     if not seen:
         raise RigError(_none_usable(rejected, len(paths)))
-    image_wh = Counter(sizes.values()).most_common(1)[0][0]
-    for name, (width, height) in sizes.items():
-        if (width, height) != image_wh:
+    most = Counter(kinds.values()).most_common(1)[0][0]
+    for name, kind in kinds.items():
+        if kind != most:
             del seen[name]
             rejected[name] = (
-                f"the picture has {width}x{height} pixels, but most others {image_wh[0]}x{image_wh[1]}; all pictures must have the same "
-                "size"
+                f"the picture has {kind[0]}x{kind[1]} pixels and the orientation tag {kind[2]}, but most others {most[0]}x{most[1]} and "
+                f"{most[2]}; all pictures must have the same size and tag"
             )
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
-    return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
+    return calibrate_views(seen, board, most[:2], bits=bits, rejected=rejected)
 
 
 def _find(image: Picture, board: CharucoBoard, *, try_other: bool) -> tuple[BoardView | NoBoard, CharucoBoard]:

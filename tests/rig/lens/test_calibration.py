@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from rhizotwin.rig.errors import RigError
@@ -221,15 +222,18 @@ def test_a_board_that_does_not_suit_the_camera_is_refused(tmp_path: Path) -> Non
 
 def test_the_lens_of_the_twin_and_its_bad_pictures(twin: Path, tmp_path: Path) -> None:
     paths = sorted(twin.glob("*.png"))
-    bad = [tmp_path / name for name in ("cut.png", "dark.png", "large.png")]
+    bad = [tmp_path / name for name in ("cut.png", "dark.png", "large.png", "turned.png")]
     bad[0].write_bytes(paths[0].read_bytes()[:5000])
     write_image(bad[1], np.full((300, 400), 100, np.uint16))
     write_image(bad[2], flat_picture())
+    said = Image.Exif()
+    said[274] = 3  # the camera upside down, which moves the principal point
+    Image.open(paths[0]).save(bad[3], exif=said)
     made = calibrate(paths + bad, BOARD)
     true, _ = true_lens(twin)
-    assert set(made.rejected) == {"cut.png", "dark.png", "large.png"}
-    for name, reason in (("cut.png", "truncated"), ("dark.png", "no board"), ("large.png", "most others 400x300")):
-        assert reason in made.rejected[name]
+    assert set(made.rejected) == {path.name for path in bad}
+    for path, reason in zip(bad, ("truncated", "no board", "most others 400x300", "tag 3, but most others"), strict=True):
+        assert reason in made.rejected[path.name]
     np.testing.assert_allclose(made.camera.focal_px, true.focal_px, rtol=1e-3)
     np.testing.assert_allclose(made.camera.principal_px, true.principal_px, atol=1.0)
 
