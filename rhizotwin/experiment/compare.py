@@ -45,6 +45,8 @@ class Observation:
     """Day of the experiment."""
     value: float
     """Value of the trait."""
+    log_sigma: float = 0.0
+    """Standard deviation of the logarithm of the value. It is zero if it is unknown."""
 
 
 @dataclass(frozen=True, kw_only=True)

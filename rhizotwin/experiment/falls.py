@@ -6,11 +6,11 @@ exchanged with another plant of the experiment.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import hypot, inf, log
 
 import numpy as np
 
+from rhizotwin.experiment.compare import Observation
 from rhizotwin.experiment.measured import IN_90
 
 UNKNOWN = 0.03
@@ -18,19 +18,7 @@ UNKNOWN = 0.03
 lengths of this error (docs/growth.md)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Size:
-    """Size of a plant on one day."""
-
-    day: float
-    """Day of the experiment."""
-    value: float
-    """Size, in any unit. It is zero if nothing of the plant was found."""
-    log_sigma: float = 0.0
-    """Standard deviation of the logarithm of the size. It is zero if it is unknown."""
-
-
-_Step = tuple[Size, Size]
+_Step = tuple[Observation, Observation]
 """Sizes of a plant on two consecutive days."""
 
 
@@ -38,17 +26,15 @@ _Step = tuple[Size, Size]
 class Fall:
     """Fall of the size of a plant."""
 
-    plant: str
-    """Name of the plant."""
-    before: Size
+    before: Observation
     """Last size before the fall."""
-    after: Size
+    after: Observation
     """First size after the fall."""
     partner: str = ""
     """Plant with which an exchange would explain the fall. It is empty if there is none."""
 
 
-def find_falls(sizes: Mapping[str, Sequence[Size]]) -> list[Fall]:
+def find_falls(sizes: Sequence[Observation]) -> list[Fall]:
     """Find the falls between consecutive days that exceed the error of the two sizes.
 
     The error is the end of the one-sided 95 % interval of the ratio of both sizes. Unknown errors are assumed to be
@@ -57,14 +43,17 @@ def find_falls(sizes: Mapping[str, Sequence[Size]]) -> list[Fall]:
 
     Parameters
     ----------
-    sizes : mapping of Size
-        Sizes of each plant, sorted by day and keyed by plant name.
+    sizes : sequence of Observation
+        Sizes in any unit, which are zero if nothing of the plant was found. The days of each plant are in ascending
+        order.
     """
     intervals: dict[tuple[float, float], dict[str, _Step]] = {}
-    for plant, own in sizes.items():
-        for a, b in pairwise(own):
-            if a.value > 0.0:
-                intervals.setdefault((a.day, b.day), {})[plant] = (a, b)
+    last: dict[str, Observation] = {}
+    for b in sizes:
+        a = last.get(b.plant)
+        if a is not None and a.value > 0.0:
+            intervals.setdefault((a.day, b.day), {})[b.plant] = (a, b)
+        last[b.plant] = b
     return [fall for steps in intervals.values() for fall in _find_in_interval(steps)]
 
 
@@ -81,21 +70,21 @@ def _find_in_interval(steps: Mapping[str, _Step]) -> Iterator[Fall]:
             now, then = (hypot(*(_change(*step) - usual for step in both)) for both in (((a, b), (c, d)), ((a, d), (c, b))))
             if then < now and not _has_fallen(a, d) and not _has_fallen(c, b):
                 likely[then] = other
-        yield Fall(plant=plant, before=a, after=b, partner=likely[min(likely)] if likely else "")
+        yield Fall(before=a, after=b, partner=likely[min(likely)] if likely else "")
 
 
-def _has_fallen(a: Size, b: Size) -> bool:
+def _has_fallen(a: Observation, b: Observation) -> bool:
     return -_change(a, b) > IN_90 * hypot(a.log_sigma or UNKNOWN, b.log_sigma or UNKNOWN)
 
 
-def _change(a: Size, b: Size) -> float:
+def _change(a: Observation, b: Observation) -> float:
     """Return the change of the logarithm from one size to another. It is -inf if nothing is left."""
     return log(b.value / a.value) if b.value > 0.0 else -inf
 
 
 def suspects(falls: Mapping[str, Sequence[Fall]]) -> list[str]:
     """Return the names of the plants that fell or were exchanged, from the falls of each quantity."""
-    named = (name for own in falls.values() for one in own for name in (one.plant, one.partner) if name)
+    named = (name for own in falls.values() for one in own for name in (one.before.plant, one.partner) if name)
     return sorted(set(named))
 
 
@@ -104,7 +93,7 @@ def sentences(falls: Mapping[str, Sequence[Fall]]) -> list[str]:
     found: dict[tuple[str, float], list[tuple[str, Fall]]] = {}
     for quantity, own in falls.items():
         for one in own:
-            found.setdefault((one.plant, one.after.day), []).append((quantity, one))
+            found.setdefault((one.before.plant, one.after.day), []).append((quantity, one))
     told = []
     for (plant, day), pairs in sorted(found.items()):
         sizes = " and ".join(f"{quantity} fell from {one.before.value:.4g} to {one.after.value:.4g}" for quantity, one in pairs)

@@ -77,7 +77,7 @@ def measure(found: Sequence[Measured]) -> Growth:
         notes.append(
             f"the roots of these plants were not tracked, because centre lines are available for fewer than two days: {', '.join(lost)}"
         )
-    seen = {trait: values for trait in CURVES if (values := _seen(plants, trait))}
+    seen = {trait: values for trait in CURVES if (values := [one for one in _trusted(plants, trait) if one.value > 0.0])}
     if not seen and not tracked:
         raise UserError("; ".join(exclusion_notes(found, CURVES)) or f"the results contain none of the traits {', '.join(CURVES)}")
     unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "not assessed" for one in found)]
@@ -86,7 +86,7 @@ def measure(found: Sequence[Measured]) -> Growth:
         if unassessed
         else []
     )
-    fallen = _falls(plants)
+    fallen = {_COLUMNS[trait]: falls.find_falls(_trusted(plants, trait)) for trait in SIZES}
     suspects = falls.suspects(fallen)
     doses = read_doses(plants)
     compared, responses, why_not = _compare(seen, doses)
@@ -137,20 +137,6 @@ def _compare(
     return compared, {trait: fit_responses(values, doses) for trait, values in seen.items() if not unfitted[trait]}, notes
 
 
-def _falls(plants: Mapping[str, Sequence[Measured]]) -> dict[str, list[falls.Fall]]:
-    """Return the falls of the sizes of the plants, keyed by column name. Values that are not reliable are ignored."""
-    found = {}
-    for trait in SIZES:
-        known = {plant: [one for one in days if trait in one.traits and one.is_trusted(trait)] for plant, days in plants.items()}
-        found[_COLUMNS[trait]] = falls.find_falls(
-            {
-                plant: [falls.Size(day=one.subject.day or 0.0, value=one.traits[trait], log_sigma=one.log_sigma(trait)) for one in days]
-                for plant, days in known.items()
-            }
-        )
-    return found
-
-
 def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
     """Return the control charts of the rig.
 
@@ -166,12 +152,19 @@ def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
     return {name: chart_of(*zip(*own, strict=True)) for name, own in points.items()}
 
 
-def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Observation]:
+def _trusted(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Observation]:
+    """Return the values of a trait that are not marked as not reliable, with ascending days of each plant."""
     return [
-        Observation(plant=plant, treatment=one.subject.treatment, day=one.subject.day or 0.0, value=value)
+        Observation(
+            plant=plant,
+            treatment=one.subject.treatment,
+            day=one.subject.day or 0.0,
+            value=one.traits[trait],
+            log_sigma=one.log_sigma(trait),
+        )
         for plant, days in plants.items()
         for one in days
-        if (value := one.usable(trait)) is not None
+        if trait in one.traits and one.is_trusted(trait)
     ]
 
 

@@ -120,10 +120,8 @@ def _falls(masses: Sequence[Masses]) -> dict[str, list[falls.Fall]]:
     """Return the falls of the mass of plants that were weighed on several days, keyed by kind of mass with its unit."""
     found = {}
     for kind in KINDS:
-        sizes: dict[str, list[falls.Size]] = {}
-        for one in sorted(masses, key=lambda one: one.day):
-            if kind in one.grams:
-                sizes.setdefault(one.plant, []).append(falls.Size(day=one.day, value=one.grams[kind]))
+        weighed = [one for one in sorted(masses, key=lambda one: one.day) if kind in one.grams]
+        sizes = [Observation(plant=one.plant, treatment=one.treatment, day=one.day, value=one.grams[kind]) for one in weighed]
         found[f"{kind}_g"] = falls.find_falls(sizes)
     return found
 
