@@ -13,7 +13,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
-from rhizotwin.calls import Progress, dataset_folder, require, require_each, result_folder, watch
+from rhizotwin.calls import Progress, dataset_folder, require_each, result_folder, watch
 from rhizotwin.front_door import Device, load_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -81,9 +81,6 @@ def import_pictures(
     """
     from rhizotwin.importer import picture_import
 
-    require("folder", folder, "path")
-    require("output", output, "path")
-    require("scene", scene, "Scene", "path")
     given = scene if isinstance(scene, Scene) else load_scene(scene)
     with watch(monitor, {"copy": 1.0}) as bar:
         poses = None if cameras is None else Path(cameras)
@@ -244,9 +241,6 @@ def export(
     """
     from rhizotwin import exports
 
-    require("result", result, "Result", "path")
-    require("output", output, "path")
-    require("dataset", dataset, "Dataset", "path", "None")
     pictures = dataset_folder(dataset)
     with watch(monitor, {"pictures": 1.0}) as bar, result_folder(result) as source:
         return exports.export(source, Path(output), dataset_folder=pictures, roots=roots, undistorted=undistorted, monitor=bar)
@@ -295,8 +289,6 @@ def scan(
     from rhizotwin.commands.scan import scan as run
     from rhizotwin.scenes.dataset import load_dataset
 
-    require("rig", rig, "path")
-    require("output", output, "path")
     options = ScanOptions(plan=plan, resume=resume, table_angle_deg=table_angle_deg)
     emulated = rigs.TwinPictures(**twin)
     with _logged():

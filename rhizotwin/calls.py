@@ -63,7 +63,6 @@ def watch(given: Progress, shares: Mapping[str, float]) -> Iterator[Monitor]:
     shares : mapping of str to float
         Relative duration of each stage.
     """
-    require("monitor", given, "Monitor", "tqdm class", "callable", "None")
     if isinstance(given, type):
         with OneBar(shares, bars=given) as bar:
             yield bar
@@ -140,8 +139,6 @@ _KINDS: dict[str, Callable[[Any], bool]] = {
     "whole number": lambda value: not isinstance(value, bool) and hasattr(value, "__index__"),
     "True or False": lambda value: isinstance(value, bool) or type(value).__name__ == "bool_",
     "monitor": lambda value: isinstance(value, Monitor | type) or callable(value),
-    "tqdm class": lambda value: isinstance(value, type),
-    "Monitor": lambda value: isinstance(value, Monitor),
     "Scene": lambda value: isinstance(value, Scene),
     "callable": callable,
     "None": lambda value: value is None,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from rhizotwin import private_page
-from rhizotwin.calls import dataset_folder, require, require_each, result_folder
+from rhizotwin.calls import dataset_folder, require_each, result_folder
 from rhizotwin.front_door import load_result
 from rhizotwin.scenes.errors import UserError
 
@@ -41,7 +41,6 @@ def plot(result: Result | str | Path, *, by: Colouring = "order") -> Figure:
     from rhizotwin.report import figures
     from rhizotwin.scenes.figures import png
 
-    require("result", result, "Result", "path")
     found = load_result(result) if isinstance(result, str | Path) else result
     if not len(found.solid.surface.faces):
         raise UserError(f"the result of {found.scene} has no surface to plot")
@@ -100,8 +99,6 @@ def view(
     """
     from rhizotwin.viewer import app
 
-    require("port", port, "whole number")
-    require("dataset", dataset, "Dataset", "path", "None")
     with ExitStack() as stack:
         given = require_each("result", result, "Result", "path")
         folders = [stack.enter_context(result_folder(one)) for one in given]

@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from rhizotwin import engine, scene_changes
-from rhizotwin.arguments import MASS_LIMITS_G
-from rhizotwin.calls import SHARES, Progress, require, watch
+from rhizotwin.calls import SHARES, Progress, watch
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import HEADS
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
@@ -90,7 +88,6 @@ def load_scene(
     UserError
         If the scene does not exist or is invalid.
     """
-    require("scene", scene, "path")
     return scene_changes.change_scene(
         files.load_scene(scene),
         profile=profile,
@@ -148,9 +145,6 @@ def simulate(
     Cancelled
         After `Monitor.cancel`.
     """
-    require("scene", scene, "Scene", "path")
-    require("folder", folder, "path")
-    require("seed", seed, "whole number")
     rendered = scene if isinstance(scene, Scene) else files.load_scene(scene)
     if changes:
         rendered = scene_changes.change_scene(rendered, **changes)
@@ -204,8 +198,9 @@ def reconstruct(
     UserError
         If the pictures, the device or the combination of options cannot be used.
     """
-    require("dataset", dataset, "Dataset", "path")
-    _check_options(voxel_mm, mass_g, settings, keep_stages)
+    heads = [] if keep_stages is None else [name for name in HEADS if (Path(keep_stages) / name).is_file()]
+    if heads:
+        raise UserError(f"--keep-stages: {keep_stages} contains {heads[0]}; choose a new folder for the intermediate results")
     if method != "ours" and (keep_stages, mass_g) != (None, None):
         raise UserError(f"--keep-stages and --mass-g are not supported by --method {method}; remove these options")
     from rhizotwin.scenes.dataset import load_dataset
@@ -217,7 +212,7 @@ def reconstruct(
     from rhizotwin.recon.settings import Settings
 
     if voxel_mm is not None:
-        settings = replace(settings or Settings(), voxel_mm=from_plain(Settings, {"voxel_mm": voxel_mm}, Place("reconstruct")).voxel_mm)
+        settings = replace(settings or Settings(), voxel_mm=float(voxel_mm))
     with watch(monitor, SHARES) as bar:
         if method == "ours":
             return _guarded(find(given, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=bar))
@@ -242,7 +237,6 @@ def load_result(folder: str | Path) -> Result:
     UserError
         If a file is missing or damaged.
     """
-    require("folder", folder, "path")
     from rhizotwin.stored import load
 
     return _guarded(load.load_result(folder))
@@ -284,8 +278,6 @@ def score(
     UserError
         If not exactly one reference is given, or the reference is missing, damaged or from another scan.
     """
-    require("result", result, "Result", "path")
-    require("dataset", dataset, "Dataset", "path", "None")
     if sum(given is not None for given in (dataset, truth, volume_ml, pictures)) != 1:
         raise UserError(
             "the comparison needs exactly one reference: give a simulated dataset, the mesh of the scanned part (--truth), "
@@ -342,8 +334,6 @@ def score_file(
     UserError
         If the file is missing, damaged or of another type, or the dataset has no ground truth.
     """
-    require("file", file, "path")
-    require("dataset", dataset, "Dataset", "path")
     from rhizotwin.scoring import score_file as of
 
     if registered and kind != "mesh":
@@ -369,18 +359,6 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     vertices, faces = solids.to_surface(solid)
     shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
     return score_solid(result, shape, volume_mm3=float(solid.volume()))
-
-
-def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Settings | None, stages: Path | str | None) -> None:
-    """Check the types of the options, the mass, and the folder for stages before the long computation starts."""
-    for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
-        require(name, value, kind, "None")
-    low, high = MASS_LIMITS_G
-    if mass_g is not None and not low <= mass_g <= high:
-        raise UserError(f"mass_g must be {low:g} to {high:g} g, not {mass_g:g}")
-    heads = [] if stages is None else [name for name in HEADS if (Path(stages) / name).is_file()]
-    if heads:
-        raise UserError(f"--keep-stages: {stages} contains {heads[0]}; choose a new folder for the intermediate results")
 
 
 def _guarded(result: reconstructed.Result) -> Result:
