@@ -12,7 +12,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, was
 from rhizotwin.scenes.reading import MOST_MESH_MIB, check_size
 from rhizotwin.sim.overlaps import SMALLEST, relative_overlap, unite_overlaps
-from rhizotwin.sim.solids import Array, Faces, to_manifold
+from rhizotwin.sim.solids import Array, Faces, invert, to_manifold
 
 SUFFIXES = (".ply", ".stl", ".obj")
 """Supported file name extensions."""
@@ -161,9 +161,8 @@ def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> m
         if shell.volume() > 0.0:
             bodies.append(_count_once(shell, path, notes))
         elif shell.volume() < 0.0:
-            vertices, faces = np.array(shell.to_mesh64().vert_properties[:, :3]), np.array(shell.to_mesh64().tri_verts)
-            inverted.append(_count_once(to_manifold(vertices, faces[:, ::-1].astype(np.int32)), path, notes))
-    united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add) if bodies else manifold3d.Manifold()
+            inverted.append(_count_once(invert(shell), path, notes))
+    united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
     for shell in inverted:
         inside = (united ^ shell).volume() > 0.999 * shell.volume()
         united = united - shell if inside else united + shell

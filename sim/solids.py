@@ -191,6 +191,12 @@ def to_surface(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
     return np.array(mesh.vert_properties[:, :3], dtype=np.float64), np.array(mesh.tri_verts, dtype=np.int32)
 
 
+def invert(solid: manifold3d.Manifold) -> manifold3d.Manifold:
+    """Return a solid whose surface has the opposite orientation."""
+    vertices, faces = to_surface(solid)
+    return to_manifold(vertices, faces[:, ::-1])
+
+
 def scale_to_volume(
     roots: Sequence[Root], volume_mm3: float, *, tolerance: float = 1e-7, rounds: int = 12, monitor: Monitor | None = None
 ) -> tuple[manifold3d.Manifold, list[Root], float]:

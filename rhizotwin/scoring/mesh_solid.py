@@ -1,4 +1,4 @@
-"""Conversion of closed meshes to solids in which overlaps count once."""
+"""Volume and intersection over union of meshes, in which overlaps count once."""
 
 from __future__ import annotations
 
@@ -8,8 +8,13 @@ import manifold3d
 import numpy as np
 
 from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.scoring import voxelise
 from rhizotwin.sim.overlaps import SMALLEST, relative_overlap, unite_overlaps
-from rhizotwin.sim.solids import to_manifold, to_surface
+from rhizotwin.sim.solids import invert, to_manifold
+
+_MOST_SIDE = 200
+"""Number of voxels along the longest side of the bounding box. Meshes that intersect themselves are compared with the
+true solid on this grid."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +25,44 @@ class MeshSolid:
     """Solid without overlaps, mm."""
     was_united: bool
     """Whether parts of the mesh overlap and were united."""
+
+
+def compare_volumes(mesh: Mesh, true: Mesh) -> tuple[float | None, float | None, tuple[str, ...]]:
+    """Compute the volume of a mesh, mm3, and its intersection over union with the true surface.
+
+    They are exact if `to_solid` can convert both meshes. Otherwise, they are computed from voxels.
+
+    Returns
+    -------
+    volume_mm3, iou : float or None
+        Both are None if the mesh is not closed.
+    notes : tuple of str
+        Sentences for the user.
+    """
+    found, known = to_solid(mesh), to_solid(true)
+    if found is None or known is None:
+        return _compare_with_voxels(mesh, true)
+    volume_mm3, both_mm3 = found.solid.volume(), (found.solid ^ known.solid).volume()
+    iou = min(1.0, both_mm3 / (volume_mm3 + known.solid.volume() - both_mm3))
+    return volume_mm3, iou, ("parts of the mesh overlap and were united",) if found.was_united else ()
+
+
+def _compare_with_voxels(mesh: Mesh, true: Mesh) -> tuple[float | None, float | None, tuple[str, ...]]:
+    """Compute the same as `compare_volumes` from voxels."""
+    points = np.concatenate([one.vertices_mm[np.unique(one.faces)] for one in (mesh, true)])
+    low, extent_mm = points.min(axis=0), np.ptp(points, axis=0)
+    voxel_mm = float(extent_mm.max()) / _MOST_SIDE
+    cells = np.argwhere(np.ones(np.maximum(np.ceil(extent_mm / voxel_mm).astype(int), 1), bool)).astype(np.int32)
+    size = np.ones(len(cells), np.int32)
+    try:
+        inside, truth = (
+            voxelise.count_in_boxes(one.vertices_mm, one.faces, cells, size, origin_mm=low, voxel_mm=voxel_mm) > 0 for one in (mesh, true)
+        )
+    except ValueError:
+        return None, None, ("the volume is undefined, because the mesh is not closed",)
+    either = int((inside | truth).sum())
+    note = f"the mesh folds into itself or its normals point inwards; volume and IoU were computed with voxels of {voxel_mm:.3f} mm"
+    return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
 
 
 def to_solid(mesh: Mesh) -> MeshSolid | None:
@@ -39,7 +82,7 @@ def to_solid(mesh: Mesh) -> MeshSolid | None:
 
 def _unite_shells(shells: list[manifold3d.Manifold]) -> manifold3d.Manifold | None:
     found_bodies = [unite_overlaps(shell) for shell in shells if shell.volume() > 0.0]
-    found_cavities = [unite_overlaps(_invert(shell)) for shell in shells if shell.volume() < 0.0]
+    found_cavities = [unite_overlaps(invert(shell)) for shell in shells if shell.volume() < 0.0]
     bodies, cavities = ([solid for solid in solids if solid is not None] for solids in (found_bodies, found_cavities))
     if len(bodies) < len(found_bodies) or len(cavities) < len(found_cavities):
         return None
@@ -50,8 +93,3 @@ def _unite_shells(shells: list[manifold3d.Manifold]) -> manifold3d.Manifold | No
     # a cavity that another body covers or fills is left to the voxels
     is_simple = abs(sum((body ^ holes).volume() for body in bodies) / holes.volume() - 1.0) <= SMALLEST
     return united - holes if is_simple else None
-
-
-def _invert(shell: manifold3d.Manifold) -> manifold3d.Manifold:
-    vertices_mm, faces = to_surface(shell)
-    return to_manifold(vertices_mm, faces[:, ::-1])

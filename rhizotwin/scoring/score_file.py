@@ -24,7 +24,7 @@ from rhizotwin.scenes.thickened_roots import trim_buried
 from rhizotwin.scenes.traced_roots import close_gaps
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import Truth, load_truth
-from rhizotwin.scoring import foreign_files, surface_distance, voxelise
+from rhizotwin.scoring import foreign_files, surface_distance
 from rhizotwin.scoring.conventions import Convention, check_unit, convention_of, note_on
 from rhizotwin.scoring.foreign_files import Stated
 from rhizotwin.scoring.registration import register
@@ -56,9 +56,6 @@ ALPHA = 0.1
 """Probability, according to the method, that a 90 % interval does not contain the true value."""
 _MOST_COLUMNS = 25_000_000
 """Maximum number of columns of voxels below the bounding box of the true solid. Their table needs 0.8 GB of memory."""
-_MOST_SIDE = 200
-"""Number of voxels along the longest side of the bounding box. Meshes that intersect themselves are compared with the
-true solid on this grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +165,8 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
     UserError
         If the file cannot be read or is in another unit, or the dataset has no ground truth.
     """
+    from rhizotwin.scoring.mesh_solid import compare_volumes  # imports the simulator
+
     known = _Known.of(dataset)
     mesh, convention = foreign_files.read_shape(Path(file)), Convention()
     if registered:
@@ -176,8 +175,14 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
     else:
         convention = convention_of(_sample(mesh), _sample(known.solid), where=str(file))
         mesh = _converted(mesh, convention)
-    scored = _score_mesh(mesh, known)
-    return replace(scored, file=str(file), notes=(*note_on(convention), *scored.notes))
+    volume_mm3, iou, notes = compare_volumes(mesh, known.solid)
+    return replace(
+        known.score(file, volume_mm3),
+        extents_error=known.extents_error(mesh.vertices_mm[np.unique(mesh.faces)]),
+        iou=iou,
+        surface=compare_surfaces(mesh, known.solid),
+        notes=(*note_on(convention), *notes),
+    )
 
 
 def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
@@ -187,9 +192,8 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     """
     known = _Known.of(dataset)
     leaves, array = foreign_files.read_voxels(Path(file))
-    empty = FileScore(file=str(file), scene=known.scene, volume_true_mm3=known.truth.volume_mm3, traits={})
     if not len(leaves.low):
-        return replace(empty, volume_mm3=0.0, volume_error=-1.0, iou=0.0, notes=("no voxel is occupied",))
+        return replace(known.score(file, 0.0), iou=0.0, notes=("no voxel is occupied",))
     shape = surface.surface(leaves.low, leaves.size, leaves.occupancy, origin_mm=leaves.origin_mm, voxel_mm=leaves.voxel_mm)
     mesh = Mesh.of(shape)
     centres_mm = leaves.origin_mm + leaves.voxel_mm * (leaves.low + 0.5)
@@ -197,11 +201,8 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     convention = convention_of(mesh.vertices_mm if len(mesh.faces) else centres_mm, _sample(known.solid), box=box_mm, where=str(file))
     leaves, mesh = _converted_leaves(leaves, convention), _converted(mesh, convention)
     known.check_voxels(leaves.voxel_mm, where=str(file))
-    volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
     scored = replace(
-        empty,
-        volume_mm3=volume_mm3,
-        volume_error=volume_mm3 / known.truth.volume_mm3 - 1.0,
+        known.score(file, float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3),
         iou=compare_voxels(leaves, leaves, known.solid)[0].iou_weighted,
         notes=note_on(convention),
     )
@@ -223,13 +224,10 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     points = convention.convert(points)
     some = points[np.random.default_rng(0).permutation(len(points))[:SURFACE_SAMPLES]]
     to_truth, to_points = surface_distance.distances(some, vertices, faces), cKDTree(points).query(on_truth)[0]
-    return FileScore(
-        file=str(file),
-        scene=known.scene,
-        volume_true_mm3=known.truth.volume_mm3,
+    return replace(
+        known.score(file),
         extents_error=known.extents_error(points),
         surface=SurfaceScore.of(to_truth, to_points),
-        traits={},
         notes=note_on(convention),
     )
 
@@ -264,10 +262,8 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         for name, one in compared.items()
         if name in OF_CENTRE_LINES and one.error is not None
     }
-    return FileScore(
-        file=str(file),
-        scene=known.scene,
-        volume_true_mm3=known.truth.volume_mm3,
+    return replace(
+        known.score(file),
         roots=compare_roots(roots, known.roots),
         topology=compare_topology(roots, known.roots),
         traits=traits,
@@ -283,15 +279,8 @@ def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     known, stated = _Known.of(dataset), foreign_files.read_traits(Path(file))
     true = known.traits()
     traits = {name: _score_stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
-    volume = traits.get("volume")
-    return FileScore(
-        file=str(file),
-        scene=known.scene,
-        volume_mm3=None if volume is None else volume.value,
-        volume_true_mm3=known.truth.volume_mm3,
-        volume_error=None if volume is None else volume.error,
-        traits=traits,
-    )
+    volume = stated.get("volume")
+    return replace(known.score(file, None if volume is None else volume.value), traits=traits)
 
 
 def interval_score(interval: tuple[float, float], true: float) -> float:
@@ -322,6 +311,12 @@ class _Known:
             result_files.read_mesh(mesh_path),
             read_rsml(skeleton) if skeleton.is_file() else (),
         )
+
+    def score(self, file: Path | str, volume_mm3: float | None = None) -> FileScore:
+        """Return the score of a file of which only the volume, mm3, is known."""
+        true_mm3 = self.truth.volume_mm3
+        error = None if volume_mm3 is None else volume_mm3 / true_mm3 - 1.0
+        return FileScore(file=str(file), scene=self.scene, volume_mm3=volume_mm3, volume_true_mm3=true_mm3, volume_error=error, traits={})
 
     def extents_error(self, points_mm: Floats) -> tuple[float, float, float]:
         """Return the relative errors of the size of a bounding box along x, y and z.
@@ -363,55 +358,6 @@ def _converted_leaves(leaves: Leaves, convention: Convention) -> Leaves:
     return replace(leaves, low=low, origin_mm=convention.convert(leaves.origin_mm[None])[0])
 
 
-def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
-    from rhizotwin.scoring.mesh_solid import to_solid
-
-    found, true = (to_solid(one) for one in (mesh, known.solid))
-    volume_mm3: float | None
-    iou: float | None
-    notes: tuple[str, ...] = ()
-    if found is not None and true is not None:
-        if found.was_united:
-            notes = ("parts of the mesh overlap and were united",)
-        both = (found.solid ^ true.solid).volume()
-        volume_mm3 = found.solid.volume()
-        iou = min(1.0, both / (volume_mm3 + true.solid.volume() - both))
-    else:
-        volume_mm3, iou, notes = _compare_with_voxels(mesh, known)
-    return FileScore(
-        file="",
-        scene=known.scene,
-        volume_mm3=volume_mm3,
-        volume_true_mm3=known.truth.volume_mm3,
-        volume_error=None if volume_mm3 is None else volume_mm3 / known.truth.volume_mm3 - 1.0,
-        extents_error=known.extents_error(mesh.vertices_mm[np.unique(mesh.faces)]),
-        iou=iou,
-        surface=compare_surfaces(mesh, known.solid),
-        traits={},
-        notes=notes,
-    )
-
-
-def _compare_with_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """Compute volume, mm3, and intersection over union of a self-intersecting mesh from voxels.
-
-    Return both values, and notes for the user. Both values are None if the mesh is not closed.
-    """
-    points = np.concatenate([mesh.vertices_mm[np.unique(mesh.faces)], known.solid.vertices_mm])
-    low, size = points.min(axis=0), np.ptp(points, axis=0)
-    voxel_mm = float(size.max()) / _MOST_SIDE
-    cells = np.argwhere(np.ones(np.maximum(np.ceil(size / voxel_mm).astype(int), 1), bool)).astype(np.int32)
-    one = np.ones(len(cells), np.int32)
-    try:
-        inside = voxelise.count_in_boxes(mesh.vertices_mm, mesh.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
-    except ValueError:
-        return None, None, ("the volume is undefined, because the mesh is not closed",)
-    truth = voxelise.count_in_boxes(known.solid.vertices_mm, known.solid.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
-    either = int((inside | truth).sum())
-    note = f"the mesh folds into itself or its normals point inwards; volume and IoU were computed with voxels of {voxel_mm:.3f} mm"
-    return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
-
-
 def _traits_of(roots: Sequence[Root]) -> Traits:
     """Measure the traits of centre lines.
 
@@ -423,14 +369,8 @@ def _traits_of(roots: Sequence[Root]) -> Traits:
 def _score_stated(name: str, one: Stated, true: float | None) -> StatedScore:
     known = float(true or 0.0)
     error = one.value - known if name.startswith("angle") else one.value / known - 1.0 if known else math.nan
+    scored = StatedScore(value=one.value, true=known, error=error, interval=one.interval)
     if one.interval is None:
-        return StatedScore(value=one.value, true=known, error=error)
+        return scored
     low, high = one.interval
-    return StatedScore(
-        value=one.value,
-        true=known,
-        error=error,
-        interval=one.interval,
-        holds=low <= known <= high,
-        interval_score=interval_score(one.interval, known) if known else None,
-    )
+    return replace(scored, holds=low <= known <= high, interval_score=interval_score(one.interval, known) if known else None)

@@ -17,9 +17,8 @@ from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scoring import score_file, score_topology
+from rhizotwin.scoring import mesh_solid, score_file, score_topology
 from rhizotwin.scoring.foreign_files import read_voxels
-from rhizotwin.scoring.mesh_solid import to_solid
 from rhizotwin.sim import solids
 from tests.command import Command
 
@@ -113,7 +112,7 @@ def inverted(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 def test_overlapping_shells_count_once(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shells: list[trimesh.Trimesh], volume: float, iou: float
 ) -> None:
-    monkeypatch.setattr(score_file, "_MOST_SIDE", 60)  # voxels of the mesh that is inside out
+    monkeypatch.setattr(mesh_solid, "_MOST_SIDE", 60)  # voxels of the mesh that is inside out
     trimesh.util.concatenate(shells).export(tmp_path / "shells.ply")
     found = score_file.score_mesh(tmp_path / "shells.ply", made)
     assert (found.volume_error + 1.0, found.iou) == (pytest.approx(volume, abs=0.01), pytest.approx(iou, abs=0.01))
@@ -125,7 +124,7 @@ def test_a_shell_that_intersects_itself_counts_once() -> None:
     turn_rad = np.linspace(0.0, 2.25 * np.pi, 91)  # the last eighth of a turn lies in the first
     ring = 10.0 * np.stack([np.cos(turn_rad), np.sin(turn_rad), np.zeros(91)], axis=1)
     vertices, faces = solids.tube(ring, np.full(91, 3.0), sides=32)
-    found = to_solid(Mesh(vertices_mm=vertices, faces=faces.astype(np.int64)))
+    found = mesh_solid.to_solid(Mesh(vertices_mm=vertices, faces=faces.astype(np.int64)))
     assert found.was_united
     assert found.solid.volume() == pytest.approx(2.0 * np.pi**2 * 10.0 * 3.0**2, rel=2e-3)
 
