@@ -23,8 +23,8 @@ TOUCH_MM = 1e-6
 FREE_MM = 0.5
 """Distance between the grid and a specimen that is placed automatically, mm. It is the same for grown roots
 (`GrownSpecimen`)."""
-_UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
-"""Diagonal of the matrix that rotates by 180 degrees about the x axis."""
+_UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
+"""Rotation by 180 degrees about the x axis."""
 _UPRIGHT = {
     "x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),  # (x, y, z) -> (-z, y, x)
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),  # (x, y, z) -> (x, -z, y)
@@ -88,11 +88,11 @@ def find_placement(
     shift = np.array(specimen.shift_mm)
     is_auto = specimen.place == "auto"
     axis = vertical_axis or ("y" if is_auto and growth_mm is not None and _is_flat(points_mm) else "z")
-    turn = (np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)) @ _UPRIGHT[axis]
+    turn = (_UPSIDE_DOWN if specimen.flip else np.eye(3)) @ _UPRIGHT[axis]
     if not is_auto:
         return Placement(turn, specimen.scale, shift)
     if growth_mm is not None and float((turn @ growth_mm)[2]) > 0.0 and not specimen.flip:
-        turn = np.diag(_UPSIDE_DOWN) @ turn
+        turn = _UPSIDE_DOWN @ turn
     turned = points_mm @ turn.T
     return Placement(turn, specimen.scale, translation_below_grid(specimen.scale * turned, scene) + shift)
 
