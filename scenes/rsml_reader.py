@@ -5,7 +5,7 @@ is unknown, the error message states the option with which it can be specified.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from rhizotwin.scenes import polyline, rsml_hierarchy, rsml_units, rsml_xml
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import DIAMETER_SIGMA, TIP_SEEN, Array, Root
+from rhizotwin.scenes.rsml import DIAMETER_SIGMA, TIP_SEEN, Array, Root, mean_diameter_mm
 from rhizotwin.scenes.rsml_hierarchy import Entry
 from rhizotwin.scenes.rsml_units import Units
 
@@ -61,13 +61,18 @@ class RsmlFile:
     step_mm: float
     """Length that corresponds to one unit of the coordinates in the file, mm."""
     unit: str
-    """Unit that is stated in the file. It is empty if none is stated."""
+    """Unit that is stated in the file. It is empty if none is stated, or if another unit was given."""
     resolution: str
-    """Resolution that is stated in the file. It is empty if none is stated."""
+    """Resolution that is stated in the file. It is empty if none is stated, or if another unit was given."""
     dimensions: int = 3
     """Number of coordinates of the points in the file, 2 or 3."""
     notes: tuple[str, ...] = ()
     """Sentences on how the file was interpreted."""
+
+    def doubt_unit(self, roots: Sequence[Root], points_mm: Array) -> str | None:
+        """Return a sentence if the thickness of roots, or the extent of their points (N, 3), mm, is implausible."""
+        sizes_mm = {"size_mm": float(np.ptp(points_mm, axis=0).max()), "diameter_mm": mean_diameter_mm(roots)}
+        return rsml_units.doubt_unit(step_mm=self.step_mm, unit=self.unit, resolution=self.resolution, **sizes_mm)
 
 
 def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
@@ -95,8 +100,8 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         roots=roots,
         parent_nodes=tuple(reader.parent_nodes),
         step_mm=reader.step_mm,
-        unit=reader.units.metadata("unit"),
-        resolution=reader.units.metadata("resolution"),
+        unit="" if unit else reader.units.metadata("unit"),
+        resolution="" if unit else reader.units.metadata("resolution"),
         dimensions=reader.dimensions,
         notes=tuple(reader.notes),
     )

@@ -16,9 +16,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import Root, length_mm, mean_diameter_mm
+from rhizotwin.scenes.rsml import Root, length_mm
 from rhizotwin.scenes.rsml_reader import RsmlFile, read_file
-from rhizotwin.scenes.rsml_units import doubt_unit
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
 from rhizotwin.scenes.thickened_roots import trim_buried
@@ -256,14 +255,7 @@ def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tupl
     placed = placement.find_placement(specimen, _extreme_points(roots), scene, growth_mm=growth_mm, vertical_axis=axis)
     roots = placed.roots(roots)
     reach_mm = _extreme_points(roots)
-    stated = ("", "") if specimen.unit else (file.unit, file.resolution)
-    doubt = doubt_unit(
-        step_mm=file.step_mm,
-        unit=stated[0],
-        resolution=stated[1],
-        size_mm=float(np.ptp(reach_mm, axis=0).max()),
-        diameter_mm=mean_diameter_mm(roots),
-    )
+    doubt = file.doubt_unit(roots, reach_mm)
     try:
         check_in_water(reach_mm, scene, what=str(path))
     except UserError as error:
@@ -272,7 +264,7 @@ def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tupl
         raise UserError(f"{path}: {doubt}") from error
     diameters_mm = np.concatenate([root.diameters_mm for root in roots])
     said = "specified unit" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
-    resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") and not specimen.unit else ""
+    resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") else ""
     notes = [
         f"{path}: {len(roots)} roots, {placement.format_size(reach_mm)} mm (x, y, z), "
         f"{diameters_mm.min():.2g} to {diameters_mm.max():.2g} mm thick; "
@@ -281,7 +273,7 @@ def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tupl
     notes += file.notes
     if doubt is not None:
         notes.append(f"{path}: {doubt}")
-    elif resolution and not specimen.unit and _is_dpi(file):
+    elif resolution and _is_dpi(file):
         notes.append(
             f"{path}: the resolution of {file.resolution} is interpreted as coordinate units per {file.unit}. "
             f"If it is in dots per inch, set the unit '{25.4 / float(file.resolution):.4g} mm'."

@@ -17,9 +17,8 @@ from rhizotwin.recon.hull import surface
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root, mean_diameter_mm
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.rsml_reader import read_file, read_rsml
-from rhizotwin.scenes.rsml_units import doubt_unit
 from rhizotwin.scenes.thickened_roots import trim_buried
 from rhizotwin.scenes.traced_roots import close_gaps
 from rhizotwin.scenes.traits import Traits, measure_traits
@@ -246,13 +245,7 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     roots = trim_buried(roots)  # as those of the specimen
     if not known.roots:
         raise UserError(f"{known.folder}: the specimen has no true centre lines with which an RSML file could be compared")
-    doubt = doubt_unit(
-        step_mm=foreign.step_mm,
-        unit=foreign.unit,
-        resolution=foreign.resolution,
-        size_mm=float(np.ptp(np.concatenate([root.points_mm for root in roots]), axis=0).max()),
-        diameter_mm=mean_diameter_mm(roots),
-    )
+    doubt = foreign.doubt_unit(roots, np.concatenate([root.points_mm for root in roots]))
     notes = [*foreign.notes, *([f"{file}: {doubt}"] if doubt else [])]
     if closed:
         notes.append(f"{closed} roots that begin at a distance from their parents were connected to nodes of their parents")
