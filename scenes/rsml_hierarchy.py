@@ -122,25 +122,22 @@ def resolve_parent_nodes(entries: list[Entry], parents: list[int]) -> list[int |
     Some programs count the points from 1 (RSWMS), most from 0 (CPlantBox, OpenAlea). The first index is the one with
     which laterals begin nearer to the stated points. If these are not near (`FARTHEST`), all indices are None.
     """
-    stated = [index for index, parent in enumerate(parents) if parent >= 0 and entries[index].parent_node is not None]
-    stated = [index for index in stated if len(entries[index].points_mm) and len(entries[parents[index]].points_mm)]
-    if not stated:
-        return [None] * len(entries)
-    gaps_mm = np.full((len(stated), 2), np.inf)
-    nearest_mm = np.empty(len(stated))
-    for row, index in enumerate(stated):
-        away_mm = np.linalg.norm(entries[parents[index]].points_mm - entries[index].points_mm[0], axis=1)
-        nearest_mm[row] = away_mm.min()
-        for first in range(2):
-            node = (entries[index].parent_node or 0) - first
-            if 0 <= node < len(away_mm):
-                gaps_mm[row, first] = away_mm[node]
-    first = int(np.median(gaps_mm, axis=0).argmin())
+    stated: dict[int, tuple[int, Array]] = {}  # number of the point, and distances from the points of the parent, mm
+    for index, parent in enumerate(parents):
+        number, own_mm = entries[index].parent_node, entries[index].points_mm
+        if parent >= 0 and number is not None and len(own_mm) and len(entries[parent].points_mm):
+            stated[index] = number, np.linalg.norm(entries[parent].points_mm - own_mm[0], axis=1)
     nodes: list[int | None] = [None] * len(entries)
+    if not stated:
+        return nodes
+    gaps_mm = np.array(
+        [[away[number - first] if 0 <= number - first < len(away) else np.inf for first in range(2)] for number, away in stated.values()]
+    )
+    nearest_mm = np.array([away_mm.min() for _, away_mm in stated.values()])
+    first = int(np.median(gaps_mm, axis=0).argmin())
     if np.median(gaps_mm[:, first] / np.maximum(nearest_mm, 1e-6)) <= FARTHEST:
-        for row, index in enumerate(stated):
-            if np.isfinite(gaps_mm[row, first]):
-                nodes[index] = (entries[index].parent_node or 0) - first
+        for (index, (number, _)), gap_mm in zip(stated.items(), gaps_mm[:, first], strict=True):
+            nodes[index] = number - first if np.isfinite(gap_mm) else None
     return nodes
 
 
