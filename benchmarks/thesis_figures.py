@@ -15,7 +15,7 @@ from skimage import filters
 from benchmarks import assumptions, datasets
 from benchmarks.assumptions import Level
 from benchmarks.cases import Pictures
-from rhizotwin.experiment import mass_curves, tables
+from rhizotwin.experiment import mass_curves, thesis_tables
 from rhizotwin.recon import carved_hull
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
@@ -230,7 +230,7 @@ def _carving(carved: list[carved_hull.CarvedHull]) -> bytes:
 
 def masses() -> bytes:
     """Draw figure 4.1 from table A.1, with type that remains legible in a column."""
-    weighed = mass_curves.read([tables.shipped("kliman_2022_masses.csv")])[0]
+    weighed = mass_curves.read([thesis_tables.shipped("kliman_2022_masses.csv")])[0]
     with mpl.rc_context({"font.size": 16}):
         return mass_curves.draw(mass_curves.measure(weighed))
 

@@ -9,7 +9,7 @@ from benchmarks import accuracy, assumptions, cases, commits, ladder, thesis_fig
 from benchmarks.assumptions import CountedVolumes, Level
 from benchmarks.cases import Case, Pictures
 from benchmarks.run import Say
-from rhizotwin.experiment import mass_curves, tables
+from rhizotwin.experiment import mass_curves, thesis_tables
 from rhizotwin.scenes.atomic import write_bytes, write_text
 from rhizotwin.scenes.table_file import read_table
 
@@ -80,8 +80,8 @@ def committed_records(profile: str) -> list[Record]:
 def plants(records: Sequence[Record]) -> list[Plant]:
     """Return the thesis's 18 plants in its order, with the records of the twin's plants."""
     found = []
-    masses = read_table(tables.shipped("kliman_2022_masses.csv"))
-    volumes = {row.cells["plant"]: row.cells["volume (ml)"] for row in read_table(tables.shipped("kliman_2022_volumes.csv"))}
+    masses = read_table(thesis_tables.shipped("kliman_2022_masses.csv"))
+    volumes = {row.cells["plant"]: row.cells["volume (ml)"] for row in read_table(thesis_tables.shipped("kliman_2022_volumes.csv"))}
     for number, row in enumerate(masses):
         scene = f"radish_day{_DAYS[number // 3]:02d}{'abc'[number % 3]}"
         name = row.cells["plant"]
@@ -331,7 +331,7 @@ def _volumes_text(found: Sequence[Plant]) -> str:
 
 def _water_text() -> str:
     """Return the text below figure 4.1: water contents in the thesis's text and in its table."""
-    curves = mass_curves.measure(mass_curves.read([tables.shipped("kliman_2022_masses.csv")])[0])
+    curves = mass_curves.measure(mass_curves.read([thesis_tables.shipped("kliman_2022_masses.csv")])[0])
 
     def means(part: str) -> str:
         first, *later = [point.mean for point in curves[part, "water"]]

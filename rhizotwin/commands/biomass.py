@@ -40,7 +40,7 @@ def tables(*, output: OutputFolder) -> None:
     --------
     rhizotwin biomass tables -o thesis
     """
-    from rhizotwin.experiment.tables import write_shipped
+    from rhizotwin.experiment.thesis_tables import write_shipped
 
     for path in write_shipped(output):
         print(f"wrote {path}")

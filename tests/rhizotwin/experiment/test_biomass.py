@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.experiment import biomass, model_file, tables
+from rhizotwin.experiment import biomass, model_file, thesis_tables
 from rhizotwin.experiment.masses import Weighed, read_masses
 from rhizotwin.experiment.measured import IN_90, Measured, read_all
 from rhizotwin.scenes.assessment import Assessment
@@ -48,7 +48,7 @@ def masses_of(path: Path, text: str) -> list[Weighed]:
 
 
 def test_the_thesis_table_gives_its_densities_and_waters(tmp_path: Path) -> None:
-    masses, volumes = tables.write_shipped(tmp_path)
+    masses, volumes = thesis_tables.write_shipped(tmp_path)
     found, _ = biomass.pairs(read_all([volumes]), read_masses(masses, balance_g=1e-4))
     printed = {row.cells["plant"]: row.cells for row in read_table(volumes)}
     known = {pair.measured.subject.plant: ratio for pair, ratio in biomass.ratios(found)}
@@ -147,7 +147,7 @@ def test_masses_in_milligrams_are_noticed(twins: list[Measured], tmp_path: Path,
     assert notes[0][0].endswith("check the units of masses and volumes (mg under a heading in g, or ml under one in mm3)")
     assert [note.endswith("volumes") for note in notes[1]] == [True]
     assert notes[2] == []
-    masses, volumes = tables.write_shipped(tmp_path)
+    masses, volumes = thesis_tables.write_shipped(tmp_path)
     text = masses.read_text(encoding="utf-8").replace("12,Raphanus sativus,20,0.5903", "12,Raphanus sativus,20,590.3")
     masses.write_text(text, encoding="utf-8")
     command.fails("biomass", "fit", volumes, masses, "-o", volumes.with_name("m.json"), named=["check the unit"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.experiment import mass_curves
-from rhizotwin.experiment.tables import shipped
+from rhizotwin.experiment.thesis_tables import shipped
 from rhizotwin.scenes.errors import UserError
 from tests.command import Command
 
