@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rhizotwin import mesh_files, root_mesh, surface_mesh, voxel_files
-from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
@@ -226,7 +225,7 @@ def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = 
         "p2": p2,
     }
     listed = [
-        {"file_path": file, "transform_matrix": (frames.invert(cam_from_canister) @ OPENCV_FROM_OPENGL).tolist()}
+        {"file_path": file, "transform_matrix": (frames.invert(cam_from_canister) @ frames.OPENCV_FROM_OPENGL).tolist()}
         for file, cam_from_canister in posed
     ]
     atomic.write_json(output, {"note": note, **lens, "frames": listed})

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+OPENCV_FROM_OPENGL: Array = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Axes of the cameras in OpenGL and nerfstudio: x right, y up, z backward."""
+
 
 def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
     """Return the 4x4 transform that consists of a 3x3 rotation and a translation (3,), mm."""

@@ -5,26 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.given_lens import Lens
 from rhizotwin.importer.colmap_model import read_colmap
-from rhizotwin.nerfstudio import GivenCameras, read_cameras
+from rhizotwin.importer.given_cameras import GivenCameras
+from rhizotwin.importer.given_lens import Lens
+from rhizotwin.importer.nerfstudio_file import read_cameras
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import FAR_MM, Scene
-
-
-def pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
-    """Return the pose cam_from_canister (4, 4) of a picture from the camera file.
-
-    The file name of the picture may be written without its suffix in the camera file. The result is None if the camera
-    file does not contain the picture.
-    """
-    return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
-
-
-def lens_of(path: Path, given: GivenCameras) -> Lens:
-    """Return the lens of a picture that has a camera in the camera file."""
-    return given.lenses[path.name if path.name in given.lenses else path.stem]
 
 
 def read_camera_file(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
@@ -35,7 +22,7 @@ def read_camera_file(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
     scene : Scene
         Scene with the canister, and with the properties of the camera that the format does not include.
     cameras : Path
-        File in nerfstudio's format (see `rhizotwin.nerfstudio`), or folder of a COLMAP model (see
+        File in nerfstudio's format (see `rhizotwin.importer.nerfstudio_file`), or folder of a COLMAP model (see
         `rhizotwin.importer.colmap_model`).
 
     Returns
@@ -80,9 +67,9 @@ def with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: l
     UserError
         If the picture of a camera is missing.
     """
-    kept = [path for path in paths if pose_of(path, given) is not None]
+    kept = [path for path in paths if given.of(path) is not None]
     names = {path.name for path in paths} | {path.stem for path in paths}
-    missing = [name for name in given.cam_from_canister if name not in names]
+    missing = [name for name in given.pictures if name not in names]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise UserError(
@@ -97,7 +84,7 @@ def with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: l
 
 def lens_notes(given: GivenCameras) -> list[str]:
     """Return notes about values of the camera file that were assumed or ignored, and about replaced lenses."""
-    lenses, camera = set(given.lenses.values()), given.camera
+    lenses, camera = given.lenses, given.camera
     kinds = "a fisheye lens" if any(lens.is_fisheye for lens in lenses) else "a lens with k4, k5 or k6"
     if len(lenses) > 1:
         kinds = f"{len(lenses)} different lenses"
@@ -124,8 +111,8 @@ def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
     corners = np.array(
         [[x, y, z] for x in (-radius_mm, 0.0, radius_mm) for y in (-radius_mm, 0.0, radius_mm) for z in np.linspace(-height_mm, 0.0, 9)]
     )
-    for name, cam_from_canister in given.cam_from_canister.items():
-        centre_mm = frames.invert(cam_from_canister)[:3, 3]
+    for name, picture in given.pictures.items():
+        centre_mm = frames.invert(picture.cam_from_canister)[:3, 3]
         x, y, z = centre_mm
         inside = np.hypot(x, y) < radius_mm
         if inside and scene.water.n_water > 1.0 and -height_mm < z < 0.0:
@@ -135,7 +122,7 @@ def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
                 f"{cameras}: the camera of {name} is a perspective camera, but that of the scene is telecentric; set camera.kind of "
                 'the scene to "pinhole"'
             )
-        in_cam = frames.apply(cam_from_canister, corners)
+        in_cam = frames.apply(picture.cam_from_canister, corners)
         px = Lens.of(given.camera).pixels(in_cam[in_cam[:, 2] > 0.0, :2] / in_cam[in_cam[:, 2] > 0.0, 2:])
         if not ((px > 0.0) & (px < np.array(given.camera.image_wh))).all(axis=1).any():
             raise UserError(

@@ -6,15 +6,15 @@ coordinates have their origin at the corner of the first pixel. The world of the
 """
 
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rhizotwin.given_lens import COEFFICIENTS, MODELS, Lens, common_camera
-from rhizotwin.nerfstudio import LARGEST, GivenCameras
+from rhizotwin.importer.given_cameras import LARGEST, GivenCameras, GivenPicture, collect_cameras
+from rhizotwin.importer.given_lens import COEFFICIENTS, MODELS, Lens
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera
@@ -29,16 +29,6 @@ _CAMERA = struct.Struct("<IiQQ")
 """Camera number, model number, width and height in ``cameras.bin``."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Image:
-    """Entry of a picture."""
-
-    name: str
-    pose: tuple[float, ...]
-    """Quaternion (w, x, y, z) and translation of cam_from_world."""
-    camera: int
-
-
 def read_colmap(folder: Path, camera: Camera) -> GivenCameras:
     """Read a COLMAP model.
 
@@ -48,17 +38,12 @@ def read_colmap(folder: Path, camera: Camera) -> GivenCameras:
         Folder with the files cameras and images, both with the suffix .bin or .txt. If both formats are present,
         the binary files are read, as COLMAP does.
     camera : Camera
-        Source of the properties that the format does not include, such as the bit depth.
-
-    Returns
-    -------
-    GivenCameras
-        Lenses and poses.
+        See `rhizotwin.importer.given_cameras.collect_cameras`.
 
     Raises
     ------
     UserError
-        If files are missing or damaged, a lens model is not supported, or two pictures have the same file name.
+        If files are missing or damaged, a lens model is not supported, or see `collect_cameras`.
     """
     kind = next((kind for kind in ("bin", "txt") if all((folder / f"{name}.{kind}").is_file() for name in ("cameras", "images"))), None)
     if kind is None:
@@ -71,18 +56,13 @@ def read_colmap(folder: Path, camera: Camera) -> GivenCameras:
         raise UserError(f"{folder}: cameras.bin or images.bin is truncated or damaged; write the model again") from error
     if not found:
         raise UserError(f"{images} contains no picture; give a COLMAP model with registered pictures")
-    given: dict[str, Lens] = {}
-    poses: dict[str, frames.Array] = {}
-    for image in found:
-        name = PurePosixPath(image.name.replace("\\", "/")).name
-        if name in given:
-            raise UserError(f"{images}: the picture {name} has two cameras; each picture name must be unique")
-        if image.camera not in lenses:
-            raise UserError(f"{images}: the picture {name} refers to camera {image.camera}, which {cameras} does not contain")
-        given[name], poses[name] = lenses[image.camera], _pose(image, images)
+    if unknown := [image for image in found if image[1] not in lenses]:
+        name, number, _ = unknown[0]
+        raise UserError(f"{images}: the picture {name} refers to camera {number}, which {cameras} does not contain")
+    given = ((name, str(images), GivenPicture(lens=lenses[number], cam_from_canister=pose)) for name, number, pose in found)
     both = kind == "bin" and (folder / "images.txt").is_file()
     notes = (f"{folder} contains a binary and a text model; the binary model was read",) if both else ()
-    return GivenCameras(camera=common_camera(given, camera), cam_from_canister=poses, lenses=given, notes=notes)
+    return replace(collect_cameras(given, camera), notes=notes)
 
 
 def _hint(folder: Path) -> str:
@@ -117,11 +97,11 @@ def _unsupported(model: str, where: str) -> UserError:
     )
 
 
-def _pose(image: _Image, path: Path) -> frames.Array:
-    w, x, y, z, *shift = image.pose
-    length = float(np.linalg.norm([w, x, y, z]))
-    if not (abs(length - 1.0) < 1e-3 and all(abs(number) < LARGEST for number in shift)):
-        raise UserError(f"{path}: the pose of {image.name} is not a unit quaternion and a translation below {LARGEST:g}")
+def _pose(numbers: Sequence[float], where: str) -> frames.Array:
+    """Return the pose cam_from_world (4, 4) from a quaternion (w, x, y, z) and a translation."""
+    w, x, y, z, *shift = numbers
+    if not (all(abs(number) < LARGEST for number in numbers) and abs(np.linalg.norm([w, x, y, z]) - 1.0) < 1e-3):
+        raise UserError(f"{where} is not a unit quaternion and a translation below {LARGEST:g}")
     return frames.from_rotation_translation(Rotation.from_quat([x, y, z, w]).as_matrix(), np.array(shift))
 
 
@@ -140,14 +120,16 @@ def _lenses_in_binary(path: Path) -> Iterator[tuple[int, Lens]]:
         raise UserError(f"{path}: {len(data) - at} bytes follow the last camera; write the model again")
 
 
-def _images_in_binary(path: Path) -> Iterator[_Image]:
+def _images_in_binary(path: Path) -> Iterator[tuple[str, int, frames.Array]]:
+    """Yield the path, the number of the camera and the pose of each picture."""
     data = read_file(path, most_mib=MOST_MIB)
     (count,), at = struct.unpack_from("<Q", data), 8
     for _ in range(count):
-        _, *pose, camera = _POSE.unpack_from(data, at)
+        _, *numbers, camera = _POSE.unpack_from(data, at)
         end = data.find(b"\0", at + _POSE.size)
         (points,) = struct.unpack_from("<Q", data, end + 1) if end > 0 else (2**63,)
-        yield _Image(name=data[at + _POSE.size : end].decode(), pose=tuple(pose), camera=camera)
+        name = data[at + _POSE.size : end].decode()
+        yield name, camera, _pose(numbers, f"{path}: the pose of {name}")
         at = end + 9 + _POINT * points
         if at > len(data):
             raise struct.error
@@ -171,18 +153,18 @@ def _lenses_in_text(path: Path) -> Iterator[tuple[int, Lens]]:
         yield number, _lens(words[1], width, height, numbers, where)
 
 
-def _images_in_text(path: Path) -> Iterator[_Image]:
-    """Read the lines of pictures, each of which is followed by a line of points, which may be empty."""
+def _images_in_text(path: Path) -> Iterator[tuple[str, int, frames.Array]]:
+    """Yield the same from lines, each of which is followed by a line of points, which may be empty."""
     lines = enumerate(decode_text(read_file(path, most_mib=MOST_MIB), path).split("\n"), start=1)
     for index, line in lines:
         words = line.split(maxsplit=9)
         if not words or words[0].startswith("#"):
             continue
         try:
-            pose, camera, name = tuple(float(word) for word in words[1:8]), int(words[8]), words[9]
+            numbers, camera, name = [float(word) for word in words[1:8]], int(words[8]), words[9].strip()
         except (ValueError, IndexError) as error:
             raise UserError(f"{path}, line {index}: a line must be IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME") from error
-        yield _Image(name=name.strip(), pose=pose, camera=camera)
+        yield name, camera, _pose(numbers, f"{path}: the pose of {name}")
         index, line = next(lines, (index + 1, ""))
         if line.count(" ") and not _is_points(line):
             raise UserError(f"{path}, line {index}: this line must list the points of {name} (X Y POINT3D_ID), or be empty")

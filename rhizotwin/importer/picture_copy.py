@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import TypeAlias
 
 from rhizotwin import raw_pictures
-from rhizotwin.importer.camera_file import lens_of, pose_of
 from rhizotwin.importer.damaged_rows import DamageCheck
+from rhizotwin.importer.given_cameras import GivenCameras
+from rhizotwin.importer.given_lens import Lens
 from rhizotwin.importer.resampling import Resampler
 from rhizotwin.importer.silhouettes import Levels, encode_silhouette
-from rhizotwin.nerfstudio import GivenCameras
 from rhizotwin.picture_files import read_picture
 from rhizotwin.rig.scanning.preflight import MOST_SATURATED
 from rhizotwin.scenes.atomic import write_bytes
@@ -95,8 +95,9 @@ class PictureCopier:
             if self._levels is not None:
                 data = encode_silhouette(grey, self._levels[path])
         sealed, orientation = self._raw or is_sealed(data), read_orientation(data)
-        if self._resampler is not None:
-            data = self._resample(path, grey if self._raw else data)
+        given = None if self._given is None else self._given.of(path)
+        if self._resampler is not None and given is not None:
+            data = self._resample(path, grey if self._raw else data, self._resampler, given.lens)
         kept = not self._raw and self._levels is None and self._resampler is None
         name = f"images/{path.stem}{path.suffix.lower() if kept else '.png'}"
         write_bytes(self._folder / name, data)
@@ -104,7 +105,6 @@ class PictureCopier:
             self._damage.add(path, (ring, band), grey, sealed=sealed, orientation=orientation)
             if (share := _clipped(grey)) > MOST_SATURATED:
                 self.clipped[name] = round(share, 4)
-        pose = None if self._given is None else pose_of(path, self._given)
         return Frame(
             file=name,
             sha256=file_sha256(self._folder / name),
@@ -113,18 +113,16 @@ class PictureCopier:
             view=view if band else None,
             ring=ring,
             table_deg=table_deg,
-            cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
+            cam_from_canister=None if given is None else tuple(tuple(row) for row in given.cam_from_canister.tolist()),
         )
 
-    def _resample(self, path: Path, picture: bytes | Grey) -> bytes:
+    def _resample(self, path: Path, picture: bytes | Grey, resampler: Resampler, lens: Lens) -> bytes:
         """Return a picture as PNG, resampled from its own lens to that of the dataset, and linear in light."""
-        assert self._resampler is not None
-        assert self._given is not None
-        lens, masks = lens_of(path, self._given), self._levels is not None
+        masks = self._levels is not None
         if isinstance(picture, bytes):
             curve = LINEAR if masks else read_stated_curve(picture) or camera_curve(self._scene.camera)
             picture = decode_light(picture, curve, where=str(path))
-        resampled = self._resampler.resample(picture, lens, masks=masks)
+        resampled = resampler.resample(picture, lens, masks=masks)
         return encode_png(resampled) if masks else encode_light_png(resampled)
 
     def notes(self) -> list[str]:

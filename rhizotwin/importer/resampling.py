@@ -5,7 +5,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from rhizotwin.given_lens import Lens
+from rhizotwin.importer.given_lens import Lens
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.picture_codec import Grey

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rhizotwin.building.measures import load_measures
 from rhizotwin.importer.colmap_model import read_colmap
-from rhizotwin.nerfstudio import read_cameras
+from rhizotwin.importer.nerfstudio_file import read_cameras
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError

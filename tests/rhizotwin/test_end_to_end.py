@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import rhizotwin as rt
-from rhizotwin.nerfstudio import read_cameras
+from rhizotwin.importer.nerfstudio_file import read_cameras
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.truth import load_truth
@@ -56,7 +56,7 @@ def test_exports_open_elsewhere_and_say_the_same(made: Path, found: Reconstructe
     read = read_cameras(tmp_path / "cameras.json", load_dataset(made).scene.camera)
     assert read.camera == load_dataset(made).scene.camera
     for file, pose in views.items():
-        np.testing.assert_allclose(read.cam_from_canister[Path(file).name], pose, atol=1e-9)
+        np.testing.assert_allclose(read.pictures[Path(file).name].cam_from_canister, pose, atol=1e-9)
     rows = [line.split() for line in (tmp_path / "colmap" / "images.txt").read_text().splitlines() if line and not line.startswith("#")]
     assert [row[-1] for row in rows] == list(views)
     w, x, y, z, *shift = (float(value) for value in rows[3][1:8])

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from rhizotwin.given_lens import Lens, common_camera
 from rhizotwin.importer.colmap_model import read_colmap
+from rhizotwin.importer.given_cameras import common_camera
+from rhizotwin.importer.given_lens import Lens
 from rhizotwin.importer.picture_import import import_pictures
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.dataset import read_image
@@ -89,8 +90,8 @@ def test_colmap_models_project_like_colmap(kind: str, tmp_path: Path) -> None:
     folder = shutil.copytree(CORPUS / f"colmap_{kind}", tmp_path / "sparse" / "0")
     given = read_colmap(folder, Camera())
     for name, px in {"a.png": [30.19578294, 22.69850684], "b.png": [29.6900022, 22.92380058]}.items():
-        x, y, z = frames.apply(given.cam_from_canister[name], POINT_MM)
-        np.testing.assert_allclose(given.lenses[name].pixels(np.array([[x / z, y / z]]))[0] + 0.5, px, atol=1e-6)
+        x, y, z = frames.apply(given.pictures[name].cam_from_canister, POINT_MM)
+        np.testing.assert_allclose(given.pictures[name].lens.pixels(np.array([[x / z, y / z]]))[0] + 0.5, px, atol=1e-6)
     with pytest.raises(UserError, match=r"give .*sparse.0 instead"):
         read_colmap(tmp_path, Camera())
     cameras, images = (folder / f"{name}.{kind}" for name in ("cameras", "images"))

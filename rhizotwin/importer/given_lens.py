@@ -1,10 +1,8 @@
-"""Lenses of other programs: lens models of COLMAP and OpenCV, and the camera of this project that replaces them.
+"""Lenses of other programs: lens models of COLMAP and OpenCV.
 
 All coordinates have pixel centres at integers. Rays are directions (x, y, 1) in the camera's frame, x right, y down.
 """
 
-from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -12,7 +10,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera
 
@@ -50,13 +47,8 @@ SAME_PX = 0.02
 WIDEST_TAN = float(np.tan(np.deg2rad(65.0)))
 """Largest tangent of the angle to the optical axis that a picture shows after its conversion to a pinhole camera, which
 stretches its edges. A canister in front of a camera spans less than 45 degrees on each side."""
-LEAST_SHARED = 0.75
-"""Minimum width and height of the part that the pictures of all lenses show, as a fraction of a picture's width and
-height. It admits lenses that were focused differently, but not those with different focal lengths."""
 _SAMPLES = 33
 """Number of points along each side of a picture at which lenses are compared."""
-_CELLS = 200
-"""Number of cells along each side of a picture in the search for the part that all lenses show."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,21 +85,12 @@ class Lens:
 
     def rays(self, px: Array) -> Array:
         """Return the rays (N, 2) of pixels (N, 2), to 1e-6 px; NaN where the lens model shows nothing."""
-        bent = (px - self.principal_px) / self.focal_px
-        if self.is_fisheye:
-            k1, k2, k3, k4 = self._fisheye
-            goal = np.linalg.norm(bent, axis=1)
-            angle = np.minimum(goal, np.arctan(self._fold_r))
-            for _ in range(20):  # Newton's method, which needs 3 to 8 steps
-                a2 = angle * angle
-                slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
-                value = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
-                angle = np.clip(angle - (value - goal) / np.where(np.abs(slope) < 1e-9, 1e-9, slope), 0.0, np.arctan(self._fold_r))
-            rays = bent * (np.tan(angle) / np.where(goal > 0.0, goal, 1.0))[:, None]
-        else:
-            many = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
-            flat = np.ascontiguousarray(bent, np.float64).reshape(-1, 1, 2)
-            rays = cv2.undistortPoints(flat, np.eye(3), np.array(self.distortion), criteria=many).reshape(-1, 2)
+        bent = np.ascontiguousarray((px - self.principal_px) / self.focal_px, np.float64).reshape(-1, 1, 2)
+        k1, k2, _, _, k3, k4, _, _ = self.distortion
+        numbers = (k1, k2, k3, k4) if self.is_fisheye else self.distortion
+        undistort = cv2.fisheye.undistortPoints if self.is_fisheye else cv2.undistortPoints
+        many = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
+        rays = undistort(bent, np.eye(3), np.array(numbers), criteria=many).reshape(-1, 2)
         with np.errstate(invalid="ignore", over="ignore"):
             return np.where((np.abs(self.pixels(rays) - px).max(axis=1) < 1e-6)[:, None], rays, np.nan)
 
@@ -153,11 +136,6 @@ class Lens:
         size, middle = (left + right + 1, above + below + 1), (float(left), float(above))
         return replace(other, image_wh=size, focal_px=(fx, fy), principal_px=middle, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
-    @property
-    def _fisheye(self) -> tuple[float, float, float, float]:
-        k1, k2, _, _, k3, k4, _, _ = self.distortion
-        return k1, k2, k3, k4
-
     def _radial(self, r: Array) -> Array:
         """Return the ratio of distorted and undistorted radius for radii (N,) in normalised coordinates."""
         k1, k2, _, _, k3, k4, k5, k6 = self.distortion
@@ -179,71 +157,7 @@ class Lens:
         return float(r[int(np.argmax(falls))]) if falls.any() else float(r[-1])
 
 
-def common_camera(lenses: Mapping[str, Lens], other: Camera) -> Camera:
-    """Return one camera for pictures with given lenses, to which pictures with another lens can be resampled.
-
-    It is the lens of most pictures if it is one of this project's lenses, and otherwise a pinhole camera. If the lenses
-    differ, it is cropped to the part that the pictures of all lenses show.
-
-    Parameters
-    ----------
-    lenses : mapping of str to Lens
-        Lens of each picture.
-    other : Camera
-        Source of the properties that a lens does not include, such as the bit depth.
-
-    Raises
-    ------
-    UserError
-        If the pictures have different sizes, or the lenses differ so much that all pictures share only a small part.
-    """
-    sizes = {lens.image_wh: name for name, lens in lenses.items()}
-    if len(sizes) > 1:
-        (first_wh, first), (other_wh, other_name), *_ = sizes.items()
-        raise UserError(
-            f"the picture {first} has {first_wh[0]}x{first_wh[1]} px, but {other_name} has {other_wh[0]}x{other_wh[1]} px; "
-            "all pictures must have the same size"
-        )
-    most = Counter(lenses.values()).most_common(1)[0][0]
-    exact = most.as_camera(other)
-    if exact is not None and all(lens.is_same(exact) for lens in set(lenses.values())):
-        return exact
-    camera = exact or most.as_pinhole(other)
-    (width, height), target = camera.image_wh, Lens.of(camera)
-    u, v = (np.unique(np.round(np.linspace(0, side - 1, min(side, _CELLS)))) for side in (width, height))
-    rays = target.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    shown = np.ones((len(v), len(u)), bool)
-    for lens, name in {lens: name for name, lens in lenses.items()}.items():
-        px = lens.pixels(rays)
-        with np.errstate(invalid="ignore"):
-            shown &= ((px >= 0.0) & (px <= np.array(lens.image_wh) - 1.0)).all(axis=1).reshape(shown.shape)
-        top, bottom, left, right = _inner(shown)
-        size = int(u[right] - u[left]) + 1, int(v[bottom] - v[top]) + 1
-        if min(size[0] / width, size[1] / height) < LEAST_SHARED:
-            raise UserError(
-                f"the lens of {name} differs too much from that of most pictures, with which it shares only {size[0]}x{size[1]} px; "
-                "import only pictures of one lens"
-            )
-    return camera.cropped((int(u[left]), int(v[top])), size)
-
-
 def _samples(image_wh: tuple[int, int]) -> Array:
     """Return pixels (N, 2) all over a picture."""
     u, v = (np.linspace(0.0, side - 1.0, _SAMPLES) for side in image_wh)
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-
-
-def _inner(shown: "np.ndarray[tuple[int, int], np.dtype[np.bool_]]") -> tuple[int, int, int, int]:
-    """Return first row, last row, first column and last column of a rectangle in which all cells are True.
-
-    Starting from the whole, the side with the largest fraction of cells that are False is moved inwards.
-    """
-    top, bottom, left, right = 0, shown.shape[0] - 1, 0, shown.shape[1] - 1
-    while top < bottom and left < right:
-        across, down = shown[:, left : right + 1], shown[top : bottom + 1]
-        share = [1.0 - float(side.mean()) for side in (across[top], across[bottom], down[:, left], down[:, right])]
-        worst = int(np.argmax(share))
-        if share[worst] == 0.0:
-            break
-        top, bottom, left, right = top + (worst == 0), bottom - (worst == 1), left + (worst == 2), right - (worst == 3)
-    return top, bottom, left, right

@@ -12,22 +12,20 @@ they read differently is rejected.
 """
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rhizotwin.given_lens import COEFFICIENTS, MODELS, Lens, common_camera
+from rhizotwin.importer.given_cameras import LARGEST, GivenCameras, GivenPicture, collect_cameras
+from rhizotwin.importer.given_lens import COEFFICIENTS, MODELS, Lens
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, parser_message
 from rhizotwin.scenes.model import Camera
-from rhizotwin.scenes.reading import read_file
+from rhizotwin.scenes.reading import read_text
 
-OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-LARGEST = 1e9
-"""Upper limit of the numbers in a file, whether they are in pixels or in mm."""
 SAME_ANGLE = 0.01
 """Maximum relative difference between a focal length and the one that follows from the angle of view. Both are often
 written. A larger difference shows that only one of them was changed, for example when pictures were made smaller."""
@@ -56,31 +54,7 @@ _HARMLESS = {
     *("file_path", "transform_matrix", "colmap_im_id", "rotation", "sharpness", "depth_file_path", "depth_path", "enable_depth_loading"),
 }
 """Keys without an effect on the cameras, or read elsewhere in this module."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GivenCameras:
-    """Lenses and camera poses of a file. All mappings have the same keys."""
-
-    camera: Camera
-    """Camera of the dataset. Pictures with another lens must be resampled to it."""
-    cam_from_canister: Mapping[str, frames.Array]
-    """Pose (4, 4) of each picture with OpenCV axes, in mm. The key is the file name of the picture as written in the
-    file, with or without its suffix."""
-    lenses: Mapping[str, Lens]
-    """Lens of each picture."""
-    notes: tuple[str, ...] = ()
-    """Sentences for the user about values that were assumed or ignored."""
-
-    @property
-    def picture_wh(self) -> tuple[int, int]:
-        """Return the size of the pictures, px. That of the camera is smaller if they are resampled."""
-        return next(iter(self.lenses.values())).image_wh
-
-    @property
-    def is_resampled(self) -> bool:
-        """Return whether the pictures must be resampled, because one of the lenses is not that of the camera."""
-        return not all(lens.is_same(self.camera) for lens in set(self.lenses.values()))
+_GIVE = "give a transforms.json in nerfstudio's format, or the folder of a COLMAP model"
 
 
 def read_cameras(path: Path, camera: Camera) -> GivenCameras:
@@ -106,36 +80,35 @@ def read_cameras(path: Path, camera: Camera) -> GivenCameras:
         or a matrix is not a rigid transform.
     """
     try:
-        text = read_file(path).decode()
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path} cannot be read; {_GIVE}") from error
-    try:
-        given = json.loads(text)
+        given = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not JSON ({error}); {_GIVE}") from error
+        raise UserError(f"{path} is not JSON ({parser_message(error)}); {_GIVE}") from error
     if not isinstance(given, dict) or not isinstance(given.get("frames"), list) or not given["frames"]:
         raise UserError(f"{path}: the list 'frames' is missing or empty; {_GIVE}")
     _refuse(given, where=str(path))
-    canister_from_world = _canister_from_world(given, path)
-    poses: dict[str, frames.Array] = {}
-    lenses: dict[str, Lens] = {}
     notes: dict[str, None] = {}  # a set with an order
-    for index, frame in enumerate(given["frames"]):
-        where = f"{path}, frames[{index}]"
-        name, cam_from_canister = _read_frame(frame, canister_from_world, where=where)
-        if name in poses:
-            raise UserError(f"{where}: the picture {name} has two cameras; each picture name must be unique")
-        own = {key: frame[key] for key in _LENS_KEYS if frame.get(key) is not None}
-        _check_levels(given, own, where=where)
-        place = where if own else str(path)
-        lenses[name] = _read_lens({**given, **own}, camera.image_wh, place, notes)
-        poses[name] = cam_from_canister
+    found = collect_cameras(_pictures(given, camera.image_wh, path, notes), camera)
     if unused := _unused([given, *given["frames"]]):
         notes[f"keys of {path} that were not used: {', '.join(unused)}"] = None
-    return GivenCameras(camera=common_camera(lenses, camera), cam_from_canister=poses, lenses=lenses, notes=tuple(notes))
+    return replace(found, notes=tuple(notes))
 
 
-_GIVE = "give a transforms.json in nerfstudio's format, or the folder of a COLMAP model"
+def _pictures(
+    given: dict[str, Any], scene_wh: tuple[int, int], path: Path, notes: dict[str, None]
+) -> Iterator[tuple[str, str, GivenPicture]]:
+    """Yield the arguments of `collect_cameras`, and add notes about assumed values."""
+    canister_from_world = _canister_from_world(given, path)
+    for index, frame in enumerate(given["frames"]):
+        where = f"{path}, frames[{index}]"
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise UserError(f"{where}: file_path is missing; add the file name of the picture")
+        _refuse(frame, where=where)
+        world_from_gl = _matrix(frame.get("transform_matrix"), where=f"{where}: transform_matrix")
+        pose = frames.invert(canister_from_world @ world_from_gl @ frames.OPENCV_FROM_OPENGL)
+        own = {key: frame[key] for key in _LENS_KEYS if frame.get(key) is not None}
+        _check_levels(given, own, where=where)
+        lens = _read_lens({**given, **own}, scene_wh, where if own else str(path), notes)
+        yield frame["file_path"], where, GivenPicture(lens=lens, cam_from_canister=pose)
 
 
 def _refuse(given: Mapping[str, Any], *, where: str) -> None:
@@ -247,16 +220,6 @@ def _focal(given: Mapping[str, Any], axis: str, side: float, where: str, *, is_f
         both = ", but ".join(f"{name} means {value:g} px" for name, value in found.items())
         raise UserError(f"{where}: the focal lengths differ: {both}; remove the wrong one")
     return next(iter(found.values()))
-
-
-def _read_frame(frame: Any, canister_from_world: frames.Array, *, where: str) -> tuple[str, frames.Array]:
-    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-        raise UserError(f"{where}: file_path is missing; add the file name of the picture")
-    _refuse(frame, where=where)
-    world_from_gl = _matrix(frame.get("transform_matrix"), where=f"{where}: transform_matrix")
-    canister_from_cam = canister_from_world @ world_from_gl @ OPENCV_FROM_OPENGL
-    name = PurePosixPath(frame["file_path"].replace("\\", "/")).name
-    return name, frames.invert(canister_from_cam)
 
 
 def _canister_from_world(given: dict[str, Any], path: Path) -> frames.Array:
