@@ -19,6 +19,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 ORPHANS_COME_HERE = 36
 """PR_SET_CHILD_SUBREAPER of prctl(2)."""
@@ -28,7 +29,7 @@ PATIENCE_S = 10.0
 
 def run(words: list[str], timeout_s: float, output: str) -> dict[str, object]:
     """Run a command, and return its exit code, processor time and memory, or that it exceeded the time limit."""
-    with open(output, "wb") as stream:  # noqa: PTH123 - pathlib would need memory
+    with Path(output).open("wb") as stream:
         try:
             child = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True)
         except OSError as error:
@@ -67,11 +68,11 @@ def end_all(first: int | None) -> None:
 def descendants() -> list[int]:
     """Return the processes that descend from this one, and have not ended."""
     parents = {}
-    if os.path.isdir("/proc/self"):  # noqa: PTH112 - pathlib would need memory
-        for name in filter(str.isdecimal, os.listdir("/proc")):  # noqa: PTH208
-            with contextlib.suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:  # noqa: PTH123
-                state, parent = file.read().rpartition(b")")[2].split()[:2]
-                parents[int(name)] = (int(parent), state == b"Z")
+    if sys.platform == "linux":
+        for folder in Path("/proc").iterdir():
+            with contextlib.suppress(OSError, ValueError):  # it is not that of a process, or the process has ended
+                state, parent = (folder / "stat").read_bytes().rpartition(b")")[2].split()[:2]
+                parents[int(folder.name)] = (int(parent), state == b"Z")
     else:
         with subprocess.Popen(["ps", "-A", "-o", "pid=,ppid=,stat="], stdout=subprocess.PIPE, text=True) as lister:
             for line in lister.communicate()[0].splitlines():
