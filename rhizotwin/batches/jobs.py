@@ -106,13 +106,18 @@ def key_of(settings: Mapping[str, Any], *, code: str) -> str:
 
 def is_done(job: Job) -> bool:
     """Return whether an earlier run has finished a job with the same key, and its output still exists."""
-    data = places.read(job.record)
-    try:
-        record = {} if data is None else json.loads(data)
-    except (ValueError, RecursionError):
-        record = {}
-    same = isinstance(record, dict) and record.get("key") == job.key and record.get("state") == "done"
+    record = read_record(job)
+    same = record.get("key") == job.key and record.get("state") == "done"
     return same and places.exists(places.join(job.output, HEADS[job.kind]))
+
+
+def read_record(job: Job) -> dict[str, Any]:
+    """Return the record of a job, as written by `note`. It is empty if there is none, or if it is damaged."""
+    try:
+        record = json.loads(places.read(job.record) or b"")
+    except (ValueError, RecursionError):
+        return {}
+    return record if isinstance(record, dict) else {}
 
 
 def note(job: Job, outcome: Outcome) -> None:

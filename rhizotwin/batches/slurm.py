@@ -15,13 +15,14 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from rhizotwin.batches import places
-from rhizotwin.batches.jobs import RECORDS, SLURM_JOB, Job, Outcome
+from rhizotwin.batches.jobs import RECORDS, SLURM_JOB, Job, Outcome, read_record
 from rhizotwin.batches.local import MOST_TRIES
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import printable
@@ -48,11 +49,10 @@ _KILLED = re.compile(r"oom[-_ ]?kill|exceeded (?:job |step )?memory limit|out[- 
 such jobs the state FAILED (JobLaunchFailure) instead of OUT_OF_MEMORY."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Place:
-    """State of a Slurm job in the queue."""
+class Place(NamedTuple):
+    """State of a Slurm job, in the order of the output of ``squeue -o '%i|%T|%N|%r|%l'``."""
 
-    state: str
+    state: str = ""
     node: str = ""
     reason: str = ""
     limit: str = ""
@@ -69,7 +69,7 @@ class _Attempt:
     """Time limit; None for that of Slurm."""
     tries: int = 1
     bigger: bool = False
-    place: Place = field(default_factory=lambda: Place(state=""))
+    place: Place = field(default_factory=Place)
     ended_s: float | None = None
 
 
@@ -132,7 +132,7 @@ def run(jobs: Sequence[Job], *, workers: int | None, say: Callable[[str], None])
 def read_queue(text: str) -> dict[str, Place]:
     """Return the state of each Slurm job in the output of ``squeue -o '%i|%T|%N|%r|%l'``."""
     rows = [line.split("|") for line in text.splitlines() if line.count("|") == 4]
-    return {number: Place(state=state, node=node, reason=reason, limit=limit) for number, state, node, reason, limit in rows}
+    return {number: Place(*place) for number, *place in rows}
 
 
 def minutes_of(limit: str) -> int | None:
@@ -192,7 +192,7 @@ def _look(one: _Attempt, number: str, now: Place | None, say: Callable[[str], No
         if outcome.state == "done":
             _log_file(one.job, number).unlink(missing_ok=True)
         return outcome if outcome.state != "again" else _again(one, number, outcome.sentence, say)
-    place = now or Place(state="")
+    place = now or Place()
     said = _log(one.job, number)
     if place.state == "OUT_OF_MEMORY" or place.reason == "RaisedSignal:9(Killed)" or _KILLED.search(said):
         why = f"it needed more than the requested {one.memory_mib:.0f} MiB of memory"
@@ -242,16 +242,16 @@ def _again(
         minutes=minutes or one.minutes,
         tries=one.tries + 1,
         bigger=one.bigger or more,
-        place=Place(state=""),
+        place=Place(),
         ended_s=None,
     )
 
 
 def _recorded(job: Job, number: str) -> Outcome | None:
     """Return the outcome that a Slurm job has recorded, or None if there is none."""
-    with suppress(ValueError, TypeError, RecursionError, OSError):
-        record = json.loads(places.read(job.record) or b"")
-        if isinstance(record, Mapping) and record.get(SLURM_JOB) == number:
+    with suppress(UserError, OSError, TypeError):  # TypeError: a field is missing
+        record = read_record(job)
+        if record.get(SLURM_JOB) == number:
             return Outcome(**{name: record[name] for name in Outcome.__dataclass_fields__ if name in record})
     return None
 
