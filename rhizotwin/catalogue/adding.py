@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from rhizotwin.experiment import drift, measured
 from rhizotwin.experiment.masses import BALANCE_G, has_masses, read_masses
 from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.table_file import read_table
 from rhizotwin.stored import result_files
@@ -67,10 +65,15 @@ def find_unlisted(catalogue: Catalogue, *folders: Path) -> Found:
     listed = {one.path.resolve(): one.sha256 for one in catalogue.scans()}
     listed |= {one.path.resolve(): one.sha256 for one in catalogue.results()}
 
+    def is_new(head: Path) -> bool:
+        try:
+            return listed.get(head.parent.resolve()) != file_sha256(head)
+        except UserError:  # reported when it is added
+            return True
+
     def new(name: str) -> tuple[Path, ...]:
         heads = sorted(path for folder in folders for path in folder.glob(f"[!.]*/{name}"))
-        plain = [head for head in heads if not head.is_symlink() and not head.parent.is_symlink()]
-        return tuple(head.parent for head in plain if listed.get(head.parent.resolve()) != _sha256(head))
+        return tuple(head.parent for head in heads if not head.is_symlink() and not head.parent.is_symlink() and is_new(head))
 
     return Found(scans=new("dataset.json"), results=new("result.json"), tables=())
 
@@ -203,19 +206,16 @@ def set_tags(catalogue: Catalogue) -> list[str]:
     return found
 
 
+def is_complete(origin: Mapping[str, Any]) -> bool:
+    """Return whether no picture of a dataset with this origin is missing, as only scans record."""
+    return origin.get("complete", True) is True
+
+
 def is_sketch(origin: Mapping[str, Any]) -> bool:
     """Return whether the pictures of a dataset of this origin are sketches of the emulated rig, which show no roots."""
     settings = origin.get("settings")
     twin = settings.get("twin") if isinstance(settings, dict) else None
     return isinstance(twin, dict) and twin.get("fidelity") == "sketch"
-
-
-def _sha256(head: Path) -> str:
-    """Return the SHA-256 of a dataset.json or result.json. It is empty if the file cannot be read."""
-    try:
-        return sha256(read_file(head)).hexdigest()
-    except UserError:
-        return ""
 
 
 def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
@@ -251,7 +251,7 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
         for one in whose:
             _add_subject(catalogue, one)
         path = catalogue.stored_path(dataset.folder)
-        complete = dataset.origin.get("complete", True) is True
+        complete = is_complete(dataset.origin)
         values = (
             *(path, dataset.sha256, scene.name, scene.subject.day, scene.subject.date, catalogue.solution_id(scene.solution)),
             *(len(dataset.frames), int(complete), int(is_sketch(dataset.origin)), now_utc()),

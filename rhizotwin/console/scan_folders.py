@@ -19,7 +19,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar, cast
 
-from rhizotwin.catalogue.adding import is_sketch
+from rhizotwin.catalogue.adding import is_complete, is_sketch
 from rhizotwin.report import words
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -239,7 +239,7 @@ def _scan_entry(path: Path) -> ScanEntry:
             plant=subject.plant,
             pictures=len(views),
             planned=int(origin.get("planned_views", len(views))),
-            complete=origin.get("complete", True) is True,
+            complete=is_complete(origin),
             sketch=is_sketch(origin),
         )
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error

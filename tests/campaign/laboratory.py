@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from rhizotwin.catalogue.adding import is_complete
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.console.client import Console
@@ -72,7 +73,9 @@ class Laboratory:
         self.kept = {dataset.folder / frame.file: frame.sha256 for dataset in datasets for frame in dataset.frames}
         with Catalogue.open(self.folder / CATALOGUE, read_only=True) as catalogue:
             listed = {(scan.path.name, scan.complete) for scan in catalogue.scans()}
-        found += [f"lost: {one.folder.name} in the catalogue" for one in datasets if (one.folder.name, _complete(one)) not in listed]
+        found += [
+            f"lost: {one.folder.name} in the catalogue" for one in datasets if (one.folder.name, is_complete(one.origin)) not in listed
+        ]
         shown = {(scan["name"], scan["complete"]) for scan in state["scans"]}
         found += [f"untrue: {shown} instead of {listed}"] * (shown != listed)
         found += [f"untrue: {state['activity']}, {state['problems']}"] * bool(state["activity"] or state["problems"])
@@ -82,10 +85,6 @@ class Laboratory:
         load_result(self.folder / "results" / "ball")
         with Catalogue.open(self.folder / CATALOGUE) as catalogue:
             return [f"untrue: {one}" for one in check(catalogue)]
-
-
-def _complete(dataset: Any) -> bool:
-    return dataset.origin.get("complete", True) is True
 
 
 def children(pid: int) -> list[int]:
