@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -128,13 +129,11 @@ def main() -> int:
             spent += share
             kills, until_s = round(options.kills * share), begun_s + 60.0 * options.minutes * spent
             (folder / name).mkdir()
-            if name == "laboratory":
-                report(name, lambda: laboratory(folder / "laboratory", ball, rng, kills, until_s))  # noqa: B023 - called at once
-            else:
-                report(name, lambda: commands(name, folder / name, ball, rng, kills, until_s))  # noqa: B023 - called at once
+            attack = laboratory if name == "laboratory" else partial(commands, name)
+            report(name, partial(attack, folder / name, ball, rng, kills, until_s))
         for name, part in (("load", load), ("memory", remembered)):
             if options.only is None or options.only == name:
-                report(name, lambda: part(folder / name))  # noqa: B023 - called at once
+                report(name, partial(part, folder / name))
     return int(bool(wrong))
 
 

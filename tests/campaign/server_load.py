@@ -1,6 +1,6 @@
 """Load on a running console: idle connections, wrong passwords, slow bodies and many clients, each in a process of its own.
 
-`python -m tests.campaign.server_load FOLDER` measures how much each load slows down a scan with the emulated rig.
+It is measured how much each load slows down a scan with the emulated rig.
 """
 
 import asyncio
@@ -175,7 +175,5 @@ def measure(folder: Path, *, repeats: int = 3, views: int = 12) -> dict[str, flo
 if __name__ == "__main__":
     if sys.argv[1] == "serve":
         serve_console(Path(sys.argv[2]))
-    elif sys.argv[1] in LOADS:
-        asyncio.run(_run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
     else:
-        _say(json.dumps(measure(Path(sys.argv[1])), indent=1))
+        asyncio.run(_run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
