@@ -198,8 +198,7 @@ def reconstruct(
     UserError
         If the pictures, the device or the combination of options cannot be used.
     """
-    heads = [] if keep_stages is None else [name for name in HEADS if (Path(keep_stages) / name).is_file()]
-    if heads:
+    if keep_stages is not None and (heads := [name for name in HEADS if (Path(keep_stages) / name).is_file()]):
         raise UserError(f"--keep-stages: {keep_stages} contains {heads[0]}; choose a new folder for the intermediate results")
     if method != "ours" and (keep_stages, mass_g) != (None, None):
         raise UserError(f"--keep-stages and --mass-g are not supported by --method {method}; remove these options")

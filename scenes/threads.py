@@ -1,12 +1,14 @@
-"""Threads that go on after an exception: it is reported, and the next task is executed."""
+"""Threads that go on after an exception, which is reported, and the end of a process with the one that started it."""
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from queue import SimpleQueue
+from multiprocessing import parent_process
 
 PAUSE_S = 0.5
 """Time between an exception and the next call of the function, s. An error that returns at once then needs no
@@ -48,6 +50,18 @@ class LastingThread:
                 time.sleep(PAUSE_S)
 
 
+def end_with_parent() -> None:
+    """End this process when the process that has started it by `multiprocessing` ends, even if that was killed."""
+    parent = parent_process()
+
+    def end() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=end, name="end", daemon=True).start()
+
+
 class Worker:
     """Thread that executes tasks one after another. An exception ends only its task.
 
@@ -60,24 +74,21 @@ class Worker:
     """
 
     def __init__(self, *, name: str, on_error: Callable[[BaseException], object]) -> None:
-        self._tasks: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
-        self._thread = LastingThread(self._work, name=name, on_error=on_error)
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
+        self._on_error = on_error
 
     def submit(self, task: Callable[[], object]) -> None:
         """Add a task."""
-        self._tasks.put(task)
+        self._executor.submit(task).add_done_callback(self._report)
 
     def wait(self) -> None:
         """Wait until all tasks that were added so far have ended."""
-        done = threading.Event()
-        self.submit(done.set)
-        done.wait()
+        self._executor.submit(lambda: None).result()
 
     def close(self) -> None:
         """Wait until all tasks have ended, and end the thread."""
-        self._tasks.put(None)
-        self._thread.join()
+        self._executor.shutdown()
 
-    def _work(self) -> None:
-        while (task := self._tasks.get()) is not None:
-            task()
+    def _report(self, ended: Future[object]) -> None:
+        if (error := ended.exception()) is not None:
+            self._on_error(error)

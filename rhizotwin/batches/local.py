@@ -5,10 +5,7 @@ The number of processes is limited by the memory. If a process dies, its job is 
 
 from __future__ import annotations
 
-import os
 import signal
-import threading
-import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,14 +16,14 @@ from typing import Any
 from rhizotwin.batches.jobs import Job, Outcome
 from rhizotwin.scenes.memory import available_mib
 from rhizotwin.scenes.monitor import threads
+from rhizotwin.scenes.threads import end_with_parent
 
 MOST_TRIES = 3
 """Maximum number of attempts to run a job that fails for an external reason, such as a full disk."""
 LEFT_FREE = 0.1
 """Fraction of the available memory that batches leave free for other programs."""
 LOOK_S = 1.0
-"""Interval, in seconds, at which a worker process checks that the main process still exists, and the main process
-whether the jobs are to be stopped."""
+"""Interval at which the main process checks whether the jobs are to be stopped, s."""
 
 
 @dataclass
@@ -104,7 +101,7 @@ def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: f
 def _hire(threads_each: int) -> _Worker:
     context = get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, os.getpid(), threads_each), daemon=True)
+    process = context.Process(target=_serve, args=(theirs, threads_each), daemon=True)
     process.start()
     theirs.close()
     return _Worker(process, ours)
@@ -130,10 +127,10 @@ def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
         return Outcome(name=name, state="again", sentence=f"the process of the job died ({how}), perhaps because the memory was full")
 
 
-def _serve(line: Connection, master: int, threads_each: int) -> None:
+def _serve(line: Connection, threads_each: int) -> None:
     """Receive and run jobs until the main process closes the connection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process handles Ctrl-C and ends its workers
-    threading.Thread(target=_leave_with, args=(master,), daemon=True).start()
+    end_with_parent()
     from rhizotwin.batches.work import work
 
     while True:
@@ -142,10 +139,3 @@ def _serve(line: Connection, master: int, threads_each: int) -> None:
         except (EOFError, OSError):
             return
         line.send(work(plain, threads_each))
-
-
-def _leave_with(master: int) -> None:
-    """Wait until the main process has ended, and then exit this process."""
-    while os.getppid() == master:
-        time.sleep(LOOK_S)
-    os._exit(1)

@@ -5,7 +5,6 @@ All clients share its state.
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from contextlib import ExitStack
@@ -21,7 +20,7 @@ from rhizotwin import rigs
 from rhizotwin.arguments import SubjectOptions
 from rhizotwin.console.controls import Controls
 from rhizotwin.console.devices import DeviceStates
-from rhizotwin.console.messages import Messages, for_console
+from rhizotwin.console.messages import Messages, explained, for_console
 from rhizotwin.console.pictures import Shown, show
 from rhizotwin.console.plants import Plants
 from rhizotwin.console.problems import Problems
@@ -37,7 +36,7 @@ from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import count, error_sentence, is_expected
+from rhizotwin.scenes.formatting import count, error_sentence
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.runner import Listener, Runner
@@ -321,7 +320,7 @@ class Console:
                     self.rig.let_go()
                     devices = self.bench.open_devices(None, stack)
                     # before the devices are closed and the sketch is complete, which takes seconds
-                    stack.callback(self._catalogue, self.plants.add_scan, folder, "dataset.json")
+                    stack.callback(self._catalogue, self.plants.add_scan, folder / "dataset.json")
                     rigs.take_scan(
                         self.bench,
                         devices,
@@ -382,9 +381,7 @@ class Console:
         self.messages.add(text)
 
     def _show_error(self, error: BaseException) -> None:
-        if not is_expected(error):
-            logging.getLogger(__name__).error("the console continues after an unexpected error", exc_info=error)
-        text = for_console(error_sentence(error))
+        text = explained(error)
         self.devices.read_error(text)
         self.messages.error(text)
 
@@ -407,13 +404,13 @@ class Console:
             self.messages.error(f"{job.scan}: the reconstruction {'was interrupted' if job.state == 'waiting' else 'failed'}: {job.error}")
             return
         self.messages.add(f"{job.scan}: the reconstruction is finished")
-        self._catalogue(self.plants.add_result, self.folders.result(job.scan), "result.json")
+        self._catalogue(self.plants.add_result, self.folders.result(job.scan) / "result.json")
 
-    def _catalogue(self, add: Callable[[Path], None], folder: Path, head: str) -> None:
+    def _catalogue(self, add: Callable[[Path], None], head: Path) -> None:
         """Add a scan or a result to the catalogue. An error is shown, and the next start of the console adds it."""
         try:
-            if (folder / head).is_file():
-                add(folder)
+            if head.is_file():
+                add(head.parent)
         except Exception as error:  # noqa: BLE001 - a damaged catalogue must not make a good scan a failed one
             advice = "the console adds it when it is started again"
-            self.messages.error(f"{folder.name}: the entry in the catalogue could not be written: {error_sentence(error)}; {advice}")
+            self.messages.error(f"{head.parent.name}: the entry in the catalogue could not be written: {error_sentence(error)}; {advice}")

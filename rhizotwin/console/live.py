@@ -6,7 +6,6 @@ import gc
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -164,5 +163,4 @@ class Live(Observer):
         try:
             self._on_change()
         except Exception as error:  # noqa: BLE001 - a picture that cannot be displayed must not end the scan
-            with suppress(Exception):
-                self._on_error(error)
+            self._on_error(error)

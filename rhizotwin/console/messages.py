@@ -1,5 +1,6 @@
 """Recent messages of the console about scans, commands and errors, with their times."""
 
+import logging
 import re
 import threading
 from collections import deque
@@ -8,7 +9,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Literal
 
-from rhizotwin.scenes.formatting import continued, printable
+from rhizotwin.scenes.formatting import continued, error_sentence, is_expected, printable
 
 KEPT = 200
 RESUME = re.compile("(finish the scan|start the scan again|resume) with --resume")
@@ -31,6 +32,13 @@ class Message:
 def for_console(text: str) -> str:
     """Replace advice for users of the command line in a message by advice for users of the console."""
     return printable(RESUME.sub("finish the scan, or start it again", continued(text, "console")))
+
+
+def explained(error: BaseException) -> str:
+    """Return a sentence about an error that the console survives, and log the traceback of an unexpected one."""
+    if not is_expected(error):
+        logging.getLogger(__name__).error("the console continues after an unexpected error", exc_info=error)
+    return for_console(error_sentence(error))
 
 
 class Messages:

@@ -44,7 +44,7 @@ class Plants:
         with Catalogue.open_or_create(path):
             pass
         self._stamp: Any = None
-        self._plain: tuple[list[dict[str, object]], dict[str, Any]] = [], {}
+        self._plain: tuple[list[dict[str, object]], dict[str, Any]] = NOTHING
 
     def scene_of(self, scene: Scene) -> Scene:
         """Return a copy of a scan's scene, completed with the catalogue's data about the plant.
@@ -176,3 +176,7 @@ def _local(visit: Visit) -> datetime:
 
 def _visit(visit: Visit) -> dict[str, str]:
     return {"plant": visit.plant, "due": f"{_local(visit):%Y-%m-%d %H:%M}", "state": visit.state, "note": visit.note}
+
+
+NOTHING: tuple[list[dict[str, object]], dict[str, Any]] = [], _visits([], date.min)
+"""Plants and planned scans of an empty catalogue."""

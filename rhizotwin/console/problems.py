@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable
 
-from rhizotwin.console.messages import for_console
-from rhizotwin.scenes.formatting import error_sentence, is_expected
+from rhizotwin.console.messages import explained, for_console
+from rhizotwin.scenes.formatting import error_sentence
 
 
 class Problems:
@@ -28,18 +27,15 @@ class Problems:
 
     def report(self, part: str, error: BaseException) -> None:
         """Set the problem of a part of the console, and announce it unless it is already known."""
-        text = _text(part, error)
+        text = for_console(f"{part}: {error_sentence(error)}")
         with self._lock:
-            known = self._texts.get(part) == text
-            self._texts[part] = text
-        if not known:
+            known, self._texts[part] = self._texts.get(part), text
+        if text != known:
             self.announce(part, error)
 
     def announce(self, part: str, error: BaseException) -> None:
         """Announce an error of a part of the console that works again."""
-        if not is_expected(error):
-            logging.getLogger(__name__).error("%s: the console continues after an unexpected error", part, exc_info=error)
-        self._say(_text(part, error))
+        self._say(f"{part}: {explained(error)}")
 
     def solve(self, part: str) -> None:
         """Remove the problem of a part of the console, if it has one."""
@@ -52,7 +48,3 @@ class Problems:
         """Return the texts of the present problems."""
         with self._lock:
             return list(self._texts.values())
-
-
-def _text(part: str, error: BaseException) -> str:
-    return for_console(f"{part}: {error_sentence(error)}")

@@ -6,7 +6,6 @@ The queue is stored in a file, and is continued when the console is started agai
 from __future__ import annotations
 
 import json
-import logging
 import os
 import threading
 from collections import Counter
@@ -18,12 +17,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rhizotwin.catalogue.store import now_utc
-from rhizotwin.console.messages import for_console
+from rhizotwin.console.messages import explained
 from rhizotwin.console.reconstruction_worker import work
 from rhizotwin.console.scan_folders import ScanFolders, check_name
 from rhizotwin.scenes.atomic import write_json
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import error_sentence, is_expected
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.scenes.threads import LastingThread
 from rhizotwin.scenes.versioned_json import read_versioned_json
@@ -203,10 +201,8 @@ class Queue:
             again = self._deaths[job.scan] < MOST_DEATHS
             state = "waiting" if again else "failed"
             error = f"{died}; {'it starts again' if again else 'add the scan to the queue again'}"
-        except BaseException as raised:  # an error of one job must not end the queue
-            if not is_expected(raised):
-                logging.getLogger(__name__).error("%s: the reconstruction could not be started", job.scan, exc_info=raised)
-            state, error = "failed", for_console(error_sentence(raised))
+        except BaseException as raised:  # noqa: BLE001 - an error of one job must not end the queue
+            state, error = "failed", explained(raised)
         with self._wake:
             if self._ended or job not in self._jobs:  # the console ends, or the job was removed
                 return
@@ -223,7 +219,7 @@ class Queue:
         source, output = str(self._folders.scan(job.scan)), str(self._folders.result(job.scan))
         with ExitStack() as stack:
             ours, theirs = (stack.enter_context(end) for end in context.Pipe())
-            process = context.Process(target=work, args=(theirs, source, output, os.getpid()), daemon=True)
+            process = context.Process(target=work, args=(theirs, source, output), daemon=True)
             with self._wake:
                 if self._ended or job not in self._jobs:
                     return ""

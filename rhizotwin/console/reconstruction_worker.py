@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import signal
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -17,13 +14,11 @@ from typing import Any
 
 from rhizotwin import command_steps, engine
 from rhizotwin.arguments import Progress
-from rhizotwin.console.messages import for_console
+from rhizotwin.console.messages import explained
 from rhizotwin.recon.settings import PictureSettings
-from rhizotwin.scenes.formatting import error_sentence, is_expected
 from rhizotwin.scenes.terminal import OneBar
+from rhizotwin.scenes.threads import end_with_parent
 
-LOOK_S = 1.0
-"""Polling interval, in seconds, at which the process checks whether the console is still running."""
 NICE = 10
 """Niceness of the process. It gives a simultaneous scan a higher priority."""
 
@@ -64,8 +59,8 @@ class SentProgress(Progress):
         return SentBar(shares, self.send)
 
 
-def work(line: Connection, dataset: str, output: str, console: int) -> None:
-    """Reconstruct a dataset, and send the progress and the outcome to the console.
+def work(line: Connection, dataset: str, output: str) -> None:
+    """Reconstruct a dataset, and send the progress and the outcome to the console, with which this process ends.
 
     Parameters
     ----------
@@ -74,11 +69,9 @@ def work(line: Connection, dataset: str, output: str, console: int) -> None:
         ``{"error": text}`` with an empty text on success.
     dataset, output : str
         Folders of the dataset and of the result.
-    console : int
-        Process id of the console; if the console ends, this process ends as well.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the console stops this process itself
-    threading.Thread(target=_end_with, args=(console,), daemon=True).start()
+    end_with_parent()
     if hasattr(os, "nice"):
         os.nice(NICE)
 
@@ -91,15 +84,7 @@ def work(line: Connection, dataset: str, output: str, console: int) -> None:
         settings = command_steps.settings_of(None, pictures=PictureSettings(tolerant=True))
         progress = SentProgress(send=lambda stage, done: send([stage, done]))
         command_steps.reconstruct_whole(Path(dataset), Path(output), settings=settings, progress=progress)
-    except Exception as error:  # sent to the console, which shows it
-        if not is_expected(error):
-            logging.getLogger(__name__).error("%s: the reconstruction failed with an unexpected error", dataset, exc_info=error)
-        send({"error": for_console(error_sentence(error))})
+    except Exception as error:  # noqa: BLE001 - sent to the console, which shows it
+        send({"error": explained(error)})
     else:
         send({"error": ""})
-
-
-def _end_with(console: int) -> None:
-    while os.getppid() == console:
-        time.sleep(LOOK_S)
-    os._exit(1)

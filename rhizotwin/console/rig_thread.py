@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rhizotwin.rig.errors import LostError, NoAnswerError
@@ -166,8 +166,7 @@ class RigThread:
         except BaseException as raised:  # noqa: BLE001 - passed on through the future
             result, error = None, raised
             if not isinstance(raised, KeyboardInterrupt):  # the action was stopped by a user
-                with suppress(Exception):
-                    self._on_error(raised)
+                self._on_error(raised)
         self._end(future, result, error)
 
     def _end(self, future: Future[Any], result: Any, error: BaseException | None) -> None:

@@ -7,7 +7,6 @@ import os
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import uvicorn
@@ -25,8 +24,8 @@ START_S = 30.0
 """Timeout for the start of the server, s."""
 
 
-class _LastingServer:
-    """Web server in a separate thread, which is started again at the same address after an exception.
+class Served:
+    """Web server of the console in a separate thread, which is started again at the same address after an exception.
 
     Parameters
     ----------
@@ -34,15 +33,27 @@ class _LastingServer:
         Configuration of the server.
     bound : socket.socket
         Socket that is bound to the address. Connections wait in it while the server is started again.
+    host, access : str, Access
+        Host name in the address of the page, and secrets that grant access to it.
     on_error : callable
         Function that is called with each exception.
     """
 
-    def __init__(self, config: uvicorn.Config, bound: socket.socket, *, on_error: Callable[[BaseException], object]) -> None:
+    def __init__(
+        self, config: uvicorn.Config, bound: socket.socket, *, host: str, access: Access, on_error: Callable[[BaseException], object]
+    ) -> None:
+        self.host, self.access = host, access
+        self.port: int = bound.getsockname()[1]
         self._config, self._bound = config, bound
         self._server = Server(config)
         self._ended = False
         self._thread = LastingThread(self._run, name="console", on_error=on_error)
+
+    @property
+    def address(self) -> str:
+        """Address of the console's page, including the token."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}/?token={self.access.token}"
 
     @property
     def started(self) -> bool:
@@ -61,26 +72,6 @@ class _LastingServer:
         if not self._ended:
             with self._bound.dup() as listening:
                 self._server.run(sockets=[listening])
-
-
-@dataclass(frozen=True)
-class Served:
-    """Running web server of the console."""
-
-    host: str
-    port: int
-    access: Access
-    _server: _LastingServer
-
-    @property
-    def address(self) -> str:
-        """Address of the console's page, including the token."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.port}/?token={self.access.token}"
-
-    def stop(self) -> None:
-        """Stop the server, and abort open requests."""
-        self._server.stop()
 
 
 def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
@@ -114,14 +105,14 @@ def serve(console: Console, access: Access, *, host: str, port: int) -> Served:
         ws="none",
         lifespan="off",
     )
-    server = _LastingServer(config, bound, on_error=partial(console.problems.announce, "web server"))
+    served = Served(config, bound, host=host, access=access, on_error=partial(console.problems.announce, "web server"))
     end_s = time.monotonic() + START_S
-    while not server.started:
+    while not served.started:
         if time.monotonic() > end_s:
-            server.stop()
+            served.stop()
             raise UserError(f"the web server of the console could not be started at {host}:{port}; choose another --port")
         time.sleep(0.01)
-    return Served(host, bound.getsockname()[1], access, server)
+    return served
 
 
 def _bind(host: str, port: int) -> socket.socket:

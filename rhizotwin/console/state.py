@@ -8,11 +8,10 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from rhizotwin.console.plants import NOTHING
+
 if TYPE_CHECKING:
     from rhizotwin.console.console import Console
-
-_NO_VISITS = {"planned": 0, "scanned": 0, "missed_count": 0, "today": [], "next": [], "missed": []}
-"""Planned scans before the catalogue was read for the first time."""
 
 
 class StateView:
@@ -28,7 +27,7 @@ class StateView:
         self._console = console
         self._lock = threading.Lock()
         self._sketch: tuple[int, Any] = (0, None)
-        self._last: dict[str, Any] = {"plants": ([], _NO_VISITS), "scans": [], "schedule": None}
+        self._last: dict[str, Any] = {"plants": NOTHING, "scans": [], "schedule": None}
         """Values of the parts of the state that are read from the disk, when they were read last."""
 
     def plain(self, client: str) -> dict[str, Any]:

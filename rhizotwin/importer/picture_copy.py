@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TypeAlias
 
-from rhizotwin import raw_pictures
+from rhizotwin.importer import raw_pictures
 from rhizotwin.importer.damaged_rows import DamageCheck
 from rhizotwin.importer.given_cameras import GivenCameras
 from rhizotwin.importer.given_lens import Lens

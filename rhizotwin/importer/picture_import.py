@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rhizotwin import raw_pictures
+from rhizotwin.importer import raw_pictures
 from rhizotwin.importer.camera_file import lens_notes, read_camera_file, with_cameras
 from rhizotwin.importer.given_cameras import GivenCameras
 from rhizotwin.importer.picture_copy import PictureCopier

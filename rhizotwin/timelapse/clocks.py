@@ -7,8 +7,6 @@ from typing import Protocol
 
 STEP_S = 1.0
 """Interval, in seconds, at which a waiting clock checks whether the run is to be stopped."""
-
-
 STEP = timedelta(minutes=1)
 """Step of the computer's clock that is not a correction of its drift. A clock that drifts by 100 ppm, as those of
 computers at most do, gains a minute in a week, and is corrected far more often."""

@@ -95,8 +95,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     seen: dict[str, BoardView] = {}
     kinds: dict[str, tuple[int, int, int]] = {}  # width, height and orientation tag
     rejected: dict[str, str] = {}
-    common_bits = 0
-    depth = 8
+    common_bits, depth = 0, 8
     monitor = monitor or Monitor()
     with monitor.stage("boards"), monitor.steps("boards", len(paths), "picture") as step:
         for path in paths:

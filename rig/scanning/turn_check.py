@@ -105,7 +105,7 @@ class TurnCheck:
         off_mm = self._shift_mm(number)
         if not off_mm:
             return None
-        while number > 1 and self._shift_mm(number - 1):
+        while self._shift_mm(number - 1):
             number -= 1
         return [one.file for one, _ in self._read[number - 1 :]], (
             f"the canister in {frame.file} is {off_mm:.1f} mm beside its place in the pictures before; check that the canister stands "

@@ -2,11 +2,9 @@
 
 import csv
 import json
-import subprocess
-import sys
-import venv
 from pathlib import Path
-from tempfile import TemporaryDirectory
+
+from tests.interop.environment import install, run
 
 PACKAGE = "metaseed==0.69.0"
 FIELDS = {
@@ -22,10 +20,11 @@ FIELDS = {
 """Names of the checklist's fields in metaseed, by table."""
 
 
-def check(folder: Path) -> dict[str, tuple[float, float]]:
+def check(folder: Path, environment: Path) -> dict[str, tuple[float, float]]:
     """Validate the tables of a folder that ``rhizotwin export --publish`` wrote, against MIAPPE 1.1 and 1.2.
 
-    The result contains the number of rows that the program accepts and ours. An AssertionError states the violations.
+    The program is installed into the folder ``environment``. The result contains the number of rows that the program
+    accepts and ours. A RuntimeError states the violations.
     """
     tables = {path.stem: list(csv.DictReader(path.read_text(encoding="utf-8").splitlines())) for path in (folder / "miappe").glob("*.csv")}
     (above,), (study,) = tables["investigation"], tables["study"]
@@ -42,16 +41,11 @@ def check(folder: Path) -> dict[str, tuple[float, float]]:
         "contacts": [{key: value for key, value in one.items() if key != "study_id"} for one in parts["person"]],
         "studies": [parts["study"][0] | ids | lists],
     }
-    with TemporaryDirectory() as place:
-        venv.create(place, with_pip=True)
-        programs = Path(place) / ("Scripts" if sys.platform == "win32" else "bin")
-        subprocess.run([programs / "python", "-m", "pip", "install", "--quiet", PACKAGE], check=True)
-        file = Path(place) / "investigation.json"
-        file.write_text(json.dumps(whole), encoding="utf-8")
-        for version in ("1.1", "1.2"):
-            command = [programs / "metaseed", "validate", file, "--profile", "miappe", "--version", version]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stdout + done.stderr
+    python = install(environment, PACKAGE)
+    file = environment / "investigation.json"
+    file.write_text(json.dumps(whole), encoding="utf-8")
+    for version in ("1.1", "1.2"):
+        run(python.parent / "metaseed", "validate", file, "--profile", "miappe", "--version", version)
     rows = sum(map(len, tables.values()))
     assert all(row[name] for table in tables.values() for row in table for name in row if name.endswith("unique ID"))
     return {f"{PACKAGE}, rows": (rows, rows)}

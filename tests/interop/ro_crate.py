@@ -1,27 +1,23 @@
 """Check that roc-validator accepts a published folder; it is installed apart, so that its newest dependencies are met."""
 
 import io
-import subprocess
 import sys
-import venv
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from unittest import mock
 
 PACKAGES = ("roc-validator==0.13.0", "rocrate==0.16.0")
 PROFILE = "ro-crate-1.1"
 
 
-def check(folder: Path) -> dict[str, tuple[float, float]]:
+def check(folder: Path, environment: Path) -> dict[str, tuple[float, float]]:
     """Validate a folder that ``rhizotwin export --publish`` wrote, recommended properties included.
 
-    The result contains the number of violations by the program and ours. An AssertionError states the violations.
+    The program is installed into the folder ``environment``. The result contains the number of violations by the
+    program and ours. An AssertionError states the violations.
     """
-    with TemporaryDirectory() as place:
-        venv.create(place, with_pip=True)
-        python = Path(place) / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-        subprocess.run([python, "-m", "pip", "install", "--quiet", *PACKAGES], check=True)
-        told = subprocess.run([python, __file__, folder], check=True, capture_output=True, text=True).stdout
+    from tests.interop.environment import install, run  # the program's environment runs this file without it
+
+    told = run(install(environment, *PACKAGES), __file__, folder)
     assert told.splitlines()[-1:] == ["valid"], told
     return {f"{PACKAGES[0]}, violations": (0, 0)}
 

@@ -2,9 +2,7 @@
 
 import json
 import os
-import subprocess
 import sys
-import venv
 from pathlib import Path
 from typing import Any
 
@@ -56,18 +54,16 @@ def check(folder: Path) -> dict[str, tuple[float, float]]:
 
 def _read_apart(folder: Path) -> dict[str, dict[str, float]]:
     """Install both programs into a folder, and return what they read."""
-    venv.create(folder / "venv", with_pip=True)
-    python = folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    subprocess.run([python, "-m", "pip", "install", "--quiet", *PACKAGES], check=True)
+    from tests.interop.environment import fetch, install, run  # the programs' environment runs this file without it
+
+    python = install(folder / "venv", *PACKAGES)
     for url, commit in SNAPSHOTS.items():
         copy = folder / Path(url).name
-        subprocess.run(["git", "clone", "--quiet", "--no-checkout", url, copy], check=True)
-        subprocess.run(["git", "-C", copy, "checkout", "--quiet", commit, "--", "src"], check=True)
+        fetch("git", "clone", "--quiet", "--no-checkout", url, copy)
+        fetch("git", "-C", copy, "checkout", "--quiet", commit, "--", "src")
     sources = os.pathsep.join(str(folder / Path(url).name / "src") for url in SNAPSHOTS)
-    environment = {**os.environ, "PYTHONPATH": sources, "MPLBACKEND": "agg"}
-    command = [python, __file__, folder / "roots.rsml"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment, cwd=folder)
-    found: dict[str, dict[str, float]] = json.loads(done.stdout.splitlines()[-1])
+    told = run(python, __file__, folder / "roots.rsml", folder=folder, variables={"PYTHONPATH": sources, "MPLBACKEND": "agg"})
+    found: dict[str, dict[str, float]] = json.loads(told.splitlines()[-1])
     return found
 
 

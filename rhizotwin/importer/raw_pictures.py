@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from rhizotwin.rig.cameras.bayer import COLOURS, grey_from_bayer
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.orientation import read_orientation, turn_picture
 from rhizotwin.scenes.picture_codec import Grey
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 
 SUFFIXES = (".dng",)
 BITS = 16
@@ -32,8 +34,7 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
         DNG file of a sensor with a 2x2 colour filter.
     image_wh : tuple of int
         Width and height of the grey picture, px, after it has been turned as the orientation tag of the file states.
-        Blocks of 2x2, 4x4 ... raw pixels are averaged to one pixel, so that
-        no colour is interpolated.
+        Blocks of 2x2, 4x4 ... raw pixels are averaged to one pixel, so that no colour is interpolated.
     gains : tuple of float, optional
         White balance factors of red and blue, relative to green; None: factors in the file. All pictures of a set
         should be read with the factors of the first picture.
@@ -48,14 +49,15 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
     Raises
     ------
     UserError
-        If LibRaw is not installed, or the file is damaged, has another colour filter or another size.
+        If LibRaw is not installed, or the file is unreadable or damaged, has another colour filter or another size.
     """
     if find_spec("rawpy") is None:
         raise UserError(f"{path}: raw pictures are read with LibRaw, which is not installed; run: pip install 'rhizotwin[raw]'")
     import rawpy
 
+    data = read_file(path, most_mib=MOST_PICTURE_MIB)
     try:
-        with rawpy.imread(str(path)) as opened:
+        with rawpy.imread(BytesIO(data)) as opened:
             raw = np.array(opened.raw_image_visible)
             pattern = None if opened.raw_pattern is None else np.array(opened.raw_pattern)
             names, black = opened.color_desc.decode("ascii"), [float(value) for value in opened.black_level_per_channel]
@@ -64,7 +66,7 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
         raise UserError(f"{path}: the raw picture could not be read ({type(error).__name__}); copy or take the picture again") from None
     if pattern is None or pattern.shape != (2, 2) or raw.ndim != 2 or raw.dtype != np.uint16:
         raise UserError(f"{path}: the sensor has no 2x2 colour filter; convert the picture to a linear 16-bit PNG")
-    orientation = read_orientation(path.read_bytes())
+    orientation = read_orientation(data)
     raw_wh = (raw.shape[1], raw.shape[0]) if orientation < 5 else (raw.shape[0], raw.shape[1])
     block = _block(path, raw_wh, image_wh)
     order = "".join(names[k] for k in pattern.ravel())

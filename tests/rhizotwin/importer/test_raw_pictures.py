@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from rhizotwin import raw_pictures
+from rhizotwin.importer import raw_pictures
 from rhizotwin.importer.picture_import import import_pictures
-from rhizotwin.raw_pictures import read_raw
+from rhizotwin.importer.raw_pictures import read_raw
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
