@@ -1,4 +1,4 @@
-"""List the licences of what a plain `pip install rhizotwin` brings, and refuse copyleft ones.
+"""List the licences of what an installation without extras brings, and refuse copyleft ones.
 
     python packaging/licences.py            # prints the table of docs/licences.md
 

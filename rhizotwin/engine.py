@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.native import ensure_libatomic
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, pip_install
 
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17
@@ -106,7 +106,7 @@ def install_hint() -> str:
     if platform.system() == "Windows":
         return "winget install LLVM.LLVM"
     if has_llvm_wheel():
-        return f"pip install {LLVM_WHEEL}"
+        return pip_install(LLVM_WHEEL)
     if shutil.which("apt-get"):
         return f"sudo apt-get update && sudo apt-get install -y {' '.join(apt_packages())}"
     if shutil.which("dnf"):

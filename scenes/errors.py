@@ -1,4 +1,6 @@
-"""Exception with a message for the user."""
+"""Exception with a message for the user, and parts of such messages."""
+
+import sys
 
 
 class UserError(Exception):
@@ -7,6 +9,11 @@ class UserError(Exception):
     The message is a sentence that states the problem, its location (file, key, value, limit) and a remedy. The command
     line prints the message without a traceback, and exits with a nonzero code.
     """
+
+
+def pip_install(package: str) -> str:
+    """Return the command that installs a package into the environment in which this program runs."""
+    return f'"{sys.executable}" -m pip install {package}'
 
 
 def parser_message(error: ValueError | RecursionError) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from rhizotwin.scenes.errors import pip_install
 from rhizotwin.scenes.orientation import read_orientation
 from rhizotwin.scenes.picture_damage import DamagedError, UnfitError, check_size
 
@@ -141,7 +142,7 @@ def _codecs(what: str) -> Any:
         import imagecodecs
     except ImportError:
         raise UnfitError(
-            f"the file is a TIFF with {what}, which requires another package; run pip install 'rhizotwin[tiff]', or convert it to PNG"
+            f"the file is a TIFF with {what}, which requires another package; run {pip_install('imagecodecs')}, or convert it to PNG"
         ) from None
     return imagecodecs
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rhizotwin.batches.jobs import Job, Outcome
 from rhizotwin.batches.local import MOST_TRIES
 from rhizotwin.batches.work import work
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, pip_install
 from rhizotwin.scenes.memory import MIB
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def connected(where: str, jobs: Sequence[Job], *, say: Callable[[str], None]) ->
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise UserError("--cluster needs Dask, which is not installed; run: pip install 'rhizotwin[cluster]'") from None
+        raise UserError(f"--cluster needs Dask, which is not installed; run: {pip_install('distributed')}") from None
     try:
         client = Client(where, timeout=WAIT_S)
     except (OSError, ValueError, TimeoutError) as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, pip_install
 from rhizotwin.scenes.reading import read_file
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def _system(address: str) -> tuple[AbstractFileSystem, str]:
         from fsspec.core import url_to_fs
     except ModuleNotFoundError:
         raise UserError(
-            f"{address}: remote folders require fsspec, which is not installed; install it with: pip install 'rhizotwin[cluster]'"
+            f"{address}: remote folders require fsspec, which is not installed; install it with: {pip_install('fsspec')}"
         ) from None
     try:
         found: tuple[Any, str] = url_to_fs(address)

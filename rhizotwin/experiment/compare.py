@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, pip_install
 
 Array = NDArray[np.float64]
 
@@ -303,7 +303,7 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
         import statsmodels.api as models
     except ModuleNotFoundError:
         raise UserError(
-            "the comparison of treatments needs the package statsmodels; install it with: pip install 'rhizotwin[experiment]'"
+            f"the comparison of treatments needs the package statsmodels; install it with: {pip_install('statsmodels')}"
         ) from None
     if len(set(plants)) == len(plants):
         fitted = models.OLS(y, design).fit()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.rig.cameras.bayer import COLOURS, grey_from_bayer
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, pip_install
 from rhizotwin.scenes.orientation import read_orientation, turn_picture
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
@@ -52,7 +52,7 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
         If LibRaw is not installed, or the file is unreadable or damaged, has another colour filter or another size.
     """
     if find_spec("rawpy") is None:
-        raise UserError(f"{path}: raw pictures are read with LibRaw, which is not installed; run: pip install 'rhizotwin[raw]'")
+        raise UserError(f"{path}: raw pictures are read with LibRaw, which is not installed; run: {pip_install('rawpy')}")
     import rawpy
 
     data = read_file(path, most_mib=MOST_PICTURE_MIB)

@@ -7,11 +7,9 @@ from typing import Any
 from rhizotwin.publishing.miappe import subjects
 from rhizotwin.publishing.published import Found, Scan
 from rhizotwin.publishing.study import LICENCES, Study
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, pip_install
 
 _TYPES = {".csv": "text/csv", ".md": "text/markdown", ".txt": "text/plain", ".png": "image/png"}
-SOFTWARE = "https://github.com/rhizotwin/rhizotwin"
-"""Web address of this program."""
 
 
 def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[Found], *, files: dict[str, str], version: str) -> None:
@@ -38,7 +36,7 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
     try:
         from rocrate.rocrate import ROCrate
     except ModuleNotFoundError:
-        raise UserError("publishing needs the package rocrate; install it with: pip install 'rhizotwin[publish]'") from None
+        raise UserError(f"publishing needs the package rocrate; install it with: {pip_install('rocrate')}") from None
     crate = ROCrate(version="1.1")  # the version that most repositories read
     crate.name, crate.description, crate.keywords = study.title, study.description, list(study.keywords)
     crate.datePublished = study.published
@@ -60,7 +58,7 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
         about = {"name": name, "description": description, "encodingFormat": _TYPES[Path(name).suffix]}
         crate.add_file(dest_path=name, properties={**about, "contentSize": str((folder / name).stat().st_size)})
     entities = {scan.name: crate.add_dataset(dest_path=scan.place, properties=_scan(scan)) for scan in scans}
-    program = {"@id": SOFTWARE, "@type": "SoftwareApplication", "name": "rhizotwin", "url": SOFTWARE, "version": version}
+    program = {"@id": "#rhizotwin", "@type": "SoftwareApplication", "name": "rhizotwin", "version": version}
     software = crate.add_jsonld(program)
     for found in results:
         result = crate.add_dataset(dest_path=found.place, properties=_result(found))

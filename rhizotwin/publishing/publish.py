@@ -145,5 +145,9 @@ def _readme(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> st
         whose = "; ".join(filter(None, (str(one) for one in miappe.subjects(scan)))).replace("|", "/")
         made = "simulation" if scan.simulated else "camera"
         lines.append(f"| `{scan.place}` | {len(scan.dataset.frames)} | {whose} | {made} |")
-    lines += ["", "To open a result: `pip install rhizotwin`, then `rhizotwin view results/NAME`.", ""]
+    lines += [
+        "",
+        "To open a result, install rhizotwin (`ro-crate-metadata.json` states its version), and run `rhizotwin view results/NAME`.",
+        "",
+    ]
     return "\n".join(lines)

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from rhizotwin.rig.errors import NoAnswerError, RigError
+from rhizotwin.scenes.errors import pip_install
 
 PIXEL_HZ = 800_000
 """Bit rate of WS2812B pixels, Hz."""
@@ -59,7 +60,7 @@ class LgpioPins:
     """
 
     def __init__(self) -> None:
-        self._library = _load("lgpio", "sudo apt install python3-lgpio, or pip install 'rhizotwin[hat]'")
+        self._library = _load("lgpio", f"sudo apt install python3-lgpio, or {pip_install('lgpio')}")
         self._outputs: set[int] = set()
         self._inputs: set[int] = set()
         try:
@@ -121,7 +122,7 @@ class Ws281xPixels:
     """
 
     def __init__(self, pins: tuple[int, int], counts: tuple[int, int]) -> None:
-        library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5, which requires a Marlin board)")
+        library = _load("rpi_ws281x", f"{pip_install('rpi-ws281x')} (not available for a Raspberry Pi 5, which requires a Marlin board)")
         self._colour = library.Color
         self._strips = [
             library.PixelStrip(count, pin, PIXEL_HZ, DMA[strip], brightness=BRIGHTNESS, channel=strip)

@@ -89,14 +89,37 @@ def test_every_command_and_the_checks_are_in_the_documents() -> None:
     assert [page for page in pages if "./run test --all" not in (ROOT / page).read_text(encoding="utf-8")] == []
 
 
-def test_lock_has_hashes_no_index_and_every_dependency() -> None:
-    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
-    assert "://" not in lock
-    pins = re.findall(r"^[a-z0-9-]+==\S+(?: ; .*?)? \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", lock, re.MULTILINE)
-    assert len(pins) == len(re.findall(r"^[a-z0-9]", lock, re.MULTILINE)) > 20
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    needed = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
-    assert {re.split(r"[<>=!~ ]", need)[0] for need in needed} <= set(re.findall(r"^([a-z0-9-]+)==", lock, re.MULTILINE))
+def pins(lock: str) -> set[tuple[str, str]]:
+    """Return the names and versions in a lock file, each of which must have hashes."""
+    text = (ROOT / lock).read_text(encoding="utf-8")
+    assert "://" not in text
+    found = re.findall(r"^([a-z0-9-]+)==(\S+)(?: ; .*?)? \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", text, re.MULTILINE)
+    assert len(found) == len(re.findall(r"^[a-z0-9]", text, re.MULTILINE)) > 20
+    return set(found)
+
+
+def test_locks_have_hashes_no_index_and_every_dependency() -> None:
+    def names(needs: list[str]) -> set[str]:
+        return {re.split(r"[<>=!~ ;[]", need)[0] for need in needs}
+
+    whole = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    users, developers = pins("requirements.lock"), pins("requirements-dev.lock")
+    extras = whole["project"]["optional-dependencies"]
+    assert users < developers
+    assert names([*whole["project"]["dependencies"], *whole["dependency-groups"]["build"]]) <= dict(users).keys()
+    assert names([*extras["dev"], *extras["docs"]]) <= dict(developers).keys()
+    assert not {"pytest", "mypy", "mkdocs", "playwright"} & dict(users).keys()
+
+
+def test_nothing_names_an_address_or_package_that_does_not_exist_yet() -> None:
+    intended = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"].values()
+    unpublished = ["pip install rhizotwin", "pip install 'rhizotwin", "rhizotwin.github.io", "ghcr.io/rhizotwin", *intended]
+    folders = ("docs", "rhizotwin", "recon", "rig", "scenes", "sim", "benchmarks", "examples", "packaging")
+    kinds = (".cff", ".js", ".md", ".py", ".toml", ".yaml", ".yml")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in kinds]
+    files = [*files, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CITATION.cff"))]
+    texts = {path: path.read_text(encoding="utf-8") for path in files if path.name != "releasing.md"}
+    assert [(path, name) for path, text in texts.items() for name in unpublished if name in text] == []
 
 
 def test_every_package_is_in_the_wheel() -> None:

@@ -20,14 +20,15 @@ def checkout(tmp_path: Path) -> Path:
     """Make a folder with the script and an environment that only says what was called."""
     root = tmp_path.resolve()
     shutil.copy(ROOT / "run", root / "run")
-    (root / "requirements.lock").write_text("nothing\n")
     programs = root / ".venv" / "bin"
     programs.mkdir(parents=True)
     for name in ("python", "lint-imports"):
         (programs / name).write_text(STUB)
         (programs / name).chmod(0o755)
-    stamp = hashlib.sha256(f"{root}\nnothing\n".encode()).hexdigest()
-    (root / ".venv" / "stamp").write_text(f"{stamp}\n")
+    for lock in ("requirements.lock", "requirements-dev.lock"):
+        (root / lock).write_text(f"{lock}\n")
+        stamp = hashlib.sha256(f"{root}\n{lock}\n".encode()).hexdigest()
+        (root / ".venv" / f"{lock}.stamp").write_text(f"{stamp}\n")
     return root
 
 
@@ -69,3 +70,21 @@ def test_every_check_paths_and_failures(checkout: Path) -> None:
     assert "pytest" in called[-1]
     assert "--last-failed" in said[-1]
     assert not (checkout / ".gate.log").exists()
+
+
+def test_commands_install_only_the_lock_files_that_they_need(checkout: Path) -> None:
+    def installs(*words: str) -> list[str]:
+        _, called, said = run(checkout, *words)
+        log = (checkout / ".venv-setup.log").read_text()
+        assert not any("making .venv" in line for line in said)
+        return [line.rpartition("/")[2] for line in [*called, *log.splitlines()] if " pip " in line or "-m pip" in line]
+
+    stamp = checkout / ".venv" / "requirements-dev.lock.stamp"
+    wanted = stamp.read_text()
+    stamp.unlink()
+    (checkout / ".venv" / "bin" / "rhizotwin").symlink_to("python")
+    assert installs("demo") == []
+    assert not stamp.exists()
+    assert installs("test", "tests/a") == ["requirements-dev.lock"]
+    assert stamp.read_text() == wanted
+    assert installs("test", "tests/a") == []
