@@ -39,7 +39,7 @@ from rhizotwin.stored.load import load_result
 SCHEMA_VERSION = 1
 SAME = 1e-6
 """Difference relative to the largest element below which arrays are the same: sums over threads differ by 1e-7
-(`docs/decisions/rounding.md`)."""
+(`docs/decisions/accuracy-ladder.md`)."""
 AIR = "masks_in_air"
 AIR_VOXEL_MM = 0.4
 """Voxel of the masks in air, as in `benchmarks.commit_comparison`."""

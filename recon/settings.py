@@ -161,7 +161,7 @@ class TrustSettings:
     normalised row by row. The variation is the standard deviation between parts of the panel, relative to the median of
     all pictures from the same camera position. Without the normalisation, brightness bands of 7 % made a printed
     phantom 6.8 % too large: the relative error of the volume is about that of the brightness
-    (`docs/log/2026-11-22-damages.md`)."""
+    (`docs/log/reliability.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
     """Fair and bad limits for the standard deviation of the blur, px, including 0.29 px of the pixel itself. At 800
     pixels across 250 mm, a root of 0.3 mm is one pixel wide. Blurred by 2.5 px, the root darkens the panel by a sixth.

@@ -34,7 +34,7 @@ SEARCH_PX = 2.0
 
 Cells inside the dilated silhouettes may be added to the hull. With 1 px the hull of a radish is divided into 20
 disconnected parts, and with 2 px into 2 parts. With 4 px there are four times as many cells
-(docs/log/regularised-hull.md).
+(docs/log/silhouettes-from-coverage.md).
 """
 
 

@@ -36,7 +36,7 @@ pictures show no difference (docs/intervals.md)."""
 _THIN_PX, _MUCH_THIN = 0.5, 0.15
 """Width in pixels below which a root is hardly above noise, and maximum fraction of the length below it; with more,
 further roots may be missing. Scans with at most 3 % had length errors within 2 %, one with 47 % lost a fifth, one with
-54 % a half (docs/log/2026-11-22-families.md)."""
+54 % a half (docs/log/reliability.md)."""
 _LEVEL = np.pi / 2.0
 """Factor for horizontal roots: over a turn, their line in the picture has on average 2 / pi of their length, so that
 missing or surplus length may be this much larger."""
