@@ -202,7 +202,8 @@ _REGULARISED = """\
 The thesis tried the regularised visual hull as a remedy for lost thin roots; it made large boxes (figure 5.2) and at
 least doubled the time, and the thesis proposes to limit it to the neighbourhood of the hull (T5.3).
 `rhizotwin reconstruct --method regularised` does this. With correct silhouettes (bench, one ring of 40 pictures of 800x600,
-commit `4b79c14c`, [log](log/silhouettes-from-coverage.md#regularised-visual-hull)), the strict intersection of `radish_day15b` has an error of -27 %
+commit `4b79c14c`, [log](log/silhouettes-from-coverage.md#regularised-visual-hull)),
+the strict intersection of `radish_day15b` has an error of -27 %
 and 514 parts, regularised +4.5 % and 2 parts; that of `radish_day05a` has -10 % and 59 parts, regularised +36 % and 1
 part. The parts are joined, but the volume is not reliable."""
 
