@@ -25,14 +25,15 @@ PLANTS = ("radish_*", "fallen_plant", *FAMILIES)
 """Scenes with individual roots, for which a seed grows another specimen; phantoms do not change."""
 PHANTOMS = ("sphere_20mm", "printed_8ml")
 PROFILES = ("clean", "bench", "harsh")
-LADDER: dict[str, tuple[str, ...]] = {
-    "sphere_20mm": PROFILES,
-    "printed_8ml": PROFILES,
-    "radish_day*": PROFILES,
-    "fallen_plant": ("clean", "bench"),
-    **dict.fromkeys(FAMILIES, ("clean", "bench")),
+ONE_RING: dict[str, tuple[Literal[1, 2], ...]] = dict.fromkeys(PROFILES, (1,))
+LADDER: dict[str, dict[str, tuple[Literal[1, 2], ...]]] = {
+    **dict.fromkeys(PHANTOMS, ONE_RING),
+    "radish_day*b": {"clean": (1, 2), "bench": (1, 2), "harsh": (2,)},
+    "radish_day*": {"clean": (1,)},
+    **{scene: {"clean": (1, 2), "bench": (2,)} for scene in ("fallen_plant", *FAMILIES)},
 }
-"""Scenes (patterns) of the ladder with the profiles in which each has a target."""
+"""Numbers of rings in each profile, by scenes (patterns, of which the first counts). One of the three radishes of each
+age is measured with all disturbances and in two rings."""
 
 NIGHTLY = ("radish_day20b", "radish_day30c", "wheat")
 """Dense root systems, measured every night in one ring: small plants do not show that fine roots are lost."""
@@ -162,9 +163,8 @@ def ladder(
 ) -> list[Case]:
     """Return the cases of the full table, or a selection by scenes, profiles, rings, seeds and methods.
 
-    Plants are photographed in one ring (the library's plan) and in two, in the profile harsh in two only; phantoms
-    (solids and printed roots) in one. Clean pictures of phantoms do not depend on a seed, so that they occur once. The
-    thesis's method is measured for phantoms and for clean pictures.
+    Clean pictures of phantoms (solids and printed roots) do not depend on a seed, so that they occur once. The thesis's
+    method is measured for phantoms and for clean pictures.
 
     Parameters
     ----------
@@ -187,14 +187,15 @@ def ladder(
     UserError
         If no case matches.
     """
-    names = [name for pattern in LADDER for name, _ in library() if fnmatchcase(name, pattern)]
+    rows: dict[str, dict[str, tuple[Literal[1, 2], ...]]] = {}
+    for pattern, row in LADDER.items():
+        rows |= {name: row for name, _ in library() if fnmatchcase(name, pattern) and name not in rows}
     cases = []
-    for seed, name in product(seeds, names):
-        for profile in next(allowed for pattern, allowed in LADDER.items() if fnmatchcase(name, pattern)):
+    for seed, (name, row) in product(seeds, rows.items()):
+        for profile, possible in row.items():
             is_phantom = name in PHANTOMS
             if profile not in profiles or (is_phantom and profile == "clean" and seed != seeds[0]):
                 continue
-            possible: tuple[Literal[1, 2], ...] = (1,) if is_phantom else (2,) if profile == "harsh" else (1, 2)
             for count in (one for one in possible if one in rings):
                 pictures = Pictures(scene=name, profile=profile, rings=count, seed=seed)
                 measured = [method for method in methods if method == "coverage" or is_phantom or profile == "clean"]

@@ -17,7 +17,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored.load import load_result
 from tests.rhizotwin import plant
 
-CASES = ladder(scenes=("radish_day05*", "radish_day10*"), profiles=("clean", "bench"), rings=(2,), methods=("coverage",))
+CASES = ladder(scenes=("radish_day05*", "radish_day10*"), seeds=(0, 1), rings=(1,), methods=("coverage",))[:12]
 
 
 def test_mean_interval_and_sign_test_by_hand():

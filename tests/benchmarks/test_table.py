@@ -38,11 +38,11 @@ def test_numbers_of_groups(records):
     found = by_key(records)
     assert {key for key in TARGETS if key.startswith("ladder/")} <= found.keys()
     early = found["ladder/radish_day05-15/clean/volume_median"]
-    assert (early.runs, early.value, early.verdict, early.thesis) == (9, pytest.approx(0.02), "yes", pytest.approx(9.0))
-    assert found["ladder/radish_day05-15/clean/volume_worst"].value == pytest.approx(0.04)
+    assert (early.runs, early.value, early.verdict, early.thesis) == (3, pytest.approx(0.02), "yes", pytest.approx(9.0))
+    assert found["ladder/radish_day05-15_one_ring/clean/volume_worst"].value == pytest.approx(0.04)
     assert found["ladder/radish_day20-30/harsh/volume_worst"].verdict == ""  # no goal but the interval
     assert found["ladder/radish_day20-30/harsh/interval_holds"].verdict == "NO"
-    assert found["ladder/plants/clean/tip_recall"].value == pytest.approx((18 * 0.97 + 0.77) / 19)
+    assert found["ladder/plants_one_ring/clean/tip_recall"].value == pytest.approx((18 * 0.97 + 0.77) / 19)
     assert found["ladder/plants/clean/tip_recall_worst"].value == pytest.approx(0.77)  # beside every mean stands the worst
     assert found["ladder/plants/clean/length_mean"].thesis is None
     assert found["ladder/thin_families/clean/volume_worst"].runs == 4 + 2  # one of them at two sizes more
@@ -51,7 +51,7 @@ def test_numbers_of_groups(records):
     assert found["ladder/thick_families/bench/volume_worst"].verdict == "yes"
     assert found["ladder/all/bench/interval_holds"].value == 1.0
     assert "ladder/fallen_plant/harsh/volume_worst" not in found
-    part = [r for r in records if (r["case"]["scene"], r["case"]["method"], r["case"]["rings"]) == ("radish_day05a", "coverage", 2)]
+    part = [r for r in records if (r["case"]["scene"], r["case"]["method"], r["case"]["rings"]) == ("radish_day05b", "coverage", 2)]
     assert {line.group for line in table.lines(part)} == {"radish_day05-15", "plants", "all"}
     assert all(line.runs == 1 and line.thesis is None for line in table.lines(part))
 
@@ -133,8 +133,8 @@ def test_only_the_ladder_s_own_radishes_are_read(tmp_path: Path, monkeypatch: py
     path = tmp_path / "ladder.json"
     monkeypatch.setattr(ladder, "PATH", path)
     assert thesis_page.committed_records("clean") == []
-    wanted = [record("radish_day05a", "coverage", rings, 35.0) for rings in (1, 2)]
-    other = [record("wheat", "coverage", 2, 35.0), record("radish_day05a/seed101", "coverage", 2, 35.0)]
+    wanted = [record("radish_day05b", "coverage", rings, 35.0) for rings in (1, 2)]
+    other = [record("wheat", "coverage", 2, 35.0), record("radish_day05b/seed101", "coverage", 2, 35.0)]
     path.write_text(json.dumps({"schema_version": 1, "records": [*wanted, *other]}), encoding="utf-8")
     assert thesis_page.committed_records("clean") == wanted
     assert thesis_page.committed_records("bench") == []

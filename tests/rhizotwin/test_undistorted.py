@@ -69,4 +69,4 @@ def test_colmap_gets_the_simplest_lens_and_points(model: str, tmp_path: Path) ->
     np.testing.assert_allclose(rows[:, :8], [[1, 0, 1, 2, 128, 128, 128, 0], [2, 9, 10, 11, 128, 128, 128, 0]])
     back = read_colmap(tmp_path / "colmap", SCENE.camera)
     assert back.camera == camera
-    np.testing.assert_allclose(back.cam_from_canister["a.png"], view().cam_from_canister, atol=1e-12)
+    np.testing.assert_allclose(back.pictures["a.png"].cam_from_canister, view().cam_from_canister, atol=1e-12)
