@@ -3,13 +3,13 @@
 `root_residual` measures what is missing and surplus in each picture. Roots that share a path appear as one line in all
 pictures, and their shared length is taken from the roots. Roots that overlap in few views, or that are closer together
 than the pictures resolve, may be merged, with nothing missing in any picture; the overlap of the projected roots
-predicts how many.
+predicts how many, and `bundles` how much length is merged where roots spread from one place.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty import checks, root_residual
+from rhizotwin.recon.uncertainty import bundles, checks, root_residual
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.recon.uncertainty.checks import Estimate
@@ -99,41 +99,46 @@ def estimates(
     lost = (*lost, *_thin_objections(places.thin_share(_THIN_PX)))
     views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
     residuals = [view for view in views if view is not None]
-    changes = _changes(
-        roots,
-        residuals,
-        merged=_merged_length(places, silhouettes[0].coverage.shape, bank.count),
-        hidden=_hidden_length(places, silhouettes[0].coverage.shape),
-        darker=scattered or 0.0,
-    )
+    shape = silhouettes[0].coverage.shape
+    merged, hidden = _merged_length(places, shape, bank.count), _hidden_length(places, shape)
+    lacking = {
+        f"many roots overlap, so that {100.0 * merged:.0f} % of them may be merged (take more pictures, or larger ones)": merged,
+        f"thick roots hide about {100.0 * hidden:.0f} % of the thin roots in most pictures (add a ring that looks from above)": hidden,
+    }
+    bundled = bundles.bundled_length_mm(roots, places.px_a_mm) / max(rsml.length_mm(roots), 1e-9)
+    in_bundles = f"roots spread from common points, where {100.0 * bundled:.0f} % of the length may be hidden (take larger pictures)"
+    changes = _changes(roots, residuals, lacking=lacking, bundled={in_bundles: bundled}, darker=scattered or 0.0)
     factors = {name: calibration.factor(name) for name in changes}
     return tuple(_estimate(name, change, lost, factor=factors[name]) for name, change in changes.items())
 
 
-def _changes(roots: Sequence[Root], residuals: Sequence[Residual], *, merged: float, hidden: float, darker: float) -> dict[str, _Change]:
+def _changes(
+    roots: Sequence[Root], residuals: Sequence[Residual], *, lacking: Mapping[str, float], bundled: Mapping[str, float], darker: float
+) -> dict[str, _Change]:
     """Return the changes that the pictures suggest, keyed by the name of the trait.
 
     Parameters
     ----------
     residuals : sequence of Residual
         Differences between the pictures and the rendered roots.
-    merged, hidden : float
-        Fractions of the roots that may be merged into others, and hidden by thick ones.
+    lacking, bundled : mapping
+        Fractions of the roots, and of their length alone, that may be missing, keyed by the cause.
     darker : float
         Fraction of light that is scattered around roots.
     """
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
-    lacking, width = merged + hidden, [view.width for view in residuals]
+    along = {**lacking, **bundled}
+    missing, missing_length, width = sum(lacking.values()), sum(along.values()), [view.width for view in residuals]
     wider = _mean_of(width)
-    less_wide, more_wide = max(0.0, -wider) + lacking + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)
-    longer, shorter = [_LEVEL * view.missing + lacking for view in residuals], [_LEVEL * view.surplus + shared for view in residuals]
+    less_wide, more_wide = max(0.0, -wider) + missing_length + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)
+    longer, shorter = [_LEVEL * view.missing + missing_length for view in residuals], [_LEVEL * view.surplus + shared for view in residuals]
     tips = float(sum(root.tip_seen for root in roots))
-    more_tips, less_tips = [view.missing_tips + lacking for view in residuals], [view.surplus_tips for view in residuals]
+    more_tips, less_tips = [view.missing_tips + missing for view in residuals], [view.surplus_tips for view in residuals]
     return {
-        "total_length_mm": _Change(length_mm, shorter, longer, merged, hidden),
-        "tips": _Change(tips, less_tips, more_tips, merged, hidden),
-        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], merged, hidden, width),
+        "total_length_mm": _Change(length_mm, shorter, longer, along),
+        "tips": _Change(tips, less_tips, more_tips, lacking),
+        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], along, width),
     }
 
 
@@ -183,10 +188,8 @@ class _Change:
     """Amount by which the trait may be smaller, by picture."""
     more: Sequence[float]
     """Amount by which the trait may be larger, by picture."""
-    merged: float
-    """Fraction of the roots that may be merged, which is included."""
-    hidden: float
-    """Fraction of the roots that thick ones may hide, which is included."""
+    lacking: Mapping[str, float]
+    """Fractions of the trait that may be missing, which are included, by cause."""
     scatter: Sequence[float] | None = None
     """Changes whose standard error is used; ``more`` minus ``less`` for None."""
 
@@ -211,18 +214,16 @@ def _estimate(name: str, change: _Change, lost: Sequence[str], *, factor: float)
     factor : float
         Factor of the calibration on both half-widths.
     """
-    value, merged, hidden = change.value, change.merged, change.hidden
-    error = change.error
+    value, error, lacking = change.value, change.error, sum(change.lacking.values())
     under, over = _mean_of(change.less), _mean_of(change.more)
     less, more = (factor * math.hypot(error, _MODEL[name], side) for side in (under, over))
     low, high = max(0.0, value * (1.0 - less)), value * (1.0 + more)
     reasons = list(lost)
     if max(less, more) > WIDEST:
         causes = {
-            f"many roots overlap, so that {100.0 * merged:.0f} % of them may be merged (take more pictures, or larger ones)": merged,
-            f"thick roots hide about {100.0 * hidden:.0f} % of the thin roots in most pictures (add a ring that looks from above)": hidden,
-            f"the pictures show {100.0 * over:.0f} % more than the reconstructed roots": over - merged - hidden,
-            f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - merged - hidden,
+            **change.lacking,
+            f"the pictures show {100.0 * over:.0f} % more than the reconstructed roots": over - lacking,
+            f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - lacking,
             f"the pictures disagree by {100.0 * error:.0f} %": error,
         }
         reasons.append(max(causes, key=causes.__getitem__))
