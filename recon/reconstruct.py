@@ -104,7 +104,7 @@ def reconstruct(
             coverage = remeasured
             hull = stages.keep("hull_again", carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, scattered=scattered, monitor=monitor))
-    checked = checks.name_cause((*of_pictures, *solid.checks))
+    checked = checks.name_cause((*of_pictures, *solid.checks, shape_checks.check_forks(solid.roots)))
     solid, of_plants, plants_said = _divide_plants(_apply_checks(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures.warnings, *cameras.warnings, *_root_warnings(solid, roots), *plants_said, *shoot_said)

@@ -14,7 +14,19 @@ NO_VOLUME = "this scan cannot give a volume: "
 
 State = Literal["good", "fair", "bad", "unknown"]
 Name = Literal[
-    "scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight", "resolution", "corrections"
+    "scan",
+    "exposure",
+    "curve",
+    "sharpness",
+    "markers",
+    "canister",
+    "motion",
+    "dirt",
+    "views",
+    "sight",
+    "resolution",
+    "forks",
+    "corrections",
 ]
 Limits = tuple[float, float]
 """Limits for the states fair and bad, in this order. A value above a limit is in the corresponding state. If the first

@@ -1,10 +1,18 @@
 """Checks of the roots and the canister in the pictures.
 
-They cover motion of the roots, dirt, and agreement of the views.
+They cover motion of the roots, dirt, agreement of the views, and forks at which the order of the roots is uncertain.
 """
 
+from collections.abc import Sequence
+
+from rhizotwin.recon.roots import hierarchy
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.checks import Check, judge, make_check, make_unknown, worst
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.rsml import Root
+
+_NAMED = 3
+"""Maximum number of forks whose positions are stated."""
 
 
 def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
@@ -51,3 +59,17 @@ def check_agreement(*, missed: float, unexplained: float, fill: float, trust: Tr
         return found
     agreement = f"the views agree: the hull of all views excludes {100.0 * missed:.1f} % of their coverage"
     return make_check("sight", "good", missed, "share", trust.missed, agreement)
+
+
+def check_forks(roots: Sequence[Root]) -> Check:
+    """Check that each root continues at its forks in one line only, so that its order and its laterals are certain."""
+    forks = hierarchy.find_ambiguous_forks(roots) if roots else []
+    share = sum(fork.length_mm for fork in forks) / max(rsml.length_mm(roots), 1e-9)
+    if not forks:
+        return make_check("forks", "good", share, "share", None, "at each fork, one line continues the root")
+    places = "; ".join("({:.0f}, {:.0f}, {:.0f})".format(*fork.point_mm) for fork in forks[:_NAMED])
+    found = (
+        f"at {len(forks)} of {max(len(roots) - 1, len(forks))} forks, the root may as well continue in the lateral, so that up to "
+        f"{100.0 * min(share, 1.0):.0f} % of the length may have another order; the longest begin at x, y, z = {places} mm"
+    )
+    return make_check("forks", "fair", share, "share", None, found, "compare these places with the pictures, and correct the roots there")

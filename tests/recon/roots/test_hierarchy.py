@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from rhizotwin.recon.roots.hierarchy import arrange
+from rhizotwin.recon.roots.hierarchy import arrange, find_ambiguous_forks
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
@@ -130,3 +130,16 @@ def test_a_root_that_enters_a_solid_has_no_tip_there(first: int, end: int, tips:
     tree = SimpleNamespace(tubes=tubes, solid=solid, uncertain=np.zeros(40, bool))
     found = [root.tip_seen for root in RootSystem.roots(cast(RootSystem, tree))]
     assert json.dumps(found) == json.dumps(tips)  # NumPy's values cannot be written as JSON
+
+
+def test_a_fork_of_equal_branches_is_ambiguous_and_a_lateral_is_not():
+    """Both branches leave the stem at 25 degrees with its diameter: the shorter one is 12 mm long and bears one of 4 mm."""
+    stem = root([0, 0, 0], [0, 0, -20])
+    tangent = np.tan(np.deg2rad(25.0))
+    branches = [root([0, 0, -20], [sign * way * tangent, 0, -20 - way], order=1, parent=0) for sign, way in ((1, 30.0), (-1, 11.0))]
+    end_mm = branches[1].points_mm[-1]
+    twig = root(end_mm, end_mm + [0, 4, 0], diameters=(0.2, 0.2), order=2, parent=2)
+    (fork,) = find_ambiguous_forks(arrange([stem, *branches, twig]))
+    assert fork.point_mm == pytest.approx([0.0, 0.0, -20.0])
+    assert fork.length_mm == pytest.approx(11.0 / np.cos(np.deg2rad(25.0)) + 4.0)
+    assert find_ambiguous_forks(arrange([TAP, LATERAL])) == []
