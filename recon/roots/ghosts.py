@@ -38,10 +38,10 @@ around roots of the print after a root of 13 px had ended. In eleven other recon
 is below both."""
 _INSIDE = 0.9
 """Fraction of a root's radius within which another centre line is a duplicate of the root."""
-_THIN, _ENCLOSED = 0.5, 0.8
+_THIN, _ENCLOSED = 0.5, 0.6
 """Maximum ratio of the radius of a branch to that of another root, and minimum fraction of its nodes inside thicker
-roots, for the branch to be an artefact of an outline. In 11 reconstructions, a ghost of 22 mm has 0.94, and all other
-branches of more than one node have at most 0.5."""
+roots, for the branch to be an artefact of an outline. In 20 reconstructions, a ghost of 22 mm has 0.94, one of 2 mm at
+the rounded end of a root 0.67, and all other branches of more than one node have at most 0.5."""
 _SHARED = 0.3
 """Minimum fraction of its squared coverage that the beginning of a branch must explain in addition to all other tubes.
 With a lower fraction, it is a duplicate of a root or a ghost among roots."""
