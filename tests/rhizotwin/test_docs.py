@@ -111,7 +111,7 @@ def test_locks_have_hashes_no_index_and_every_dependency() -> None:
     assert not {"pytest", "mypy", "mkdocs", "playwright"} & dict(users).keys()
 
 
-def test_nothing_names_an_address_or_package_that_does_not_exist_yet() -> None:
+def test_no_address_or_package_is_named_before_it_exists() -> None:
     intended = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"].values()
     unpublished = ["pip install rhizotwin", "pip install 'rhizotwin", "rhizotwin.github.io", "ghcr.io/rhizotwin", *intended]
     folders = ("docs", "rhizotwin", "recon", "rig", "scenes", "sim", "benchmarks", "examples", "packaging")
