@@ -137,8 +137,8 @@ def test_a_fork_of_equal_branches_is_ambiguous_and_a_lateral_is_not():
     stem = root([0, 0, 0], [0, 0, -20])
     tangent = np.tan(np.deg2rad(25.0))
     branches = [root([0, 0, -20], [sign * way * tangent, 0, -20 - way], order=1, parent=0) for sign, way in ((1, 30.0), (-1, 11.0))]
-    end_mm = branches[1].points_mm[-1]
-    twig = root(end_mm, end_mm + [0, 4, 0], diameters=(0.2, 0.2), order=2, parent=2)
+    x, y, z = branches[1].points_mm[-1]
+    twig = root([x, y, z], [x, y + 4.0, z], diameters=(0.2, 0.2), order=2, parent=2)
     (fork,) = find_ambiguous_forks(arrange([stem, *branches, twig]))
     assert fork.point_mm == pytest.approx([0.0, 0.0, -20.0])
     assert fork.length_mm == pytest.approx(11.0 / np.cos(np.deg2rad(25.0)) + 4.0)
