@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,12 +21,13 @@ Colour = NDArray[np.uint8]
 
 Rgb = tuple[int, int, int]
 
-_SHIFT = 4
-"""Number of fractional bits in the fixed-point coordinates that are passed to OpenCV. With 4 bits, the unit is one
-sixteenth of a pixel."""
 LEAST_WIDE_PX = 1600
 """Minimum width of a picture on which an outline is drawn, in pixels. Narrower pictures are enlarged, so that the
 outline does not cover thin roots."""
+THINNEST_PX = 1.2
+"""Minimum width of a tube in a picture, in pixels. Narrower tubes would have gaps between the centres of pixels."""
+_DISC = np.exp(2j * np.pi * np.arange(12) / 12)
+"""Corners of a regular polygon that represents a disc of radius 1, as complex numbers."""
 THIN_MM = 0.9
 """Maximum diameter of roots that are drawn as tubes, in mm. The reconstructed surface has gaps where a root is only a
 few voxels thick."""
@@ -116,36 +117,32 @@ class Pictures(Cameras):
             RGB picture, enlarged if it is narrower than `LEAST_WIDE_PX`.
         """
         image, scale = _enlarge(self.picture(place))
-        mask = np.zeros(image.shape[:2], np.uint8)
+        parts = self._tubes(place, lines, scale, thickest_mm=np.inf if surface is None else THIN_MM)
         if surface is not None:
-            corners = scale * (self.pixels(place, surface.vertices_mm)[surface.faces] + 0.5) - 0.5
-            for triangle in _fixed_point(corners[np.isfinite(corners).all(axis=(1, 2))]):
-                cv2.fillConvexPoly(mask, triangle, 255, cv2.LINE_8, _SHIFT)
-        self._fill_tubes(mask, place, lines, scale, thickest_mm=np.inf if surface is None else THIN_MM)
-        _draw_contours(image, mask, OUTLINE, thickness)
-        own = np.zeros(image.shape[:2], np.uint8)
-        self._fill_tubes(own, place, {k: line for k, line in lines.items() if k in selected}, scale, thickest_mm=np.inf)
-        _draw_contours(image, own, SELECTED, thickness)
+            parts.append(scale * (self.pixels(place, surface.vertices_mm)[surface.faces] + 0.5) - 0.5)
+        _draw_contours(image, fill(parts, image.shape[:2]), OUTLINE, thickness)
+        own = self._tubes(place, {k: line for k, line in lines.items() if k in selected}, scale, thickest_mm=np.inf)
+        _draw_contours(image, fill(own, image.shape[:2]), SELECTED, thickness)
         return image
 
-    def _fill_tubes(self, mask: NDArray[np.uint8], place: int, lines: Mapping[int, Line], scale: int, *, thickest_mm: float) -> None:
-        """Fill the projections of tubes in a mask (H, W).
+    def _tubes(self, place: int, lines: Mapping[int, Line], scale: int, *, thickest_mm: float) -> list[Array]:
+        """Return the projections of tubes as polygons, see `fill`.
 
-        Each segment of a tube is drawn as a quadrilateral, and its ends as discs. Parts with a diameter above
+        Each segment of a tube consists of two triangles, and each of its points is a disc. Points with a diameter above
         ``thickest_mm`` are omitted.
         """
         if not lines:
-            return
+            return []
         left, right = (scale * (side + 0.5) - 0.5 for side in self._project_flanks(place, lines))
-        thin = np.concatenate([line.diameters_mm for line in lines.values()]) <= thickest_mm
-        known = thin & np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1)
-        within = known[:-1] & known[1:]
+        middle, half = (left + right) / 2.0, (right - left) / 2.0
+        half *= np.maximum(1.0, THINNEST_PX / 2.0 / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9))
+        middle[np.concatenate([line.diameters_mm for line in lines.values()]) > thickest_mm] = np.nan
+        left, right = middle - half, middle + half
+        within = np.ones(len(middle) - 1, bool)
         within[np.cumsum([len(line.points_mm) for line in lines.values()])[:-1] - 1] = False  # no segment between two roots
-        for quad in _fixed_point(np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)[within]):
-            cv2.fillConvexPoly(mask, quad, 255, cv2.LINE_8, _SHIFT)
-        radius = np.linalg.norm(right - left, axis=1)[known] / 2.0
-        for middle, r in zip(_fixed_point((left + right)[known] / 2.0), _fixed_point(radius), strict=True):
-            cv2.circle(mask, (int(middle[0]), int(middle[1])), int(r), 255, -1, cv2.LINE_8, _SHIFT)
+        a, b, c, d = left[:-1][within], left[1:][within], right[1:][within], right[:-1][within]
+        disc = np.linalg.norm(half, axis=1)[:, None, None] * np.stack([_DISC.real, _DISC.imag], axis=1)
+        return [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1), middle[:, None] + disc]
 
     def _project_flanks(self, place: int, lines: Mapping[int, Line]) -> tuple[Array, Array]:
         """Project the left and right edge of each root into a picture, and return the pixels (N, 2) of both.
@@ -168,8 +165,42 @@ def _draw_contours(image: Colour, mask: NDArray[np.uint8], colour: Rgb, thicknes
     cv2.drawContours(image, contours, -1, colour, thickness, cv2.LINE_AA)
 
 
-def _fixed_point(values: Array) -> NDArray[np.int32]:
-    return np.round(values * 2**_SHIFT).astype(np.int32)
+def fill(polygons: Sequence[Array], shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Fill the union of convex polygons.
+
+    All polygons are given the same orientation, so that the winding number is zero only outside the union. It is the
+    sum, along each row, over the edges to the left of a pixel, which count 1 or -1 depending on their direction.
+
+    Parameters
+    ----------
+    polygons : sequence of (N, K, 2) arrays
+        Corners of polygons, in pixels. Polygons with a NaN are omitted.
+    shape : (int, int)
+        Height and width of the mask.
+
+    Returns
+    -------
+    (H, W) uint8 array
+        255 in pixels whose centre is inside a polygon, otherwise 0.
+    """
+    height, width = shape
+    turns = np.zeros(height * (width + 1), np.int64)
+    for corners in polygons:
+        corners = corners[np.isfinite(corners).all(axis=(1, 2))]
+        x, y = corners[..., 0], corners[..., 1]
+        area = (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
+        start, end = corners.reshape(-1, 2), np.roll(corners, -1, axis=1).reshape(-1, 2)
+        sign = np.where((end[:, 1] > start[:, 1]) == np.repeat(area > 0.0, corners.shape[1]), 1, -1)
+        down = (start[:, 1] < end[:, 1])[:, None]
+        upper, lower = np.where(down, start, end), np.where(down, end, start)
+        first, stop = (np.clip(np.ceil(point[:, 1]), 0, height).astype(np.int64) for point in (upper, lower))
+        rows = stop - first
+        edge = np.repeat(np.arange(len(rows)), rows)
+        row = np.arange(len(edge)) - np.repeat(np.cumsum(rows) - rows - first, rows)
+        slope = (lower - upper)[:, 0] / np.maximum((lower - upper)[:, 1], 1e-300)
+        column = np.clip(np.ceil(upper[edge, 0] + slope[edge] * (row - upper[edge, 1])), 0, width).astype(np.int64)
+        np.add.at(turns, row * (width + 1) + column, sign[edge])
+    return np.where(np.cumsum(turns.reshape(height, width + 1), axis=1)[:, :width] != 0, 255, 0).astype(np.uint8)
 
 
 def _enlarge(image: Colour) -> tuple[Colour, int]:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from rhizotwin import through_water
 from rhizotwin.recon.calibration.cameras import BareUncertainty, Camera, Cameras
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
@@ -53,10 +54,22 @@ def test_outlines_lie_on_the_roots_and_are_those_of_the_union(shown: Shown):
     roots = cv2.dilate((plain[..., 0] < 250).astype(np.uint8), np.ones((17, 17), np.uint8)) > 0  # within a pixel of the picture
     assert roots[marked].mean() > 0.98
     outline = (pictures.draw_outline(0, None, lines) != plain).any(axis=2)
-    mask = np.zeros(plain.shape[:2], np.uint8)
-    pictures._fill_tubes(mask, 0, lines, plain.shape[1] // 200, thickest_mm=np.inf)
-    inside = cv2.erode(mask, np.ones((7, 7), np.uint8)) > 0
+    mask = through_water.fill(pictures._tubes(0, lines, plain.shape[1] // 200, thickest_mm=np.inf), plain.shape[:2])
+    inside = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0
     assert inside.sum() > 1000
     assert not outline[inside].any()  # no edge of one tube inside another
     selected = pictures.draw_outline(0, shown.surface(), lines, selected=[1]).astype(int)
     assert ((selected[..., 2] - selected[..., 0]) > 100).sum() > 50  # blue
+
+
+def test_filled_polygons_are_their_union():
+    triangles = np.random.default_rng(0).uniform(-5.0, 45.0, (30, 3, 2))
+    triangles[3, 1, 0] = np.nan
+    y, x = np.mgrid[:40, :37].astype(float)
+    inside = np.zeros(x.shape, bool)
+    for corners in np.delete(triangles, 3, axis=0):
+        ahead = np.roll(corners, -1, axis=0) - corners
+        side = [u * (y - b) - v * (x - a) for (a, b), (u, v) in zip(corners, ahead, strict=True)]
+        inside |= (np.array(side) > 0.0).all(axis=0) | (np.array(side) < 0.0).all(axis=0)
+    assert 0.1 < inside.mean() < 0.9
+    np.testing.assert_array_equal(through_water.fill([triangles[:20], triangles[20:]], x.shape) > 0, inside)
