@@ -61,9 +61,10 @@ def reconstruct_whole(
     mass_g: float | None = None,
     keep_stages: bool = False,
     method: Method = "ours",
+    figures: bool = False,
     progress: Progress = Progress(),
 ) -> list[Path]:
-    """Reconstruct a dataset, and write the result folder with its figures and report.
+    """Reconstruct a dataset, and write the result folder with the picture of its shape and its report.
 
     The folder appears only when it is complete.
 
@@ -77,13 +78,15 @@ def reconstruct_whole(
         Save the intermediate results in the subfolder ``stages`` of the result.
     method : str
         Reconstruction method, see `front_door.reconstruct`.
+    figures : bool
+        Also write figures for documents, see `write_pictures`.
     progress : Progress
         Progress output.
 
     Returns
     -------
     list of Path
-        Paths of the figures and of the report.
+        Paths of the pictures and of the report.
 
     Raises
     ------
@@ -91,26 +94,23 @@ def reconstruct_whole(
         If the dataset cannot be used, or ``output`` contains files that are not part of a result.
     """
     from rhizotwin.report import page
+    from rhizotwin.report.report_data import ReportData
     from rhizotwin.report.result_pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
-    from rhizotwin.scoring.score import truth_mesh_path
     from rhizotwin.stored import save
-    from rhizotwin.stored.result_files import read_mesh
 
     save.check_place(output, dataset)  # before the long computation
     # loaded only once, so that later changes of the folder have no effect
     loaded = load_dataset(dataset)
-    truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
-    if truth_mesh is not None:
-        read_mesh(truth_mesh)  # report a damaged file before the long computation
     with save.new_result(output, source=dataset) as building:
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
             found = reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor)
             found.write(building)
             with monitor.stage("pictures"):
-                written = write_pictures(building, loaded, truth_mesh=truth_mesh)
-                written.append(page.write(building, dataset=loaded))
+                report = ReportData.of(found, building, loaded)
+                written = write_pictures(report, figures=figures)
+                written.append(page.write(report))
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]
 

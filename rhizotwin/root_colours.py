@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -146,9 +147,8 @@ def root_orders(lines: Lines) -> dict[int, int]:
 
 def scale_colours(share: Array) -> Bytes:
     """Return the colours (N, 3) of values from 0 to 1 on the continuous scale (viridis)."""
-    from matplotlib import colormaps  # imported on first use, because the viewer starts without it
-
-    return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(share, 0.0, 1.0))[:, :3]), np.uint8)
+    shades = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    return np.asarray(shades[np.clip(256.0 * share, 0.0, 255.0).astype(np.int64)])
 
 
 def _by_uncertainty(line: Line) -> Bytes:

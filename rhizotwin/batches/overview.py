@@ -1,13 +1,10 @@
 """Overview of a batch: trait table, and HTML page with verdict, volume and picture of each scan."""
 
-import base64
-import html
 import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.resources import files
 from pathlib import Path
 from urllib.parse import quote
 
@@ -17,9 +14,10 @@ from rhizotwin.batches.jobs import Job
 from rhizotwin.recon.results import assessments, reasons, result_traits
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import tables
-from rhizotwin.scenes import atomic, subject, trait_table
+from rhizotwin.scenes import atomic, html_page, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.html_page import Markup, escape, items, table
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
 
@@ -72,8 +70,8 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
         except UserError as error:
             broken.append((job, str(error)))
     sentence = summarise([row.summary for row in rows])
-    table = stored_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows])
-    for name, text in ((TABLE, table), (PAGE, _page(rows, broken, sentence))):
+    sheet = stored_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows])
+    for name, text in ((TABLE, sheet), (PAGE, _page(rows, broken, sentence))):
         atomic.write_bytes(folder / name, text.encode("utf-8", "backslashreplace"), follow=False)
     return [folder / TABLE, folder / PAGE], sentence
 
@@ -103,29 +101,19 @@ def _thumbnail(result: Path) -> bytes | None:
 def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]], summary: str) -> str:
     known = [name for name in subject.NAMES if any(_subject(row)[name] for row in rows)]
     shown = [definition for definition in trait_table.DEFINITIONS if definition.field in _COLUMNS]
-    first, more = ["verdict", "volume (90 % interval)", "", "scan"], [*known, *(d.heading for d in shown)]
-    head = "".join(f"<th>{name}</th>" for name in first) + "".join(f"<th class=more>{html.escape(name)}</th>" for name in more)
-    style = files("rhizotwin.report").joinpath("page.css").read_text(encoding="utf-8")
-    listed = "".join(f"<li><b>{html.escape(job.name)}</b>: {html.escape(sentence)}</li>" for job, sentence in failed)
-    body = "".join(_row(row, known, shown) for row in rows)
-    table = f"<div class=wide><table class=overview><tr>{head}</tr>{body}</table></div>"
+    head = ["verdict", "volume (90 % interval)", "", "scan", *known, *(definition.heading for definition in shown)]
+    numbers = [1, *range(4 + len(known), len(head))]
+    listed = [Markup(f"<b>{escape(job.name)}</b>: {escape(sentence)}") for job, sentence in failed]
+    overview = table([_cells(row, known, shown) for row in rows], head=head, numbers=numbers, kind="overview")
     title = f"{len(rows)} scans" + (f", {len(failed)} failed" if failed else "")
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
-        f"<title>{title}</title><style>{style}</style></head><body><h1>{title}</h1>{f'<ul>{listed}</ul>' if listed else ''}"
-        f"<p>{html.escape(summary)}</p>{table}</body></html>\n"
-    )
+    return html_page.document(title, f"<h1>{title}</h1>{items(listed)}<p>{escape(summary)}</p>", overview)
 
 
-def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition]) -> str:
-    image = "" if row.picture is None else f'<img alt="shape" src="data:image/jpeg;base64,{base64.b64encode(row.picture).decode()}">'
-    name = html.escape(row.name, quote=True)
-    more = "".join(f"<td class=more>{html.escape(_subject(row)[key])}</td>" for key in known)
-    numbers = "".join(f'<td class="number more">{_number(row, d.field)}</td>' for d in shown)
-    link = f'<a href="{quote(os.fsencode(row.name))}/report.html">{name}</a>'
-    return f"<tr>{tables.verdict_cells(row.summary)}<td>{image}</td><td>{link}</td>{more}{numbers}</tr>"
+def _cells(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition]) -> list[str]:
+    image = "" if row.picture is None else Markup(html_page.image("jpeg", row.picture, "shape"))
+    link = Markup(f'<a href="{quote(os.fsencode(row.name))}/report.html">{escape(row.name)}</a>')
+    described = _subject(row)
+    return [*tables.verdict(row.summary), image, link, *(described[key] for key in known), *(_number(row, d.field) for d in shown)]
 
 
 def _number(row: _Row, field: str) -> str:

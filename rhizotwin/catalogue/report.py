@@ -1,7 +1,5 @@
 """HTML report of a catalogue: plants, missed scans, and control charts of rig parameters."""
 
-import base64
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -12,18 +10,14 @@ from rhizotwin.catalogue.store import SCAN_OF_RESULT, Catalogue
 from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
 from rhizotwin.experiment.phantom import LEAST_MM, measure_wires
-from rhizotwin.scenes import atomic
+from rhizotwin.scenes import atomic, html_page
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.html_page import escape, table
 from rhizotwin.scenes.trait_table import csv_text, format_exact
 
 PAGE, TABLE = "catalogue.html", "drift.csv"
-_STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}img{max-width:100%}"
-    "table{border-collapse:collapse}td,th{padding:.2rem .8rem .2rem 0;text-align:left;border-bottom:1px solid #ddd}"
-    "div{overflow-x:auto}.out{color:#b00020}@media(prefers-color-scheme:dark){body{background:#1b1b1b;color:#ddd}.out{color:#ff8a80}}"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,26 +176,23 @@ def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str])
     found : sequence of str
         Messages from `sentences`.
     """
-    title = html.escape(catalogue.path.stem)
-    parts = [f"<h1>{title}</h1>", f"<p>{_counts(catalogue)}</p>", "<h2>Plants</h2>", _plants(catalogue)]
+    title = catalogue.path.stem
+    parts = [f"<h1>{escape(title)}</h1>", f"<p>{_counts(catalogue)}</p>", "<h2>Plants</h2>", _plants(catalogue)]
     if missed := list_visits(catalogue, state="missed"):
         rows = [(one.plant, one.due_utc, one.note) for one in missed]
-        parts += ["<h2>Missed scans</h2>", _html_table(("plant", "due (UTC)", "reason"), rows)]
+        parts += ["<h2>Missed scans</h2>", table(rows, head=("plant", "due (UTC)", "reason"))]
     parts.append("<h2>The rig over time</h2>")
     if drawn:
-        picture = base64.b64encode(draw(drawn)).decode()
-        parts.append(
-            f'<img alt="control charts" src="data:image/png;base64,{picture}"><p>Each point is a scan. The solid line is the mean, and the '
-            f"dashed lines are control limits at {SIGMAS:g} standard deviations, estimated from the mean moving range (individuals control "
-            "chart). Points outside the limits are red.</p>"
+        caption = (
+            "Each point is a scan. The solid line is the mean, and the dashed lines are control limits at "
+            f"{SIGMAS:g} standard deviations, estimated from the mean moving range (individuals control chart). Points outside the limits "
+            "are red."
         )
-        parts.append("<ul>" + "".join(f'<li class="out">{html.escape(one)}</li>' for one in found) + "</ul>")
+        picture = html_page.image("png", draw(drawn), "control charts")
+        parts += [html_page.figure(picture, caption), f"<div class=out>{html_page.items(found)}</div>"]
     else:
         parts.append("<p>No result has rig parameters yet.</p>")
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{title}</title><style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
-    )
+    return html_page.document(title, *parts)
 
 
 def draw(drawn: Mapping[str, Chart]) -> bytes:
@@ -246,13 +237,7 @@ def _plants(catalogue: Catalogue) -> str:
         )
         for one in catalogue.plants()
     ]
-    return _html_table(("plant", "species", "treatment", "sown", "scans", "results"), rows)
-
-
-def _html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    first = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<div><table><tr>{first}</tr>{body}</table></div>"
+    return table(rows, head=("plant", "species", "treatment", "sown", "scans", "results"))
 
 
 def _csv(history: Mapping[str, Sequence[DriftPoint]], drawn: Mapping[str, Chart]) -> str:

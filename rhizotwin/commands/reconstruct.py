@@ -63,7 +63,7 @@ def reconstruct(
     """Reconstruct root shape and volume from the pictures of a dataset.
 
     The camera poses are estimated from the markers around the net pot, and the roots are fitted to their silhouettes in
-    all views, including refraction. The true roots of a simulated dataset are shown in the report but not used.
+    all views, including refraction. The true roots of a simulated dataset are not used.
     Pictures that are inconsistent with all others, such as a damaged file, are excluded with a warning.
 
     Parameters
@@ -133,6 +133,5 @@ def _print_summary(summary: dict[str, Any], mass_g: float | None, progress: Prog
         return
     for line in words.root_summary(summary):
         print(line)
-    if summary["volume_trusted"]:
-        for sentence in words.uncertainty_causes(summary)[:1]:
-            print(sentence)
+    if summary["volume_trusted"] and (cause := words.main_cause(summary)):
+        print(cause)

@@ -3,8 +3,6 @@
 A growth curve shows the mean on each day with its 90 % interval, with one line per treatment.
 """
 
-import base64
-import html
 from collections.abc import Mapping, Sequence
 from math import log
 from typing import TYPE_CHECKING, Any
@@ -15,6 +13,7 @@ from rhizotwin.experiment.compare import SURE, Difference, Point
 from rhizotwin.experiment.doses import Response, partial_residuals
 from rhizotwin.experiment.drift import BY_NAME, Chart, effect_of
 from rhizotwin.experiment.growth import Growth
+from rhizotwin.scenes import html_page
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.solution import UNIT
 from rhizotwin.scenes.trait_table import DEFINITIONS
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 _HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
 NO_TREATMENT = "plants without a treatment"
-_STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}img{max-width:100%}"
 
 
 def draw(growth: Growth) -> bytes:
@@ -102,32 +100,25 @@ def page(growth: Growth | None, masses: bytes | None = None, notes: Sequence[str
     if growth is not None:
         parts.append(f"<h1>Growth of {len(growth.plants)} plants</h1>")
         if growth.curves:
-            parts.append(_figure_html("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval."))
+            parts.append(_figure("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval."))
         else:
             parts.append("<p>No trait is reliable enough for a curve.</p>")
         if growth.responses:
             caption = (
                 "Size of each plant relative to the mean of its days against the concentration of the ion, corrected for the other ions."
             )
-            parts.append("<h2>Dose response</h2>" + _figure_html("dose responses", draw_responses(growth), caption))
-        parts.append(_list_html(sentences(growth)))
+            parts.append("<h2>Dose response</h2>" + _figure("dose responses", draw_responses(growth), caption))
+        parts.append(html_page.items(sentences(growth)))
     if masses is not None:
         caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
-        parts.append("<h1>Masses</h1>" + _figure_html("mass curves", masses, caption))
+        parts.append("<h1>Masses</h1>" + _figure("mass curves", masses, caption))
     if notes:
-        parts.append(_list_html(notes))
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
-        f"{''.join(parts)}</body></html>\n"
-    )
+        parts.append(html_page.items(notes))
+    return html_page.document("Growth", *parts)
 
 
-def _list_html(items: Sequence[str]) -> str:
-    return "<ul>" + "".join(f"<li>{html.escape(item)}</li>" for item in items) + "</ul>"
-
-
-def _figure_html(name: str, picture: bytes, caption: str) -> str:
-    return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(picture).decode()}"><p>{caption}</p>'
+def _figure(name: str, picture: bytes, caption: str) -> str:
+    return html_page.figure(html_page.image("png", picture, name), caption)
 
 
 def drift_cautions(charts: Mapping[str, Chart], trait: str, size: float) -> list[str]:

@@ -8,8 +8,7 @@ from typing import Any
 
 from rhizotwin.batches.jobs import named
 from rhizotwin.recon.results.result_traits import PlantTraits, traits_by_plant
-from rhizotwin.report import tables
-from rhizotwin.scenes import atomic, folders
+from rhizotwin.scenes import atomic, folders, html_page
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
@@ -135,7 +134,7 @@ def _dataset_cells(path: str) -> bytes:
 
     Other parts of the report, such as encoded pictures, may contain the same letters as the path.
     """
-    return tables.cells(("dataset", path)).encode("utf-8", "backslashreplace")
+    return html_page.cells(("dataset", path)).encode("utf-8", "backslashreplace")
 
 
 def _copy_folder(source: Path, goal: Path) -> None:

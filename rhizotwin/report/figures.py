@@ -1,4 +1,4 @@
-"""Figures of a result: pictures with silhouettes, camera positions, and the shape from two sides."""
+"""Figures of a result for documents: pictures with silhouettes, and the shape from two sides."""
 
 import logging
 from collections.abc import Sequence
@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rhizotwin import root_colours, shading
 from rhizotwin.corrections.lines import Lines, as_lines
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
-from rhizotwin.scenes import frames, plan
+from rhizotwin.report.sides import SHAPE_RGB, SHRINK, Box, boxes, raster
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
@@ -26,21 +26,13 @@ from rhizotwin.scoring import surface_distance
 from rhizotwin.stored.load import read_silhouette
 
 Floats = NDArray[np.float64]
-Box = tuple[float, float, float, float]
-"""Type of a rectangle in a projection: left, right, bottom and top, mm."""
-
-SHAPE_RGB = (0.86, 0.55, 0.25)
-"""Colour of the reconstructed shape, ochre."""
 TRUTH_RGB = (0.42, 0.62, 0.80)
 """Colour of the true shape: blue, which colour-blind people can distinguish from ochre."""
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
 """Colour that is blended with the silhouette in unusable pixels: red."""
 _VIEWS_SHOWN = 4
 """Number of views that are shown side by side."""
-SHRINK = 2
-"""Supersampling factor of renderings in each direction."""
-PANEL_PX = 640
-"""Height of a rendering, pixels."""
+_SIDES = (shading.FRONT, shading.SIDE)
 _DISTANCE_PX = 2 * SHRINK
 """Edge of the square blocks of rendered pixels for which a single distance is computed, px."""
 
@@ -92,108 +84,6 @@ def for_screen(dataset: Dataset, file: str) -> Floats | None:
     return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
 
 
-def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
-    """Return the planned camera position of each picture in the capture plan.
-
-    Positions (3,), mm, are in the canister frame and keyed by file name. Pictures that are not part of the plan are
-    omitted.
-    """
-    centres: dict[str, Floats] = {}
-    for frame in dataset.frames:
-        if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
-            continue
-        ring = dataset.scene.plan.rings[frame.ring]
-        cam_from_rig = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
-        cam_from_table = cam_from_rig @ plan.rig_from_table(dataset.scene, frame.table_deg)
-        centres[frame.file] = frames.invert(cam_from_table)[:3, 3]
-    return centres
-
-
-def camera_ring(summary: Json, dataset: Dataset) -> Figure:
-    """Draw the camera positions around the canister from above and from the side.
-
-    Crosses mark the cameras of unused views.
-    """
-    scene = dataset.scene
-    nominal = nominal_centres(dataset)
-    used: list[Floats] = []
-    left_out: list[Floats] = []
-    lost = 0
-    for view in summary["views"]:
-        pose = view.get("cam_from_canister")
-        if view["used"] and pose is not None:
-            used.append(frames.invert(np.array(pose, np.float64)))
-        elif pose is not None:
-            left_out.append(frames.invert(np.array(pose, np.float64))[:3, 3])
-        elif view["file"] in nominal:
-            left_out.append(nominal[view["file"]])
-        else:
-            lost += 1
-    drawn = figure(12.0, 6.2)
-    top, side = drawn.subplots(1, 2, width_ratios=[1.0, 1.0])
-    _canister_from_above(top, scene)
-    _canister_from_side(side, scene)
-    for axes, (i, j) in ((top, (0, 1)), (side, (0, 2))):
-        for canister_from_cam in used:
-            centre, forward = canister_from_cam[:3, 3], canister_from_cam[:3, 2]
-            tip = centre + 30.0 * forward
-            axes.plot([centre[i], tip[i]], [centre[j], tip[j]], color="#9db7cc", linewidth=1.0, zorder=2)
-        if used:
-            centres = np.array([pose[:3, 3] for pose in used])
-            axes.scatter(centres[:, i], centres[:, j], s=22, color="#1f5f8b", zorder=3, label=f"used ({len(used)})")
-        if left_out:
-            centres = np.array(left_out)
-            axes.scatter(centres[:, i], centres[:, j], s=55, marker="x", color="#c0392b", zorder=4, label=f"not used ({len(left_out)})")
-        axes.set_aspect("equal")
-        axes.grid(color="#eeeeee", linewidth=0.6, zorder=0)
-        axes.set_axisbelow(True)
-        axes.set_xlabel("x (mm)")
-    top.set_ylabel("y (mm)")
-    side.set_ylabel("z (mm)")
-    top.set_title("cameras in the canister frame, from above")
-    side.set_title("from the side")
-    if used or left_out:
-        top.legend(loc="upper right", fontsize=8, framealpha=0.9)
-    if lost:
-        drawn.supxlabel(f"{lost} unused views have no known position", fontsize=9)
-    return drawn
-
-
-def _canister_from_above(axes: Axes, scene: Scene) -> None:
-    can, pot = scene.canister, scene.net_pot
-    axes.add_patch(Circle((0.0, 0.0), can.outer_radius_mm, facecolor="#f0f0f0", edgecolor="#808080", linewidth=1.2))
-    axes.add_patch(Circle((0.0, 0.0), can.inner_radius_mm, facecolor="#e8f3fa", edgecolor="#a0a0a0", linewidth=0.8))
-    half = scene.strip.marker_mm / pot.outer_radius_mm / 2.0
-    for column in range(scene.strip.columns):
-        middle = (column + 0.5) * 2.0 * np.pi / scene.strip.columns
-        arc = np.linspace(middle - half, middle + half, 6)
-        axes.plot(pot.outer_radius_mm * np.cos(arc), pot.outer_radius_mm * np.sin(arc), color="black", linewidth=2.0, solid_capstyle="butt")
-    axes.annotate("seam", (pot.outer_radius_mm + 4.0, 0.0), fontsize=7, va="center", color="#606060")
-
-
-def _canister_from_side(axes: Axes, scene: Scene) -> None:
-    _canister_outline(axes, scene)
-    pot, strip = scene.net_pot, scene.strip
-    axes.add_patch(
-        Rectangle(
-            (-pot.outer_radius_mm, pot.skirt_bottom_mm),
-            2.0 * pot.outer_radius_mm,
-            pot.top_mm - pot.skirt_bottom_mm,
-            facecolor="#dcdcdc",
-            edgecolor="#808080",
-            linewidth=0.8,
-        )
-    )
-    for row in range(strip.rows):
-        for column in range(strip.columns):
-            angle = (column + 0.5) * 2.0 * np.pi / strip.columns
-            if np.sin(angle) > 0.0:  # hidden on the far side
-                continue
-            width = strip.marker_mm * -np.sin(angle)
-            low = strip.bottom_mm + row * strip.row_pitch_mm
-            axes.add_patch(Rectangle((pot.outer_radius_mm * np.cos(angle) - width / 2.0, low), width, strip.marker_mm, facecolor="#404040"))
-
-
 def _canister_outline(axes: Axes, scene: Scene) -> None:
     """Draw walls, floor and water of the canister from the side."""
     can = scene.canister
@@ -202,20 +92,6 @@ def _canister_outline(axes: Axes, scene: Scene) -> None:
     axes.add_patch(
         Rectangle((-inner, floor), 2.0 * inner, scene.water.level_mm - floor, facecolor="#eff7fc", edgecolor="#a0c4dc", linewidth=0.8)
     )
-
-
-def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
-    """Draw the shape in the canister from the front and from the side, at the same scale."""
-    sides = (shading.FRONT, shading.SIDE)
-    boxes = [_box(shape.vertices_mm, side) for side in sides]
-    tall = max((box[3] - box[2]) / (box[1] - box[0]) for box in boxes)
-    drawn = figure(12.0, 6.0 * tall + 0.9)
-    for axes, side, box in zip(drawn.subplots(1, 2), sides, boxes, strict=True):
-        raster, px_mm = _raster(shape, side, box)
-        _show_rendering(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
-        axes.set_title(side.name, fontsize=10)
-    drawn.suptitle(title, fontsize=11, parse_math=False)
-    return drawn
 
 
 def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order") -> Figure:
@@ -239,11 +115,10 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
     colour, key = root_colours.colour_roots(by, lines)
     drawn = figure(7.0, 3.8)
     both = drawn.subplots(1, 2)
-    for axes, side in zip(both, (shading.FRONT, shading.SIDE), strict=True):
-        box = _box(shape.vertices_mm, side)
-        raster, px_mm = _raster(shape, side, box)
-        shades = _colours_of_pixels(raster, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
-        picture = shading.shade(raster, shades, px_mm=px_mm, shrink=SHRINK)
+    for axes, side, box in zip(both, _SIDES, boxes(shape.vertices_mm, _SIDES), strict=True):
+        seen, px_mm = raster(shape, side, box)
+        shades = _colours_of_pixels(seen, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
+        picture = shading.shade(seen, shades, px_mm=px_mm, shrink=SHRINK)
         axes.imshow(picture, extent=box, origin="upper", interpolation="antialiased")
         put_axes(axes, side, box)
         axes.set_title(side.name, fontsize=10)
@@ -290,19 +165,17 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
     Figure
         Two rows of three drawings.
     """
-    points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
-    sides = (shading.FRONT, shading.SIDE)
-    boxes = [_box(points, side) for side in sides]
-    seen = [_raster(shape, side, box) for side, box in zip(sides, boxes, strict=True)]
-    apart = [surface_distances(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(sides, boxes, seen, strict=True)]
+    around = boxes(np.concatenate([shape.vertices_mm, truth.vertices_mm]), _SIDES)
+    seen = [raster(shape, side, box) for side, box in zip(_SIDES, around, strict=True)]
+    apart = [surface_distances(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(_SIDES, around, seen, strict=True)]
     shown = np.concatenate([distance[found.hit] for distance, (found, _) in zip(apart, seen, strict=True)])
     most = float(np.percentile(shown, 98.0)) if len(shown) else 0.0
     scale = ScalarMappable(norm=Normalize(0.0, max(0.05, most)), cmap="viridis")
-    tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
-    drawn = figure(14.5, 0.9 + 4.4 * sum(tall))
-    grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
-    for row, side, box, (found, px_mm), distance in zip(grid, sides, boxes, seen, apart, strict=True):
-        true, _ = _raster(truth, side, box)
+    tall = (around[0][3] - around[0][2]) / (around[0][1] - around[0][0])
+    drawn = figure(14.5, 0.9 + 8.8 * tall)
+    grid = drawn.subplots(2, 3, squeeze=False)
+    for row, side, box, (found, px_mm), distance in zip(grid, _SIDES, around, seen, apart, strict=True):
+        true, _ = raster(truth, side, box)
         by_distance = np.asarray(scale.to_rgba(distance), np.float32)[..., :3]
         drawings = (
             shading.shade(found, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK),
@@ -313,32 +186,11 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
             _show_rendering(axes, scene, side, box, drawing)
             axes.set_title(side.name, fontsize=9)
     for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, distance to the truth"), strict=True):
-        axes.set_title(f"{name}\n{sides[0].name}", fontsize=9)
+        axes.set_title(f"{name}\n{_SIDES[0].name}", fontsize=9)
     bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
     bar.set_label("distance to the true surface (mm)")
     drawn.suptitle(title, fontsize=11, parse_math=False)
     return drawn
-
-
-def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narrowest: float, flattest: float) -> Box:
-    """Return the bounding box of projected points (left, right, bottom, top), mm.
-
-    Parameters
-    ----------
-    points_mm : (P, 3) float64 array
-        Points in the canister frame, mm.
-    side : Side
-        Direction of projection.
-    margin_mm : float
-        Margin around the points, mm.
-    narrowest, flattest : float
-        Minimum ratio of width to height, and minimum ratio of height to width.
-    """
-    flat = points_mm @ side.axes[:2].T
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    middle, half = (low + high) / 2.0, (high - low) / 2.0 + margin_mm
-    half = np.maximum(half, [narrowest * half[1], flattest * half[0]])
-    return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
 
 
 def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
@@ -348,10 +200,6 @@ def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel(side.right_label)
     axes.set_ylabel("z (mm)")
-
-
-def _box(points_mm: Floats, side: shading.Side) -> Box:
-    return box_around(points_mm, side, margin_mm=4.0, narrowest=0.75, flattest=0.6)
 
 
 def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
@@ -382,11 +230,6 @@ def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm
     if len(first):
         distance[row, column] = surface_distance.distances(flat @ side.axes, truth.vertices_mm, truth.faces)[number]
     return distance
-
-
-def _raster(mesh: Mesh, side: shading.Side, box: Box) -> tuple[shading.Raster, float]:
-    px_mm = (box[3] - box[2]) / (PANEL_PX * SHRINK)
-    return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm), px_mm
 
 
 def _show_rendering(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:

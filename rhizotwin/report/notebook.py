@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-from html import escape
-
 from rhizotwin.recon.results.result import Result
 from rhizotwin.report import words
+from rhizotwin.scenes import html_page
+from rhizotwin.scenes.html_page import Markup, escape
 
 DPI = 90
 """Resolution of the figure, dots per inch. A figure with a width of 10 inches fills a notebook of 900 pixels."""
@@ -17,16 +16,14 @@ def html(result: Result) -> str:
     summary = result.summary()
     found, interval = words.volume_text(summary)
     used = sum(camera.used for camera in result.cameras)
-    usable = "usable" if result.trusted else f"<b>not reliable</b>: {escape(result.verdict)}"
     rows = [
-        ("volume", f"<b>{found}</b>, 90 % interval {interval}"),
-        ("verdict", usable),
+        ("volume", Markup(f"<b>{found}</b>, 90 % interval {interval}")),
+        ("verdict", "usable" if result.trusted else Markup(f"<b>not reliable</b>: {escape(result.verdict)}")),
         ("roots", "; ".join([f"{len(result.roots)}", *words.root_summary(summary)[:1]]) if result.roots else "no centre lines"),
         ("views", f"{used} of {len(result.cameras)} used"),
-        *(("warning", escape(warning)) for warning in result.warnings),
+        *(("warning", warning) for warning in result.warnings),
     ]
-    cells = "".join(f'<tr><td style="text-align:left">{name}</td><td style="text-align:left">{text}</td></tr>' for name, text in rows)
-    return f"<div><h4>{escape(result.scene)}</h4>{_picture(result)}<table>{cells}</table></div>"
+    return f"<div><h4>{escape(result.scene)}</h4>{_picture(result)}{html_page.table(rows)}</div>"
 
 
 def _picture(result: Result) -> str:
@@ -37,5 +34,4 @@ def _picture(result: Result) -> str:
     from rhizotwin.report import figures  # loads matplotlib
     from rhizotwin.scenes.figures import png
 
-    drawn = base64.b64encode(png(figures.shape_close_up(surface, result.roots), dpi=DPI)).decode()
-    return f'<img alt="shape from two sides" src="data:image/png;base64,{drawn}">'
+    return html_page.image("png", png(figures.shape_close_up(surface, result.roots), dpi=DPI), "shape from two sides")

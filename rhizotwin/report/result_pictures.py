@@ -2,29 +2,28 @@
 
 from pathlib import Path
 
-from matplotlib.figure import Figure
+import cv2
 
-from rhizotwin.report import figures, root_figures
+from rhizotwin.report import sides
+from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, load_dataset
-from rhizotwin.scenes.figures import png
-from rhizotwin.stored import result_files, stored_traits
+from rhizotwin.stored import result_files
 
 DPI = 130
 """Resolution of the figures, dots per inch. Characters of 9 pt are 16 pixels high."""
 
 
-def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: Path | None = None) -> list[Path]:
-    """Write the figures of a result to ``pictures/*.png`` in its folder, and return the paths of the files.
-
-    Pictures of the dataset that cannot be read are left out of the figures.
+def write_pictures(report: ReportData, *, figures: bool = False) -> list[Path]:
+    """Write the picture of a result's shape to its folder (``pictures/shape.png``), and the figures if requested.
 
     Parameters
     ----------
-    dataset : Path or Dataset
-        Dataset of the result, or the dataset's folder.
-    truth_mesh : Path or None
-        Mesh file of the true shape of simulated data, drawn beside the reconstructed shape (``shape_and_truth.png``).
+    report : ReportData
+        Result, with its dataset if figures are requested.
+    figures : bool
+        Also write figures for documents: pictures of the dataset above their silhouettes (``inputs.png``), centre lines
+        (``roots.png``), and for simulated data the comparison with the true shape (``shape_and_truth.png``). Pictures
+        of the dataset that cannot be read are left out.
 
     Returns
     -------
@@ -34,34 +33,33 @@ def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: 
     Raises
     ------
     UserError
-        If a file is missing, or the dataset is not that of the result.
+        If a file is missing.
     """
-    result_folder = Path(result_folder)
-    summary = result_files.read_summary(result_folder)
-    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-    result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
-    shape = result_files.read_mesh(result_folder / "shape.ply")
-
-    written: list[Path] = []
-    inputs = figures.inputs_and_silhouettes(summary, result_folder, dataset)
-    if inputs is not None:
-        written.append(_save(inputs, result_folder, "inputs.png"))
-    written.append(_save(figures.camera_ring(summary, dataset), result_folder, "cameras.png"))
-    written.append(_save(figures.shape_near(shape, dataset.scene, title=str(summary["scene"])), result_folder, "shape.png"))
-    if truth_mesh is not None:
-        truth = result_files.read_mesh(Path(truth_mesh))
-        both = figures.shape_and_truth(shape, truth, dataset.scene, title=str(summary["scene"]))
-        written.append(_save(both, result_folder, "shape_and_truth.png"))
-    roots = result_files.read_roots(result_folder)
-    if roots:
-        traits = stored_traits.of_summary(summary, shape, roots)
-        written.append(_save(root_figures.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
-        written.append(_save(root_figures.length_plots(traits), result_folder, "lengths.png"))
-    return written
+    drawn = {}
+    if report.renderings:
+        drawn["shape.png"] = bytes(cv2.imencode(".png", sides.overview(report.renderings)[..., ::-1])[1])
+    if figures:
+        drawn |= _figures(report)
+    folder = report.folder / "pictures"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in drawn.items():
+        atomic.write_bytes(folder / name, data)
+    return [folder / name for name in drawn]
 
 
-def _save(drawn: Figure, result_folder: Path, name: str) -> Path:
-    path = result_folder / "pictures" / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    atomic.write_bytes(path, png(drawn, dpi=DPI))
-    return path
+def _figures(report: ReportData) -> dict[str, bytes]:
+    """Draw the figures for documents as PNG files, keyed by name."""
+    from rhizotwin.report import figures, root_figures  # load matplotlib
+    from rhizotwin.scenes.figures import png
+
+    drawn = {}
+    if report.dataset is not None:
+        truth_mesh = report.dataset.folder / "truth" / "specimen.ply"
+        drawn["inputs.png"] = figures.inputs_and_silhouettes(report.summary, report.folder, report.dataset)
+        if truth_mesh.is_file():
+            truth = result_files.read_mesh(truth_mesh)
+            title = str(report.summary["scene"])
+            drawn["shape_and_truth.png"] = figures.shape_and_truth(report.full_surface, truth, report.dataset.scene, title=title)
+        if report.roots:
+            drawn["roots.png"] = root_figures.roots_and_inputs(report.roots, report.summary, report.dataset)
+    return {name: png(figure, dpi=DPI) for name, figure in drawn.items() if figure is not None}

@@ -1,4 +1,4 @@
-"""Figures of the roots: centre lines from two sides beside a picture, and histograms of root length."""
+"""Figure of the roots: centre lines from two sides beside a picture."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from rhizotwin import root_colours, shading
 from rhizotwin.recon.results.parts import Json
-from rhizotwin.report import figures
+from rhizotwin.report import figures, sides
 from rhizotwin.root_mesh import THICKEST_PERCENT
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 from rhizotwin.stored.stored_cameras import Cameras
 
 Floats = NDArray[np.float64]
@@ -27,10 +26,6 @@ LEAST_WIDTH_PT = 0.7
 """Minimum width of a line, points. Thinner lines are hardly visible."""
 PANEL_IN = 4.6
 """Width of a panel, inches. A figure of three panels is about 15 inches wide, including the margins."""
-MARGIN_MM = 4.0
-"""Margin around the roots, mm."""
-BAR_RGB = "#4c86b0"
-"""Colour of histogram bars."""
 
 
 def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -> Figure:
@@ -41,12 +36,12 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
     scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
-    sides = (shading.FRONT, shading.SIDE)
-    boxes = [_box(points, side) for side in sides]
-    tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
-    drawn = figure(3.0 * PANEL_IN + 0.8, 1.0 + PANEL_IN * sum(tall))
-    grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
-    for row, side, box in zip(grid, sides, boxes, strict=True):
+    both = (shading.FRONT, shading.SIDE)
+    around = sides.boxes(points, both)
+    tall = (around[0][3] - around[0][2]) / (around[0][1] - around[0][0])
+    drawn = figure(3.0 * PANEL_IN + 0.8, 1.0 + 2.0 * PANEL_IN * tall)
+    grid = drawn.subplots(2, 3, squeeze=False)
+    for row, side, box in zip(grid, both, around, strict=True):
         _show_picture(row[0], side, box, summary, dataset)
         for axes, by in ((row[1], "diameter"), (row[2], "order")):
             _draw_roots(axes, roots, side, box, scale if by == "diameter" else None)
@@ -60,38 +55,7 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
     return drawn
 
 
-def length_plots(traits: Traits) -> Figure:
-    """Draw histograms of root length by depth, diameter and order."""
-    drawn = figure(13.0, 4.2)
-    depth, diameter, order = drawn.subplots(1, 3, width_ratios=[1.0, 1.4, 0.7])
-    bins = np.array(traits.length_by_depth_mm)
-    depth.barh((np.arange(len(bins)) + 0.5) * DEPTH_BIN_MM, bins, height=0.92 * DEPTH_BIN_MM, color=BAR_RGB)
-    depth.invert_yaxis()
-    depth.set_ylabel("depth below the top (mm)")
-    bins = np.array(traits.length_by_diameter_mm)
-    diameter.bar((np.arange(len(bins)) + 0.5) * DIAMETER_BIN_MM, bins, width=0.92 * DIAMETER_BIN_MM, color=BAR_RGB)
-    diameter.set_xlabel("diameter (mm)")
-    if traits.mean_diameter_mm is not None and traits.median_diameter_mm is not None:
-        diameter.axvline(traits.mean_diameter_mm, color="#c0392b", label=f"mean {traits.mean_diameter_mm:.3f} mm")
-        diameter.axvline(traits.median_diameter_mm, color="#c0392b", linestyle=":", label=f"median {traits.median_diameter_mm:.3f} mm")
-        diameter.legend(fontsize=8)
-    bins = np.array(traits.length_by_order_mm)
-    order.bar(np.arange(len(bins)), bins, color=[ORDERS[min(k, len(ORDERS) - 1)] for k in range(len(bins))])
-    order.set_xticks(range(len(bins)))
-    order.set_xlabel("order (0: main root)")
-    for axes, name in ((depth, "depth"), (diameter, "diameter"), (order, "order")):
-        axes.set_title(f"length by {name}", fontsize=10)
-        (axes.set_xlabel if axes is depth else axes.set_ylabel)("length (mm)")
-        axes.spines[["top", "right"]].set_visible(False)
-    return drawn
-
-
-def _box(points_mm: Floats, side: shading.Side) -> figures.Box:
-    """Return the bounding box of projected points with a margin and an aspect ratio between 1:2 and 2:1."""
-    return figures.box_around(points_mm, side, margin_mm=MARGIN_MM, narrowest=0.5, flattest=0.5)
-
-
-def _draw_roots(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures.Box, scale: ScalarMappable | None) -> None:
+def _draw_roots(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: sides.Box, scale: ScalarMappable | None) -> None:
     """Draw roots as lines as wide as the root diameters. Distant segments are drawn first."""
     pieces, shades, diameters, depth = [], [], [], []
     for root in roots:
@@ -114,7 +78,7 @@ def _draw_roots(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: fi
     figures.put_axes(axes, side, box)
 
 
-def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, dataset: Dataset) -> None:
+def _show_picture(axes: Axes, side: shading.Side, box: sides.Box, summary: Json, dataset: Dataset) -> None:
     """Show the picture whose camera is nearest to a viewing direction.
 
     The picture is cropped to the roots, which are magnified by refraction.

@@ -1,36 +1,38 @@
-"""HTML tables of a report: verdicts, calibration and views."""
-
-import html
-from collections.abc import Sequence
+"""HTML tables of a report: verdicts, causes of uncertainty, calibration, views and settings."""
 
 import numpy as np
 
 from rhizotwin.recon.results.parts import Json
-from rhizotwin.report import words
+from rhizotwin.report import charts, words
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.formatting import round_digits
+from rhizotwin.scenes.html_page import Markup, escape, table
 from rhizotwin.stored import calibration_table
 
 
-def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
-    """Return rows of text as an HTML table with escaped cells.
-
-    Columns with an index in ``numbers`` are right-aligned.
-    """
-    top = f"<tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr>" if head else ""
-    return f"<table>{top}{''.join(f'<tr>{cells(row, numbers=numbers)}</tr>' for row in rows)}</table>"
-
-
-def cells(row: Sequence[str], *, numbers: Sequence[int] = ()) -> str:
-    """Return the escaped HTML cells of a row of `table`."""
-    return "".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row))
-
-
-def verdict_cells(summary: Json) -> str:
-    """Return HTML table cells with the verdict on a result, and with its volume and 90 % interval."""
+def verdict(summary: Json) -> tuple[Markup, Markup]:
+    """Return two cells of a table: the verdict on a result, and its volume with the 90 % interval."""
     state = words.traffic_light(summary)[0]
-    verdict = "not reliable" if state == "bad" else "usable"
     found, interval = words.volume_text(summary)
-    return f'<td class="verdict {state}"><b></b>{verdict}</td><td class=number>{found}<br><small class=soft>{interval}</small></td>'
+    light = f'<span class="verdict {state}"><b></b>{"not reliable" if state == "bad" else "usable"}</span>'
+    return Markup(light), Markup(f"{found}<br><small class=soft>{interval}</small>")
+
+
+def causes(summary: Json) -> str:
+    """Return the causes of the volume's uncertainty as an HTML bar chart, or an empty text if they are unknown."""
+    found = words.uncertainty_causes(summary)
+    reach = max((max(cause.less_mm3, cause.more_mm3) for cause in found), default=0.0)
+    if not reach > 0.0:
+        return ""
+    rows = [
+        [
+            Markup(f"{escape(cause.name)}<br><small class=soft>{escape(cause.why)}</small>"),
+            charts.interval(cause.less_mm3, cause.more_mm3, reach),
+            cause.amount,
+        ]
+        for cause in found
+    ]
+    return table(rows, numbers=(2,), kind="causes")
 
 
 def calibration(summary: Json) -> str:
@@ -79,20 +81,51 @@ def views(summary: Json) -> str:
     def number(value: float | None, digits: int, factor: float = 1.0) -> str:
         return "" if value is None else f"{factor * value:.{digits}f}"
 
-    head = "<tr><th>file</th><th>ring</th><th>table (deg)</th><th>markers</th><th>reprojection (px)</th><th>fill (%)</th><th></th></tr>"
-    rows = []
-    for view in summary["views"]:
-        cells = [
+    rows = [
+        [
+            str(view["file"]),
             number(view.get("ring"), 0),
             number(view.get("table_deg"), 2),
             number(view.get("markers"), 0),
             number(view.get("reprojection_px"), 3),
             number(view.get("fill"), 2, 100.0),
+            "" if view["used"] else f"not used: {view.get('reason') or 'no reason recorded'}",
         ]
-        reason = "" if view["used"] else f"not used: {view.get('reason') or 'no reason recorded'}"
-        rows.append(
-            f"<tr{'' if view['used'] else ' class=out'}><td>{html.escape(str(view['file']))}</td>"
-            + "".join(f'<td class="number">{cell}</td>' for cell in cells)
-            + f"<td>{html.escape(reason)}</td></tr>"
-        )
-    return f"<table>{head}{''.join(rows)}</table>"
+        for view in summary["views"]
+    ]
+    head = ("file", "ring", "table (deg)", "markers", "reprojection (px)", "fill (%)", "")
+    marked = [k for k, view in enumerate(summary["views"]) if not view["used"]]
+    return table(rows, head=head, numbers=range(1, 6), marked=marked)
+
+
+def details(summary: Json) -> str:
+    """Return tables of sizes, calibration, views and settings as HTML."""
+    parts = {
+        "Sizes": table(_sizes(summary), numbers=(1,)),
+        "Self-calibration": calibration(summary),
+        "Views": views(summary),
+        "Settings and versions": table(_provenance(summary)),
+    }
+    return "".join(f"<details><summary>{name}</summary>{text}</details>" for name, text in parts.items() if text)
+
+
+def _sizes(summary: Json) -> list[tuple[str, str]]:
+    extents = [b - a for a, b in zip(summary["extents_min_mm"], summary["extents_max_mm"], strict=True)]
+    mu, sigma = summary.get("root_mu_per_mm"), summary.get("root_mu_sigma_per_mm")
+    attenuation = "opaque" if mu is None else f"{mu:.2f} per mm" + ("" if sigma is None else f" ± {sigma:.2f}")
+    return [
+        ("Root extent (x, y, z)", " x ".join(f"{extent:.1f}" for extent in extents) + " mm"),
+        ("Hull before trimming", f"{round_digits(summary['hull_mm3'] / 1000.0)} ml"),
+        ("Volume of hull that could not be trimmed", f"{round_digits(summary['untrimmed_mm3'] / 1000.0)} ml"),
+        ("Water visible in too few views", f"{round_digits(summary['blind_mm3'] / 1000.0)} ml"),
+        ("Attenuation of light in roots", attenuation),
+        ("Views used", f"{sum(view['used'] for view in summary['views'])} of {len(summary['views'])}"),
+        ("Computing time", f"{sum(summary['timings_s'].values()):.0f} s"),
+    ]
+
+
+def _provenance(summary: Json) -> list[tuple[str, str]]:
+    rows = [("dataset", str(summary.get("dataset", "")))]
+    for key, value in summary.get("settings", {}).items():
+        rows += [(f"{key}.{name}", str(part)) for name, part in value.items()] if isinstance(value, dict) else [(str(key), str(value))]
+    return rows + [(f"version of {key}", str(value)) for key, value in summary.get("versions", {}).items()]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+from math import hypot
 from typing import Any, Literal
 
 from rhizotwin.recon.uncertainty.calibration import Calibration
@@ -78,6 +80,15 @@ def headline(summary: dict[str, Any]) -> tuple[str, str]:
     return "volume could not be determined", f"the reconstructed shape has {found} ({interval}), which is not reliable"
 
 
+def verdict(summary: dict[str, Any]) -> tuple[str, str]:
+    """Return the verdict of a report, such as "8.01 ml" and "90 % between 7.91 and 8.36 ml; reliable"."""
+    if summary["volume_trusted"]:
+        found, interval = volume_text(summary)
+        return found, f"90 % between {interval.replace(' to ', ' and ')}; reliable"
+    headline_text, beside = headline(summary)
+    return _sentence(headline_text).rstrip("."), _sentence(beside)
+
+
 def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
     """Return the state of the traffic light (good, fair or bad), a sentence with its meaning, and recommendations."""
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]
@@ -94,17 +105,59 @@ def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
     return "good", f"The volume can be used: with 90 % confidence it is within {100.0 * wide:.0f} %.", advice
 
 
-def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
-    """Return sentences about the causes of the volume's uncertainty, largest cause first."""
+@dataclass(frozen=True)
+class Cause:
+    """Cause of the volume's uncertainty."""
+
+    name: str
+    why: str
+    """Explanation, as a clause without a full stop."""
+    less_mm3: float
+    more_mm3: float
+    """Amounts by which the volume may be smaller or larger, mm3."""
+
+    @property
+    def amount(self) -> str:
+        """Both amounts in ml, such as "± 0.06" or "+ 0.3"."""
+        less, more = (round_digits(size / 1000.0, 2) for size in (self.less_mm3, self.more_mm3))
+        if less == more:
+            return f"± {less} ml"
+        small = SMALLEST_SHARE * max(self.less_mm3, self.more_mm3)
+        return " ".join([f"− {less}"] * (self.less_mm3 >= small) + [f"+ {more}"] * (self.more_mm3 >= small)) + " ml"
+
+
+def uncertainty_causes(summary: dict[str, Any]) -> list[Cause]:
+    """Return the causes of the volume's uncertainty, largest cause first.
+
+    Causes that are much smaller than the largest one are combined as the root of the sum of their squares. The last
+    entry is the 90 % interval, which combines all causes.
+    """
     terms = sorted(summary["volume_budget"], key=lambda term: -max(term["less_mm3"], term["more_mm3"]))
-    largest = max((max(term["less_mm3"], term["more_mm3"]) for term in terms), default=0.0)
-    listed = [term for term in terms if max(term["less_mm3"], term["more_mm3"]) >= SMALLEST_SHARE * largest > 0.0]
-    sentences = [f"The volume may be {_deviation(term['less_mm3'], term['more_mm3'])}, because {term['why']}." for term in listed]
-    if rest := len(terms) - len(listed):
-        sentences.append(f"{rest} other cause{'s' if rest > 1 else ''} of uncertainty, each smaller than 5 % of the largest cause.")
+    if not terms:
+        return []
+    causes = [Cause(title(term["name"]), term["why"], term["less_mm3"], term["more_mm3"]) for term in terms]
+    least = SMALLEST_SHARE * max(causes[0].less_mm3, causes[0].more_mm3)
+    listed = [cause for cause in causes if max(cause.less_mm3, cause.more_mm3) >= least > 0.0]
+    if rest := causes[len(listed) :]:
+        less, more = (hypot(*sizes) for sizes in zip(*((one.less_mm3, one.more_mm3) for one in rest), strict=True))
+        listed += [Cause(f"{len(rest)} smaller cause{'s' if len(rest) > 1 else ''}", "", less, more)] * (less + more > 0.0)
+    low, high = summary["volume_interval_mm3"]
     calibration = Calibration.from_plain(summary.get("calibration"))
     factor = f", by the factor {calibration.factor('volume_mm3'):.2g}" if calibration.factors else ""
-    return [*sentences, f"The interval is {calibration.text}{factor}."] if terms else sentences
+    why = f"The interval is {calibration.text}{factor}."
+    return [*listed, Cause("90 % interval", why, summary["volume_mm3"] - low, high - summary["volume_mm3"])]
+
+
+def main_cause(summary: dict[str, Any]) -> str:
+    """Return a sentence about the largest cause of the volume's uncertainty. It is empty if no cause is known."""
+    causes = uncertainty_causes(summary)
+    return "" if len(causes) < 2 else f"Largest cause of uncertainty: {causes[0].why} ({causes[0].amount})."
+
+
+def title(name: str) -> str:
+    """Return a name of a file or a field as words, such as "Printed 8 ml" for ``printed_8ml``."""
+    words = re.sub(r"(?<=[a-z]{3})(?=\d)|(?<=\d)(?=(?:ml|mm|cm)\b)", " ", name.replace("_", " ").strip())
+    return words[:1].upper() + words[1:]
 
 
 def trait_text(definition: Definition, value: float | int | None, assessed: Assessment) -> tuple[str, str, str, str]:
@@ -113,8 +166,9 @@ def trait_text(definition: Definition, value: float | int | None, assessed: Asse
     Value and interval are rounded to the digits that the interval supports. Without an interval the value has three
     digits.
     """
-    label = LABELS.get(definition.field, definition.name.replace("_", " ").capitalize())
+    label = LABELS.get(definition.field, title(definition.name))
     meaning = re.sub(r"\w+_\w+", lambda word: _FIELD_LABELS.get(word[0], word[0]), definition.meaning)
+    meaning = re.sub(rf"^{label}(, |$)", "", meaning, flags=re.IGNORECASE)
     if assessed.interval is None:
         return label, _with_unit(definition, value, None), assessed.verdict, meaning
     low, high = assessed.interval
@@ -208,16 +262,6 @@ def _baseline(summary: dict[str, Any]) -> str:
     from rhizotwin.baselines import TITLES  # loads the reconstruction
 
     return _BASELINE.format(title=next((title for name, title in TITLES.items() if name == method), "an unknown method"))
-
-
-def _deviation(less_mm3: float, more_mm3: float) -> str:
-    """Describe by how much the volume may be smaller or larger, in ml."""
-    less, more = round_digits(less_mm3 / 1000.0, 2), round_digits(more_mm3 / 1000.0, 2)
-    if less_mm3 < SMALLEST_SHARE * more_mm3:
-        return f"{more} ml larger"
-    if more_mm3 < SMALLEST_SHARE * less_mm3:
-        return f"{less} ml smaller"
-    return f"{less} ml smaller or larger" if less == more else f"{less} ml smaller or {more} ml larger"
 
 
 def _sentence(text: str | None) -> str:

@@ -1,7 +1,5 @@
 """One-page report of a calibration: results, residuals over the picture, coverage, and a list of the pictures."""
 
-import base64
-import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,8 +8,10 @@ import numpy as np
 
 from rhizotwin.rig.lens.calibration import CELLS_WH, Calibration, covered_cells, model_text
 from rhizotwin.rig.lens.lens_fit import TERMS, residual_rms
+from rhizotwin.scenes import html_page
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.html_page import table
 from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:  # importing matplotlib takes long, and is not needed for calibrating on a Raspberry Pi
@@ -22,14 +22,6 @@ DPI: Final = 120
 ARROW_SHARE: Final = 0.06
 """Length of the arrow that represents a large residual, as a fraction of the picture's width. A large residual is the
 95th percentile of all residuals."""
-STYLE: Final = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
-table { border-collapse: collapse; } td, th { padding: 2px 14px 2px 0; text-align: left; vertical-align: top; }
-th { font-weight: 600; border-bottom: 1px solid #ccc; }
-.warning { background: #fff4e0; border-left: 4px solid #e0a030; padding: 4px 10px; margin: 6px 0; }
-img { max-width: 100%; } figcaption { color: #555; } figure { margin: 1em 0; }
-"""
 
 
 def write_report(made: Calibration, folder: Path) -> Path:
@@ -117,22 +109,22 @@ def _pictures(axes: "Axes", made: Calibration) -> None:
 
 def _page(made: Calibration) -> str:
     """Return the report as self-contained HTML."""
-    warnings = "".join(f'<p class="warning">{html.escape(warning)}</p>' for warning in made.warnings)
-    fit = made.fit
-    rejected = [["picture", "reason"], *([name, reason] for name, reason in made.rejected.items())]
-    used = [["picture", "corners", "tilt, degrees", "residual, px", "blur, px"]]
+    fit, rejected = made.fit, list(made.rejected.items())
+    used = []
     for name, view in fit.views.items():
         rms_px = residual_rms(fit.residuals_px[name])
         used.append([name, str(len(view.ids)), f"{made.tilts_deg[name]:.0f}", f"{rms_px:.3f}", f"{view.blur_px:.2f}"])
-    picture = base64.b64encode(png(draw(made), dpi=DPI)).decode()
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Camera calibration</title>'
-        f"<style>{STYLE}</style></head><body><h1>Camera calibration</h1>{warnings}<h2>The lens</h2>{_table(_lens(made))}"
-        f"<p>Fitted: {html.escape(model_text(fit))}.</p>"
-        f'<h2>Residuals</h2><figure><img alt="residuals, coverage, distortion" src="data:image/png;base64,{picture}"></figure>'
-        f"<h2>Pictures used</h2>{_table(used)}"
-        + (f"<h2>Excluded pictures</h2>{_table(rejected)}" if made.rejected else "")
-        + f"<h2>Board</h2>{_table([['key', 'value'], *([key, str(value)] for key, value in to_plain(made.board).items())])}</body></html>\n"
+    picture = html_page.image("png", png(draw(made), dpi=DPI), "residuals, coverage, distortion")
+    head = ("picture", "corners", "tilt, degrees", "residual, px", "blur, px")
+    board = [(key, str(value)) for key, value in to_plain(made.board).items()]
+    return html_page.document(
+        "Camera calibration",
+        f"<h1>Camera calibration</h1><div class=out>{html_page.items(made.warnings)}</div><h2>The lens</h2>",
+        table(_lens(made), head=("", "value", "standard deviation"), numbers=(1,)),
+        f"<p>Fitted: {html_page.escape(model_text(fit))}.</p><h2>Residuals</h2><figure>{picture}</figure><h2>Pictures used</h2>",
+        table(used, head=head, numbers=(1, 2, 3, 4)),
+        f"<h2>Excluded pictures</h2>{table(rejected, head=('picture', 'reason'))}" if rejected else "",
+        f"<h2>Board</h2>{table(board, head=('key', 'value'))}",
     )
 
 
@@ -147,7 +139,6 @@ def _lens(made: Calibration) -> list[list[str]]:
     ]
     shown = [[name, f"{value:.6g}", f"{std:.2g}" if std > 0.0 else "not fitted"] for name, value, std in rows]
     return [
-        ["", "value", "standard deviation"],
         *shown,
         ["picture, px", f"{made.camera.image_wh[0]} x {made.camera.image_wh[1]}", ""],
         [
@@ -156,10 +147,3 @@ def _lens(made: Calibration) -> list[list[str]]:
             f"{fit.corners} corners in {len(fit.views)} pictures; {fit.dropped_corners} corners excluded",
         ],
     ]
-
-
-def _table(rows: Any) -> str:
-    head, *others = rows
-    cells = "".join(f"<th>{html.escape(text)}</th>" for text in head)
-    lines = "".join("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>" for row in others)
-    return f"<table><tr>{cells}</tr>{lines}</table>"

@@ -10,7 +10,8 @@ import trimesh
 
 from rhizotwin import shading
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.report import figures, result_pictures
+from rhizotwin.report import charts, figures, result_pictures, sides
+from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import png
@@ -43,8 +44,8 @@ def test_all_pictures_of_a_result_with_roots(scan):
     turn = np.linspace(0.0, 3.0, 30)
     tap = Root(points_mm=np.stack([4.0 * turn, -turn, -45.0 - 3.0 * turn], 1), diameters_mm=np.full(30, 1.5), order=0, parent=-1)
     write_rsml(made.result / "roots.rsml", [tap])
-    written = result_pictures.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
-    assert {path.name for path in written} == {"inputs.png", "cameras.png", "shape.png", "shape_and_truth.png", "roots.png", "lengths.png"}
+    written = result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures=True)
+    assert [path.name for path in written] == ["shape.png", "inputs.png", "shape_and_truth.png", "roots.png"]
     pictures = [cv2.imread(str(path)) for path in written]
     assert min(min(picture.shape[:2]) for picture in pictures) > 300
     assert min(picture.std() for picture in pictures) > 5.0
@@ -52,18 +53,31 @@ def test_all_pictures_of_a_result_with_roots(scan):
 
 def test_a_name_is_not_a_formula():
     """Matplotlib reads text between dollar signs as a formula, and raises an error if it is not one."""
-    drawn = figures.shape_near(ball(4.0, (0.0, 0.0, -30.0)), Scene(), title=r"$\frac$")
+    shape = ball(4.0, (0.0, 0.0, -30.0))
+    drawn = figures.shape_and_truth(shape, shape, Scene(), title=r"$\frac$")
     assert png(drawn, dpi=20).startswith(b"\x89PNG")
+
+
+def test_both_sides_have_the_same_scale_and_height():
+    front, side = sides.boxes(np.array([[0.0, 0.0, -10.0], [30.0, 5.0, -60.0]]), (shading.FRONT, shading.SIDE))
+    assert front == (2.5 - 19.0, 2.5 + 19.0, -64.0, -6.0)
+    assert side == (15.0 - 19.0, 15.0 + 19.0, -64.0, -6.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"), [(0.0, 7.3, [0, 2, 4, 6]), (-61.0, -9.0, [-60, -40, -20]), (0.0, 0.31, [0, 0.1, 0.2, 0.3])]
+)
+def test_ticks_are_round_numbers_within_the_axis(low: float, high: float, expected: list[float]):
+    assert charts.ticks(low, high, most=4) == pytest.approx(expected)
 
 
 def test_pictures_without_silhouettes_and_truth_repeat_exactly(scan):
     made = scan(voxel_mm=1.0)
     shutil.rmtree(made.result / "silhouettes")
     shutil.rmtree(made.dataset / "truth")
-    written = result_pictures.write_pictures(made.result, made.dataset)
-    assert [path.name for path in written] == ["cameras.png", "shape.png"]
-    first = [path.read_bytes() for path in written]
-    assert first == [path.read_bytes() for path in result_pictures.write_pictures(made.result, made.dataset)]
+    first, second = (result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures=True) for _ in range(2))
+    assert [path.name for path in first] == ["shape.png"]
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
 def test_a_dataset_that_changes_does_not_spoil_the_report(scan, caplog):
@@ -72,10 +86,9 @@ def test_a_dataset_that_changes_does_not_spoil_the_report(scan, caplog):
     loaded = load_dataset(made.dataset)
     save_dataset(replace(loaded, frames=loaded.frames[1:]))
     (made.dataset / loaded.frames[0].file).unlink()
-    assert "inputs.png" in [path.name for path in result_pictures.write_pictures(made.result, loaded)]
+    written = result_pictures.write_pictures(ReportData.read(made.result, loaded), figures=True)
+    assert "inputs.png" in [path.name for path in written]
     assert "view_000.png: the picture is missing" in caplog.text
     assert "written without this picture" in caplog.text
-    shutil.rmtree(made.result / "pictures")
     with pytest.raises(UserError, match="was not reconstructed from"):
-        result_pictures.write_pictures(made.result, made.dataset)
-    assert not (made.result / "pictures").exists()
+        ReportData.read(made.result, made.dataset)
