@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import erf, erfinv
 from skimage import filters
 
-from rhizotwin.recon.coverage.level_distance import level_distance
+from rhizotwin.recon.lattice.distances import level_distance
 from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.settings import CoverageSettings
 

@@ -71,6 +71,10 @@ class Cells:
         """Return the cell centres (N, 3), canister frame, mm."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5) * self.grid.size_mm
 
+    def place(self, points_mm: Array) -> Array:
+        """Convert points (N, 3) from mm to units of cells. The centre of a cell is at its index."""
+        return np.asarray((points_mm - self.grid.origin_mm) / self.grid.size_mm - 0.5)
+
     @cached_property
     def tree(self) -> cKDTree:
         """Return a k-d tree of the cell centres."""

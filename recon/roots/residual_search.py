@@ -22,11 +22,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float, UInt32, bilinear, points, readable
+from rhizotwin.recon.lattice import cells as lattices
+from rhizotwin.recon.lattice.cells import Lattice
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import ghosts, tracing
 from rhizotwin.recon.roots.density import Cells
@@ -104,38 +104,33 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
     line, radius, node = _sample_tubes(found, 0.5 * cells.grid.size_mm)
     flanked = ghosts.find_margin_nodes(found, thick)
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
-    away, nearest = cKDTree(line).query(cells.centre_mm, distance_upper_bound=float(reach.max()), workers=-1)
-    nearest = np.minimum(nearest, len(line) - 1)  # the distance is infinite where no node is near
+    cells = cells.select(lattices.sort(cells.index))
+    _, nearest = lattices.find_nearest(Lattice.of(cells.index), cells.place(line), reach / cells.grid.size_mm)
     # Few views resolve the flank of a thick root, so that no branch may begin there.
-    beside = ~((away < reach[nearest]) & thick[node[nearest]])
-    cells, away, nearest = cells.select(beside), away[beside], nearest[beside]
-    centre = cells.centre_mm  # evaluated once, as the property is not cached
-    own, explained = residual_coverage(evidence, centre, free)
-    inside = away < reach[nearest]
-    sure = ~inside & (own > _SURE) & (explained > ghosts.EXPLAINED)
+    beside = (nearest < 0) | ~thick[node[nearest]]
+    cells, nearest = cells.select(beside), nearest[beside]
+    lattice, centre, size_mm, inside = Lattice.of(cells.index), cells.centre_mm, cells.grid.size_mm, nearest >= 0
+    own, explained = np.zeros(len(inside)), np.zeros(len(inside))
+    own[~inside], explained[~inside] = residual_coverage(evidence, centre[~inside], free)
+    sure = (own > _SURE) & (explained > ghosts.EXPLAINED)
     if not sure.any() or not inside.any():
         return found
     ends = np.array([nodes[-1] for nodes in found.branches])
-    at_tip = np.isfinite(cKDTree(found.centre_mm[ends]).query(centre, distance_upper_bound=_TIP_MM, workers=-1)[0])
+    _, tip = lattices.find_nearest(lattice, cells.place(found.centre_mm[ends]), np.full(len(ends), _TIP_MM / size_mm))
     # Half a step inside a tube costs as much as the extra length of a branch on its flank, but nothing at a tip.
-    flank = 0.5 * cells.grid.size_mm / _BEGIN_MM * _SURE * px_a_mm
-    density = np.where(inside, np.where(at_tip, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)
-    cost, before, _ = dijkstra(
-        tracing.graph(cells, density), directed=False, indices=np.flatnonzero(inside), min_only=True, return_predecessors=True
-    )
-    length = tracing.lengths(cost, before, centre)
-    claim = tracing.CLAIM_CELLS * cells.grid.size_mm + 0.5 * own / px_a_mm  # a wider root covers more around its centre line
-    lines = tracing.branches(centre, before, np.where(sure & np.isfinite(cost), length, -1.0), claim, _LEAST_MM)
+    flank = 0.5 * size_mm / _BEGIN_MM * _SURE * px_a_mm
+    density = np.where(inside, np.where(tip >= 0, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)
+    claim = tracing.CLAIM_CELLS + 0.5 * own / px_a_mm / size_mm  # a wider root covers more around its centre line
+    ways = tracing.find_paths(lattice, density, np.flatnonzero(inside))
+    lines = tracing.branches(lattice, ways, sure, claim, _LEAST_MM / size_mm)
     paths, radii, parents = [], [], []
     for way in lines:
         opaque = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
         wide = equivalent_radius(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(wide[1:]))))
-        first = int(node[nearest[way[0]]])
-        if inside[way[0]] and at_tip[way[0]]:
-            first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])
-        parents.append(first if inside[way[0]] else -1)
+        begin = way[0]
+        parents.append(int(ends[tip[begin]] if tip[begin] >= 0 else node[nearest[begin]]) if inside[begin] else -1)
     return tubes.attach(found, paths, radii, parents)
 
 

@@ -72,7 +72,7 @@ def find_tree(
     with monitor.stage("tubes"):
         whole = evidence.usable
         evidence, solids, fitted, thick = _separate_solids(evidence, start, core, px_a_mm)
-        depth = tracing.core_depth(cells, solids.index, reach_mm=margin_mm, most_mm=0.0)
+        depth = tracing.core_depth(cells, solids.index, reach_mm=margin_mm)
     with monitor.stage("translucency"):
         attenuation, evidence, fitted = _fit_light(evidence, fitted, thick, learned_per_mm, known)
     with monitor.stage("branches"):

@@ -10,22 +10,21 @@ cost.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.boxes import CellSet
+from rhizotwin.recon.lattice import cells as lattices
+from rhizotwin.recon.lattice import distances
+from rhizotwin.recon.lattice.cells import Lattice, Paths
 from rhizotwin.recon.roots import crown
 from rhizotwin.recon.roots.density import Cells
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-T = TypeVar("T", bound=np.generic)
 
 _SMOOTH_CELLS = 0.7
 """Standard deviation of the Gaussian that smooths the density, in cells. It suppresses noise in single cells."""
@@ -41,9 +40,6 @@ _IN_CORE, _BY_DEPTH = 10.0, 100.0
 paths near the axis."""
 CLAIM_CELLS = 1.5
 """Distance from a traced root within which cells are assigned to the root, in cell edges."""
-_STILL_OPEN = 0.5
-"""Minimum fraction of the cells in the k-d tree that are not yet assigned to a root. Below this fraction, the tree is
-rebuilt without the assigned cells. With one half, each rebuild takes as long as all later rebuilds together."""
 _CORE_CLAIM_MM = 0.65
 """Distance beyond the surface of the core within which cells are assigned to a path in the taproot or hypocotyl, mm."""
 _LEAST_MM = 1.0
@@ -66,7 +62,7 @@ class Path:
     """Shadow area of the cells around each point, shape (N,), mm2."""
 
 
-def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_mm: float = np.inf) -> Array:
+def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Array:
     """Return the depth (N,) of cells inside a core, mm. Outside, it is the negative distance from the core.
 
     Parameters
@@ -77,19 +73,15 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_m
         Cells of the core, on the same lattice.
     reach_mm : float
         Upper limit of the distance outside the core, mm.
-    most_mm : float
-        Upper limit of the depth inside the core, mm.
     """
-    depth = np.full(len(cells.index), -reach_mm)
-    if not len(core):
-        return depth
-    full = CellSet.from_cells(core)
-    rim, beyond = full.faces()  # only cells with a face in common with the other kind can be nearest
-    inside, size_mm = full.contains(cells.index), cells.grid.size_mm
-    deep = cKDTree(beyond).query(cells.index[inside], distance_upper_bound=most_mm / size_mm, workers=-1)[0]
-    depth[inside] = np.minimum(deep * size_mm, most_mm)
-    away = cKDTree(core[rim]).query(cells.index[~inside], distance_upper_bound=reach_mm / size_mm, workers=-1)[0]
-    depth[~inside] = np.maximum(-away * size_mm, -reach_mm)
+    size_mm, order = cells.grid.size_mm, lattices.sort(cells.index)
+    inner, depth = distances.depth(core), np.empty(len(order))
+    # Only cells of the rim, which are one cell deep, can be nearest to a cell outside.
+    reach = np.where(inner == 1.0, max(reach_mm / size_mm, 0.5), 0.5)
+    away, nearest = lattices.find_nearest(Lattice.of(cells.index[order]), core.astype(np.float64), reach)
+    inside = away == 0.0
+    depth[order] = -np.minimum(away * size_mm, reach_mm)
+    depth[order[inside]] = inner[nearest[inside]] * size_mm
     return depth
 
 
@@ -109,13 +101,15 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     list of Path
         Traced branches. Parents come before children. Empty if no cell is dense.
     """
+    order = lattices.sort(cells.index)
+    cells, depth_mm = cells.select(order), depth_mm[order]
+    lattice, centre, size_mm = Lattice.of(cells.index), cells.centre_mm, cells.grid.size_mm
+    shadow = cells.shadow_mm2.astype(np.float64) / size_mm**3
     density, thin = _IN_CORE + _BY_DEPTH * depth_mm, depth_mm <= 0
-    density[thin] = np.minimum(_smooth(cells.select(thin)), _CAP)  # cells of a core have no shadow
+    density[thin] = np.minimum(lattices.smooth(lattice, shadow, np.exp(-0.5 / _SMOOTH_CELLS**2))[thin], _CAP)
     dense = (density > _DENSE) & ((depth_mm > 0) | (depth_mm <= depth_mm.min()))
     if not dense.any():
         return []
-    centre = cells.centre_mm
-    joined = graph(cells, density)
     members = crown.find_top_cells(centre, dense, cells.tops_mm)
     if not members:
         # Use the top of the heaviest connected part, including the organs and the cells between them and their roots: a
@@ -125,12 +119,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre, density, depth_mm) for top, plant in members.items()}
-    bridges = _bridge_net_pot(cells, dense, np.array(list(starts.values())))
-    joined = joined + bridges if bridges.nnz else joined  # the sum takes as much memory again
-    cost, before, _ = dijkstra(joined, directed=False, indices=list(starts.values()), min_only=True, return_predecessors=True)
-    length = lengths(cost, before, centre)
-    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
-    lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
+    found = find_paths(lattice, density, np.array(list(starts.values())))
+    _bridge_net_pot(cells, lattice, density, dense, found, centre[list(starts.values()), 2].min())
+    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * size_mm)
+    lines = branches(lattice, found, dense, claim / size_mm, _LEAST_MM / size_mm)
     if not lines:
         return []
     some = np.flatnonzero(cells.shadow_mm2)
@@ -145,22 +137,24 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     return [Path(*path) for path in crown.attach_paths(hung, under, cells.grid.size_mm)] if under else paths
 
 
-def _bridge_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
-    """Return the edges of the graph (N, N) that connect separate parts of the search space behind the net pot.
+def _bridge_net_pot(cells: Cells, lattice: Lattice, density: Array, dense: NDArray[np.bool_], paths: Paths, top_mm: float) -> None:
+    """Extend paths to separate parts of the search space behind the net pot.
 
-    Their cost per millimetre is that of empty cells. A part is connected to a plant if the distance of its dense cells
-    from the plant's top does not exceed the maximum length of a hidden base.
+    The cost per millimetre is that of empty cells. A part is connected to a plant if the distance of its dense cells
+    from the plant's top, which is at the height ``top_mm``, does not exceed the maximum length of a hidden base.
     """
-    centre, part = cells.centre_mm, CellSet.from_cells(cells.index).components()
-    begun, top_mm = np.isin(part, part[starts]), centre[starts, 2].min()
+    centre, begun = cells.centre_mm, np.isfinite(paths.cost)
     heads = np.flatnonzero(dense & begun & (centre[:, 2] > top_mm - _TOP_MM))
-    high = np.flatnonzero(dense & ~begun & (centre[:, 2] > top_mm - crown.HIDDEN_MM))
-    away, nearest = cKDTree(centre[heads]).query(centre[high], distance_upper_bound=crown.HIDDEN_MM)
+    rest = np.flatnonzero(~begun)
+    part, high = CellSet.from_cells(cells.index[rest]).components(), dense[rest] & (centre[rest, 2] > top_mm - crown.HIDDEN_MM)
+    away, nearest = cKDTree(centre[heads]).query(centre[rest[high]], distance_upper_bound=crown.HIDDEN_MM)
     order = np.argsort(away, kind="stable")
     order = order[np.isfinite(away[order])]
-    first = order[np.unique(part[high[order]], return_index=True)[1]]
-    shape = (len(centre), len(centre))
-    return coo_matrix(((away[first] / _BRIDGE).astype(np.float32), (heads[nearest[first]], high[first])), shape=shape).tocsr()
+    first = order[np.unique(part[high][order], return_index=True)[1]]
+    head, begin, way = heads[nearest[first]], rest[high][first], away[first] / cells.grid.size_mm
+    paths.before[begin] = head
+    paths.cost[begin], paths.length[begin] = paths.cost[head] + way / _BRIDGE, paths.length[head] + way
+    lattices.extend_paths(lattice, _resistance(density), begin, paths)
 
 
 def _start(plant: Index, centre: Array, density: Array, depth_mm: Array) -> int:
@@ -183,128 +177,35 @@ def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
     return plant[(height_mm[plant] > highest - _TOP_MM) & (height_mm[plant] <= highest)]
 
 
-def _smooth(cells: Cells) -> Array:
-    """Return the density (N,) of cells after smoothing with a Gaussian of 0.7 cells, 1/mm.
-
-    The density is the shadow area per volume.
-    """
-    density = cells.shadow_mm2.astype(np.float64) / cells.grid.size_mm**3
-    beside = np.exp(-0.5 / _SMOOTH_CELLS**2)
-    middle = 1.0 / (1.0 + 2.0 * beside)  # the Gaussian is truncated after the neighbours
-    smooth = middle**3 * density
-    for step, here, there in CellSet.from_cells(cells.index).neighbours():
-        share = middle**3 * beside ** np.abs(step).sum()
-        smooth[here] += share * density[there]
-        smooth[there] += share * density[here]
-    return smooth
+def _resistance(density: Array) -> Array:
+    """Return the cost (N,) of a path per millimetre in each cell."""
+    return 1.0 / (density + _BRIDGE)
 
 
-def graph(cells: Cells, density: Array) -> csr_matrix:
-    """Return a sparse graph (N, N) that connects each cell with its 26 neighbours, weighted by the cost of the path."""
-    count = len(cells.index)
-    cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
-    rows, columns, values = list[NDArray[np.int32]](), list[NDArray[np.int32]](), list[NDArray[np.float32]]()
-    for step, here, there in CellSet.from_cells(cells.index).neighbours():
-        way = np.float32(cells.grid.size_mm * np.linalg.norm(step))
-        rows.append(here.astype(np.int32))
-        columns.append(there.astype(np.int32))
-        values.append(way * np.float32(0.5) * (cost[here] + cost[there]))
-    return coo_matrix((_concatenate(values), (_concatenate(rows), _concatenate(columns))), shape=(count, count)).tocsr()
+def find_paths(lattice: Lattice, density: Array, starts: Index) -> Paths:
+    """Return the shortest paths from the cells ``starts`` (S,) to all cells that are connected to them."""
+    paths = Paths.none(len(density))
+    paths.cost[starts] = 0.0
+    lattices.extend_paths(lattice, _resistance(density), starts, paths)
+    return paths
 
 
-def _concatenate(parts: list[NDArray[T]]) -> NDArray[T]:
-    """Concatenate arrays and clear the list, so that the data are not held twice in memory."""
-    whole = np.concatenate(parts)
-    parts.clear()
-    return whole
-
-
-def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
-    """Compute the length (N,) of the path from each cell to the top by pointer doubling, mm.
-
-    It is -1 for a cell without a path.
-    """
-    start = before < 0
-    jump = np.where(start, np.arange(len(before)), before)
-    length = np.where(start, 0.0, np.linalg.norm(centre - centre[jump], axis=1))
-    while True:
-        onward = jump[jump]
-        if (onward == jump).all():
-            return np.where(np.isfinite(cost), length, -1.0)
-        length = length + length[jump]
-        jump = onward
-
-
-def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: Array, least_mm: float = _LEAST_MM) -> list[Index]:
-    """Extract branches from the tree of shortest paths.
+def branches(lattice: Lattice, paths: Paths, tips: NDArray[np.bool_], claim: Array, least: float) -> list[Index]:
+    """Extract branches from the tree of shortest paths, the longest first.
 
     Each branch is an array (n,) of cells, from a cell of its parent to its tip.
 
     Parameters
     ----------
-    centre : (N, 3) float64 array
-        Centres of the cells, mm.
-    before : (N,) int32 array
-        Preceding cell of each cell on its path, negative at the start.
-    length : (N,) float64 array
-        Length of each cell's path, mm; negative for cells that cannot be tips.
-    claim_mm : (N,) float64 array
-        Distance from each cell within which a branch through the cell claims other cells, mm.
-    least_mm : float
-        Minimum length of a branch within unclaimed cells, mm.
+    tips : (N,) bool array
+        Mask of cells that can be tips.
+    claim, least : (N,) float64 array, float
+        See `lattice.cells.extract_branches`.
     """
-    owned, left = np.zeros(len(centre), bool), length.copy()
-    some = np.flatnonzero(left >= 0.0)
-    tree, unclaimed = cKDTree(centre[some]), len(some)
-
-    def claim(cell: int) -> int:
-        """Claim the cells around a cell, and return how many were not claimed before."""
-        near = some[tree.query_ball_point(centre[cell], claim_mm[cell])]
-        new = int(np.count_nonzero(left[near] >= 0.0))
-        left[near] = -1.0
-        return new
-
-    # Native Python numbers, several times as fast in a scalar loop.
-    prior, taken, open_ = before.data, owned.data, left.data
-    step = np.linalg.norm(centre - centre[np.maximum(before, 0)], axis=1).data
-    lines: list[Index] = []
-    for tip in np.argsort(-length, kind="stable"):
-        if length[tip] <= 0:
-            break
-        if left[tip] < 0:
-            continue
-        way, fresh = [int(tip)], 0.0
-        while prior[way[-1]] >= 0 and not taken[way[-1]]:
-            fresh += step[way[-1]] if open_[way[-1]] >= 0.0 else 0.0
-            way.append(prior[way[-1]])
-        if fresh < max(least_mm, claim_mm[tip]):
-            unclaimed -= claim(tip)
-            continue
-        line = np.array(way[::-1])
-        # In taproot and hypocotyl the spheres are large: a few of them cover the path.
-        for cell in line[_select_spaced(centre[line], claim_mm[line])]:
-            unclaimed -= claim(cell)
-        owned[line] = True
-        lines.append(line)
-        if unclaimed < _STILL_OPEN * len(some):  # the first branches claim most cells
-            some = some[left[some] >= 0.0]
-            tree = cKDTree(centre[some])
-    return lines
-
-
-def _select_spaced(line: Array, claim_mm: Array) -> list[int]:
-    """Select cells along a line at a spacing of about a third of their claim distance.
-
-    The claim distance is the distance within which other cells are assigned to the line. The last cell is always
-    selected.
-    """
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    chosen, begin = [0], 0
-    for k in range(1, len(line)):
-        if along[k] - along[begin] > claim_mm[k] / 3.0 or k == len(line) - 1:
-            chosen.append(k)
-            begin = k
-    return chosen
+    some = np.flatnonzero(tips & np.isfinite(paths.cost) & (paths.length > 0.0))
+    some = some[np.argsort(-paths.length[some], kind="stable")]
+    flat, ends = lattices.extract_branches(lattice, paths, some, claim, least)
+    return np.split(flat, ends)[:-1]
 
 
 def first_radius(path: Path) -> Array:
