@@ -137,7 +137,7 @@ def _edge_distance(value: Image) -> Image:
 
 
 def depth(index: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Return the distance (N,) from each cell (N, 3) of a set to the nearest empty cell, in cells, between their centres."""
+    """Return the distance (N,) of each cell (N, 3) of a set from the nearest empty cell, in cells."""
     low = index.min(axis=0, initial=0)
     place = index.astype(np.int64) - low
     span = place.max(axis=0, initial=0) + 2  # consecutive numbers are neighbours on one line
