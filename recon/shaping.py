@@ -1,9 +1,11 @@
 """Stages from silhouettes to a solid: outlines, hull, trimming, surface and extents."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import trimesh
+from numpy.typing import NDArray
 
 from rhizotwin.recon.carved_hull import CarvedHull
 from rhizotwin.recon.coverage.evidence import Evidence
@@ -16,6 +18,7 @@ from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.tubes import tube_mesh
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.uncertainty import diameter_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget
@@ -96,15 +99,18 @@ def make_solid(
     if hidden is not None:
         bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * extrapolate
         warnings = [*warnings, hidden.warning(is_added=extrapolate)]
-    solid = measure(
-        hull,
-        shape.leaves,
-        voxel_mm=settings.voxel_mm,
-        budget=assessed.budget,
-        bounds_mm3=bounds,
-        untrimmed_mm3=solids.kept_mm3,
-        monitor=monitor,
-    )
+    with monitor.stage("surface"):
+        thin = () if system is None or shape.thin is None else tube_mesh.mesh_parts(system.tubes, shape.thin)
+        mesh = make_surface(shape.thick, thin)
+        solid = measure(
+            hull,
+            shape.leaves,
+            mesh,
+            voxel_mm=settings.voxel_mm,
+            budget=assessed.budget,
+            bounds_mm3=bounds,
+            untrimmed_mm3=solids.kept_mm3,
+        )
     solid = replace(solid, warnings=(*warnings, *solid.warnings), checks=assessed.checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
@@ -133,6 +139,7 @@ def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[R
     return UnitedShape(
         leaves=leaves,
         thick=thick,
+        thin=tubes.thin,
         solids=replace(solids, leaves=concatenate([solids.leaves, missing]), kept=np.concatenate([solids.kept, missing.occupancy])),
         part=concatenate([part, lacking]),
         thinner_mm3=tubes.thinner_mm3,
@@ -152,17 +159,35 @@ def _find_missing(carved: CarvedHull, system: RootSystem, shape: Leaves) -> tupl
     return trimming.find_missing(carved.bank, carved.maps, shape, outside, inside)
 
 
+def make_surface(leaves: Leaves, tubes: Iterable[tuple[NDArray[np.float64], NDArray[np.int64]]] = ()) -> trimesh.Trimesh:
+    """Return the closed surface of leaves and of tubes that are thinner than the leaves resolve.
+
+    Parameters
+    ----------
+    leaves : Leaves
+        Leaves of the parts that are thicker than a voxel.
+    tubes : iterable
+        Vertices (V, 3), mm, and faces (F, 3) of each tube.
+    """
+    units, merged = 1, (leaves.index, leaves.size, leaves.occupancy)
+    while len(merged[1]) > _SURFACE_LEAVES:
+        units *= 2
+        merged = surface.to_voxels(leaves, units)
+    thick = surface.surface(*merged, origin_mm=np.asarray(leaves.grid.origin_mm, np.float64), voxel_mm=units * leaves.grid.size_mm)
+    return surface.unite([(np.asarray(thick.vertices), np.asarray(thick.faces)), *tubes])
+
+
 def measure(
     hull: Hull,
     leaves: Leaves,
+    mesh: trimesh.Trimesh,
     *,
     voxel_mm: float,
     budget: Budget,
     bounds_mm3: tuple[float, float],
     untrimmed_mm3: float,
-    monitor: Monitor,
 ) -> Solid:
-    """Merge leaves into voxels, compute the surface, and measure the extents.
+    """Merge leaves into voxels, and measure the extents.
 
     Parameters
     ----------
@@ -170,6 +195,8 @@ def measure(
         Carved hull with its grid.
     leaves : Leaves
         Leaves of the solid.
+    mesh : trimesh.Trimesh
+        Surface of the solid (`make_surface`).
     voxel_mm : float
         Edge length of the output voxels, mm.
     budget : Budget
@@ -178,37 +205,28 @@ def measure(
         Smallest and largest volume that the silhouettes allow.
     untrimmed_mm3 : float
         Volume of untrimmed hull within the solid.
-    monitor : Monitor
-        Receives progress messages.
     """
     warnings: tuple[str, ...] = ()
-    with monitor.stage("surface"):
-        voxels = _voxels(leaves, voxel_mm)
-        units, parts = 1, (leaves.index, leaves.size, leaves.occupancy)
-        while len(parts[1]) > _SURFACE_LEAVES:
-            units *= 2
-            parts = surface.to_voxels(leaves, units)
-        origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
-        mesh = surface.surface(*parts, origin_mm=origin_mm, voxel_mm=units * leaves.grid.size_mm)
-        if len(mesh.vertices):
-            low, high = np.asarray(mesh.bounds, np.float64)
-        else:
-            warnings = ("the shape is thinner than the voxels everywhere, so its surface is empty. Choose a smaller --voxel-mm.",)
-            corners = origin_mm + voxel_mm * voxels.low
-            low, high = corners.min(axis=0), (corners + voxel_mm * voxels.size[:, None]).max(axis=0)
-        return Solid(
-            voxels=voxels,
-            hull=_voxels(hull.leaves, voxel_mm),
-            finest_mm=leaves.grid.size_mm,
-            mesh=mesh,
-            volume=budget.volume(bounds_mm3),
-            hull_mm3=hull.leaves.volume_mm3(),
-            untrimmed_mm3=untrimmed_mm3,
-            blind_mm3=hull.blind_mm3,
-            extents_min_mm=triple(low),
-            extents_max_mm=triple(high),
-            warnings=warnings,
-        )
+    voxels = _voxels(leaves, voxel_mm)
+    if len(mesh.vertices):
+        low, high = np.asarray(mesh.bounds, np.float64)
+    else:
+        warnings = ("the shape is thinner than the voxels everywhere, so its surface is empty. Choose a smaller --voxel-mm.",)
+        corners = np.asarray(leaves.grid.origin_mm, np.float64) + voxel_mm * voxels.low
+        low, high = corners.min(axis=0), (corners + voxel_mm * voxels.size[:, None]).max(axis=0)
+    return Solid(
+        voxels=voxels,
+        hull=_voxels(hull.leaves, voxel_mm),
+        finest_mm=leaves.grid.size_mm,
+        mesh=mesh,
+        volume=budget.volume(bounds_mm3),
+        hull_mm3=hull.leaves.volume_mm3(),
+        untrimmed_mm3=untrimmed_mm3,
+        blind_mm3=hull.blind_mm3,
+        extents_min_mm=triple(low),
+        extents_max_mm=triple(high),
+        warnings=warnings,
+    )
 
 
 def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.recon.carved_hull import CarvedHull, missed_share
 from rhizotwin.recon.hull.leaves import Leaves
@@ -42,6 +43,8 @@ class UnitedShape:
     """Leaves of the whole shape."""
     thick: Leaves
     """Leaves of thick roots and solids."""
+    thin: NDArray[np.bool_] | None = None
+    """Mask (N,) of the nodes of tubes that are not among them; None without tubes."""
     solids: TrimmedHull
     """Trimmed hull of the solids, and the parts of the hull that complete thick roots."""
     part: Leaves

@@ -1,9 +1,10 @@
 """Conversion of octree leaves of several sizes to uniform voxels and to a triangle mesh."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import trimesh
+from manifold3d import Manifold, Mesh64, OpType
 from numpy.typing import NDArray
 from skimage import measure
 
@@ -13,6 +14,9 @@ from rhizotwin.recon.hull.leaves import Leaves
 _BRICK = 96
 """Edge length of the blocks in which the surface is extracted, in voxels. A block requires 3.5 MB, and 3 % of its
 voxels are shared with adjacent blocks."""
+_HALF, _OFF_HALF = 0.5, 0.001
+"""Occupancy at the surface, and minimum difference from it. A vertex at the centre of a voxel would be shared by
+triangles that enclose nothing, and the surface would not be closed there."""
 
 
 def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
@@ -100,7 +104,8 @@ def surface(
 ) -> trimesh.Trimesh:
     """Return the surface of a shape as a closed mesh, canister frame, mm.
 
-    The surface is extracted at an occupancy of one half, block by block, with marching cubes.
+    The surface is extracted at an occupancy of one half, block by block, with marching cubes. It lacks parts that are
+    thinner than a voxel.
 
     Parameters
     ----------
@@ -120,9 +125,10 @@ def surface(
     """
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     for corner, block in _bricks(index, size, occupancy):
-        if block.max() <= 0.5 or block.min() >= 0.5:
+        block[np.abs(block - _HALF) < _OFF_HALF] = _HALF + _OFF_HALF
+        if block.max() <= _HALF or block.min() >= _HALF:
             continue
-        v, f, _, _ = measure.marching_cubes(block, level=0.5, allow_degenerate=False)
+        v, f, _, _ = measure.marching_cubes(block, level=_HALF, allow_degenerate=False)
         vertices.append(v.astype(np.float64) + corner)
         faces.append(f[:, ::-1].astype(np.int64) + count)  # counter-clockwise from outside
         count += len(v)
@@ -130,3 +136,10 @@ def surface(
     mesh.merge_vertices(digits_vertex=5)
     mesh.vertices = origin_mm + (np.asarray(mesh.vertices) + 0.5) * voxel_mm
     return mesh
+
+
+def unite(meshes: Iterable[tuple[NDArray[np.float64], NDArray[np.int64]]]) -> trimesh.Trimesh:
+    """Return the union of closed meshes, each given by its vertices (V, 3), mm, and faces (F, 3)."""
+    parts = [Manifold(Mesh64(vertices, faces.astype(np.uint64))) for vertices, faces in meshes if len(faces)]
+    united = Manifold.batch_boolean(parts, OpType.Add).to_mesh64()
+    return trimesh.Trimesh(np.asarray(united.vert_properties)[:, :3], np.asarray(united.tri_verts, np.int64), process=False)

@@ -40,6 +40,8 @@ class CombinedShape:
     leaves: Leaves
     thick: Leaves
     """Leaves of the solids and of the thick roots, without those of thin roots."""
+    thin: Mask
+    """Mask (N,) of the nodes of thin roots."""
     thinner_mm3: float
     """Decrease of the volume of the tubes if their radii are reduced by `_SLACK_PX`, mm3."""
     thicker_mm3: float
@@ -54,7 +56,8 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
     tubes, grid = system.tubes, solids.grid
     wide = np.asarray(tubes.radius_mm > _WIDE_NODES * grid.size_mm) & ~system.solid
     spacing_mm = max(grid.size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
-    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
+    filled = system.solid | wide
+    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=filled | other), grid) for other in (system.thick, ~system.thick))
     inner = frustums.fill(_find_frustums(tubes, wide), *_inscribe_spheres(tubes, wide), grid)
     thick = unite(solids, intersect(unite(inner, flanks), hull))
     leaves = unite(thick, thin)
@@ -64,7 +67,7 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
     radius = free[tubes.segments[:, 1]]
     thinner = float(np.pi * length @ (radius**2 - np.maximum(radius - slack_mm, 0.0) ** 2))
     thicker = float(np.pi * length @ ((radius + slack_mm) ** 2 - radius**2))
-    return CombinedShape(leaves, thick, thinner, thicker)
+    return CombinedShape(leaves, thick, ~(filled | system.thick), thinner, thicker)
 
 
 def _find_frustums(tubes: Tubes, wide: Mask) -> Frustums:

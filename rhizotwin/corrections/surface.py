@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rhizotwin.corrections.solid import Solid
 from rhizotwin.corrections.state import State
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.root_mesh import tube
+from rhizotwin.recon.tubes.tube_mesh import tube
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
-from rhizotwin.root_mesh import tube
+from rhizotwin.recon.tubes.tube_mesh import tube
 from rhizotwin.viewer.glb import Triangles, concatenate
 
 Array = NDArray[np.float64]
