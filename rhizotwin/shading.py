@@ -6,13 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.lattice.compiled import compiled
 from rhizotwin.recon.results.parts import Mesh
 
 Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
-
-PAIRS_AT_ONCE = 2_000_000
-"""Maximum number of pairs of a triangle and a pixel that are processed in one vectorised step. It limits the memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,69 +72,53 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
     left, right, bottom, top = box_mm
     width, height = max(1, round((right - left) / px_mm)), max(1, round((top - bottom) / px_mm))
     view = mesh.vertices_mm @ side.axes.T
-    # pixel centres are at integers, and rows count downwards
     flat = np.stack([(view[:, 0] - left) / px_mm - 0.5, (top - view[:, 1]) / px_mm - 0.5, view[:, 2]], axis=1)
-    low = np.maximum(np.ceil(_of_faces(np.minimum, flat[:, :2], mesh.faces)).astype(np.int64), 0)
-    high = np.minimum(np.floor(_of_faces(np.maximum, flat[:, :2], mesh.faces)).astype(np.int64) + 1, [width, height])
-    size = np.maximum(high - low, 0)
-    some = np.flatnonzero(size.prod(axis=1))  # most triangles of a fine mesh contain no pixel centre
-    low, size, faces = low[some], size[some], mesh.faces[some]
-    pairs, planes = size.prod(axis=1), _planes(flat, faces)
-    normals = (vertex_normals(mesh) @ side.axes.T).astype(np.float32)
-
-    depth = np.full(width * height, -np.inf)
-    found = np.zeros((width * height, 3), np.float32)
-    block = np.cumsum(pairs) // PAIRS_AT_ONCE
-    for part in np.split(np.arange(len(pairs)), np.flatnonzero(np.diff(block)) + 1):
-        triangle = np.repeat(part, pairs[part])
-        if not len(triangle):
-            continue
-        step = np.arange(len(triangle)) - np.repeat(np.cumsum(pairs[part]) - pairs[part], pairs[part])
-        step_y, step_x = np.divmod(step, size[triangle, 0])
-        x, y = low[triangle, 0] + step_x, low[triangle, 1] + step_y
-        w_b, w_c, z = (plane[0] * x + plane[1] * y + plane[2] for plane in planes[:, :, triangle])
-        inside = np.flatnonzero(np.minimum(np.minimum(w_b, w_c), 1.0 - w_b - w_c) >= -1e-9)
-        pixel, z = (y * width + x)[inside], z[inside]
-        np.maximum.at(depth, pixel, z)
-        front = z == depth[pixel]
-        inside, pixel = inside[front], pixel[front]
-        weights = np.stack([1.0 - w_b[inside] - w_c[inside], w_b[inside], w_c[inside]], axis=1).astype(np.float32)
-        found[pixel] = np.einsum("ij,ijk->ik", weights, normals[faces[triangle[inside]]])
+    normals = vertex_normals(mesh) @ side.axes.T
+    depth, normal = np.full((height, width), -np.inf), np.zeros((height, width, 3), np.float32)
+    _draw_triangles(flat, np.ascontiguousarray(mesh.faces), normals, depth, normal)
     hit = np.isfinite(depth)
-    length = np.sqrt(np.einsum("ij,ij->i", found, found))[:, None]
-    normal = (found / np.where(length > 0.0, length, 1.0)).astype(np.float32)
-    shape = (height, width)
-    return Raster(
-        hit=hit.reshape(shape),
-        depth_mm=np.where(hit, depth, 0.0).astype(np.float32).reshape(shape),
-        normal=normal.reshape(*shape, 3),
-    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-12)
+    return Raster(hit=hit, depth_mm=np.where(hit, depth, 0.0).astype(np.float32), normal=normal)
 
 
-def _of_faces(least: np.ufunc, values: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return the minimum or maximum (F, K), over the three corners of each face (F, 3), of K values per vertex (V, K).
+@compiled
+def _draw_triangles(corners: Floats, faces: NDArray[np.int64], normals: Floats, depth: Floats, normal: Pixels) -> None:
+    """Draw triangles into a depth map and a map of normals.
 
-    ``least`` is the function of two arrays that computes the minimum or the maximum.
+    A pixel is drawn if its centre is inside the triangle, and nearer to the viewer than what was drawn before.
+
+    Parameters
+    ----------
+    corners : (V, 3) array
+        Column and row of each vertex, in pixels, and its coordinate towards the viewer.
+    faces : (F, 3) array
+        Indices of the vertices.
+    normals : (V, 3) array
+        Normals of the vertices, of any length.
+    depth, normal : (H, W) array, (H, W, 3) array
+        Maps that are changed. Normals are interpolated, and do not have unit length.
     """
-    a, b, c = (values[corner] for corner in faces.T)
-    return np.asarray(least(least(a, b), c))
-
-
-def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return three linear functions of the pixel for each triangle (3, 3, F).
-
-    The functions are the barycentric weights of the second and third corner, and the depth. Each consists of the
-    derivatives by x and y and the value at the origin. All are NaN for triangles seen edge-on, which cover no pixel.
-    """
-    a, b, c = (flat[corner].T for corner in faces.T)
-    (b_x, b_y, b_z), (c_x, c_y, c_z) = b - a, c - a
-    det = b_x * c_y - c_x * b_y
-    det[det == 0.0] = np.nan
-    by_x, by_y = np.stack([c_y, -b_y]) / det, np.stack([-c_x, b_x]) / det
-    planes = np.stack([by_x, by_y, -by_x * a[0] - by_y * a[1]], axis=1)
-    depth = planes[0] * b_z + planes[1] * c_z
-    depth[2] += a[2]
-    return np.concatenate([planes, depth[None]])
+    height, width = depth.shape
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        a_x, a_y, a_z = corners[a, 0], corners[a, 1], corners[a, 2]
+        b_x, b_y, b_z = corners[b, 0] - a_x, corners[b, 1] - a_y, corners[b, 2] - a_z
+        c_x, c_y, c_z = corners[c, 0] - a_x, corners[c, 1] - a_y, corners[c, 2] - a_z
+        det = b_x * c_y - c_x * b_y
+        if det == 0.0:  # seen edge-on
+            continue
+        left, right = max(np.ceil(a_x + min(0.0, b_x, c_x)), 0.0), min(np.floor(a_x + max(0.0, b_x, c_x)), width - 1.0)
+        top, bottom = max(np.ceil(a_y + min(0.0, b_y, c_y)), 0.0), min(np.floor(a_y + max(0.0, b_y, c_y)), height - 1.0)
+        for row in range(int(top), int(bottom) + 1):
+            for column in range(int(left), int(right) + 1):
+                x, y = column - a_x, row - a_y
+                w_b = (x * c_y - y * c_x) / det
+                w_c = (y * b_x - x * b_y) / det
+                z = a_z + w_b * b_z + w_c * c_z
+                if min(w_b, w_c, 1.0 - w_b - w_c) >= -1e-9 and z > depth[row, column]:
+                    depth[row, column] = z
+                    for axis in range(3):
+                        normal[row, column, axis] = (1.0 - w_b - w_c) * normals[a, axis] + w_b * normals[b, axis] + w_c * normals[c, axis]
 
 
 def vertex_normals(mesh: Mesh) -> Floats:
@@ -215,6 +197,6 @@ def shade(
     rgba = np.concatenate([np.clip(rgb, 0.0, 1.0) * hit[..., None], hit[..., None]], axis=2)
     if shrink > 1:
         height, width = (n // shrink for n in hit.shape)
-        rgba = rgba[: height * shrink, : width * shrink].reshape(height, shrink, width, shrink, 4).mean(axis=(1, 3))
+        rgba = cv2.resize(rgba[: height * shrink, : width * shrink], (width, height), interpolation=cv2.INTER_AREA)
     rgba[..., :3] /= np.maximum(rgba[..., 3:], 1e-9)
     return np.asarray(np.clip(rgba, 0.0, 1.0))

@@ -79,7 +79,7 @@ def simplify(mesh: Mesh, most: int) -> Mesh:
         return mesh
     import manifold3d
 
-    solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices_mm, mesh.faces.astype(np.uint64)))
+    solid = manifold3d.Manifold(manifold3d.Mesh64(np.array(mesh.vertices_mm, order="C"), mesh.faces.astype(np.uint64, order="C")))
     if solid.status() != manifold3d.Error.NoError:
         raise ValueError(f"the surface is not closed: {solid.status()}")
     volume_mm3, tolerance_mm = solid.volume(), _FIRST_TOLERANCE_MM

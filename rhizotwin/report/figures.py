@@ -9,21 +9,21 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from rhizotwin import root_colours, shading
 from rhizotwin.corrections.lines import Lines, as_lines
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
 from rhizotwin.report.sides import SHAPE_RGB, SHRINK, Box, boxes, raster
-from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.formatting import printable
-from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import surface_distance
 from rhizotwin.stored.load import read_silhouette
+from rhizotwin.through_water import Pictures
 
 Floats = NDArray[np.float64]
 TRUTH_RGB = (0.42, 0.62, 0.80)
@@ -42,56 +42,30 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
 
     Unusable pixels of the silhouettes are red. The figure is None if the result has no silhouettes.
     """
-    used = [view for view in summary["views"] if view["used"]]
-    used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
-    if not used:
+    pictures = Pictures.of(dataset, summary)
+    stored = [place for place, file in enumerate(pictures.files) if picture_path(result_folder / "silhouettes", file).is_file()]
+    if not stored:
         return None
-    chosen = [used[i] for i in np.unique(np.linspace(0, len(used), min(_VIEWS_SHOWN, len(used)), endpoint=False).astype(int))]
+    chosen = [stored[i] for i in np.unique(np.linspace(0, len(stored), min(_VIEWS_SHOWN, len(stored)), endpoint=False).astype(int))]
     width, height = dataset.scene.camera.image_wh
     drawn = figure(3.6 * len(chosen), 7.2 * height / width + 0.9)
-    axes = drawn.subplots(2, len(chosen), squeeze=False)
-    for column, view in enumerate(chosen):
-        picture = for_screen(dataset, view["file"])
-        found = read_silhouette(result_folder, view["file"])
+    for place, (above, below) in zip(chosen, drawn.subplots(2, len(chosen), squeeze=False).T, strict=True):
+        file = pictures.files[place]
+        found = read_silhouette(result_folder, file)
         silhouette = np.repeat(found.coverage[..., None].astype(np.float64), 3, axis=2)
         silhouette[~found.usable] = 0.55 * silhouette[~found.usable] + 0.45 * UNSEEN_RGB
-        if picture is not None:
-            axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
-        axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
-        angle = "" if view.get("table_deg") is None else f", table {round(view['table_deg']) % 360} deg"
-        axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9, parse_math=False)
-        fill = "" if view.get("fill") is None else f", covers {100.0 * view['fill']:.1f} % of the visible water"
-        axes[1, column].set_title(f"silhouette{fill}", fontsize=9)
-        for axis in axes[:, column]:
-            axis.set_xticks([])
-            axis.set_yticks([])
+        try:
+            above.imshow(pictures.picture(place), interpolation="antialiased")
+        except UserError as error:
+            logging.getLogger(__name__).warning("%s; the figure is drawn without this picture", printable(str(error)))
+        below.imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
+        above.set_title(Path(file).name, fontsize=9, parse_math=False)
+        below.set_title("silhouette", fontsize=9)
+        for axes in (above, below):
+            axes.set_xticks([])
+            axes.set_yticks([])
     drawn.supxlabel("white: roots; red: pixels without information about the roots", fontsize=9)
     return drawn
-
-
-def for_screen(dataset: Dataset, file: str) -> Floats | None:
-    """Return a picture of the dataset (H, W) as sRGB values from 0 to 1.
-
-    If the picture cannot be read, a warning is logged, and None is returned.
-    """
-    try:
-        picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
-    except UserError as error:
-        logging.getLogger(__name__).warning("%s; the report is written without this picture", printable(str(error)))
-        return None
-    picture /= max(np.percentile(picture, 99.8), 1.0)
-    # linear intensities are converted with the gamma of a screen
-    return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
-
-
-def _canister_outline(axes: Axes, scene: Scene) -> None:
-    """Draw walls, floor and water of the canister from the side."""
-    can = scene.canister
-    outer, inner, floor = can.outer_radius_mm, can.inner_radius_mm, can.floor_z_mm
-    axes.add_patch(Rectangle((-outer, -can.height_mm), 2.0 * outer, can.height_mm, facecolor="#f4f4f4", edgecolor="#808080", linewidth=1.2))
-    axes.add_patch(
-        Rectangle((-inner, floor), 2.0 * inner, scene.water.level_mm - floor, facecolor="#eff7fc", edgecolor="#a0c4dc", linewidth=0.8)
-    )
 
 
 def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order") -> Figure:
@@ -119,9 +93,7 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
         seen, px_mm = raster(shape, side, box)
         shades = _colours_of_pixels(seen, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
         picture = shading.shade(seen, shades, px_mm=px_mm, shrink=SHRINK)
-        axes.imshow(picture, extent=box, origin="upper", interpolation="antialiased")
-        put_axes(axes, side, box)
-        axes.set_title(side.name, fontsize=10)
+        _show_rendering(axes, side, box, picture)
     if lines and key.swatches:
         handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
         drawn.legend(handles=handles, loc="outside right center", fontsize=8, frameon=False)
@@ -145,7 +117,7 @@ def _colours_of_pixels(
     return picture
 
 
-def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Figure:
+def shape_and_truth(shape: Mesh, truth: Mesh, *, title: str) -> Figure:
     """Draw the reconstructed shape, the true shape, and the distance between their surfaces.
 
     The top row shows them from the front, the bottom row from the side. The colours of the third column show the
@@ -155,8 +127,6 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
     ----------
     shape, truth : Mesh
         Surface meshes, mm, canister frame.
-    scene : Scene
-        Scene with the canister that is drawn behind the shape.
     title : str
         Title of the figure.
 
@@ -167,7 +137,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
     """
     around = boxes(np.concatenate([shape.vertices_mm, truth.vertices_mm]), _SIDES)
     seen = [raster(shape, side, box) for side, box in zip(_SIDES, around, strict=True)]
-    apart = [surface_distances(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(_SIDES, around, seen, strict=True)]
+    apart = [_surface_distances(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(_SIDES, around, seen, strict=True)]
     shown = np.concatenate([distance[found.hit] for distance, (found, _) in zip(apart, seen, strict=True)])
     most = float(np.percentile(shown, 98.0)) if len(shown) else 0.0
     scale = ScalarMappable(norm=Normalize(0.0, max(0.05, most)), cmap="viridis")
@@ -183,8 +153,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
             shading.shade(found, by_distance, px_mm=px_mm, shrink=SHRINK, flat=True),
         )
         for axes, drawing in zip(row, drawings, strict=True):
-            _show_rendering(axes, scene, side, box, drawing)
-            axes.set_title(side.name, fontsize=9)
+            _show_rendering(axes, side, box, drawing)
     for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, distance to the truth"), strict=True):
         axes.set_title(f"{name}\n{_SIDES[0].name}", fontsize=9)
     bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
@@ -193,16 +162,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
     return drawn
 
 
-def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
-    """Set the limits and labels of axes that show a rectangle in a projection."""
-    axes.set_xlim(box[0], box[1])
-    axes.set_ylim(box[2], box[3])
-    axes.set_aspect("equal")
-    axes.set_xlabel(side.right_label)
-    axes.set_ylabel("z (mm)")
-
-
-def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
+def _surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
     """Return the distance (H, W), mm, from the reconstructed surface in each rendered pixel to the true surface.
 
     It is zero in empty pixels. One distance is computed for each block of pixels, at its first pixel.
@@ -232,8 +192,8 @@ def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm
     return distance
 
 
-def _show_rendering(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
-    """Show a rendering at its position in the canister."""
-    _canister_outline(axes, scene)
-    axes.imshow(picture, extent=box, origin="upper", zorder=5, interpolation="antialiased")
-    put_axes(axes, side, box)
+def _show_rendering(axes: Axes, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
+    axes.imshow(picture, extent=box, interpolation="antialiased")
+    axes.set_title(side.name, fontsize=10)
+    axes.set_xlabel(side.right_label)
+    axes.set_ylabel("z (mm)")

@@ -38,7 +38,6 @@ of the picture, and minimum width, px. Narrower crops are enlarged."""
 CAPTIONS = {
     "inputs.png": "Pictures (top) and silhouettes (bottom). Red: pixels without information about the roots.",
     "shape_and_truth.png": "Reconstructed surface, true surface, and the distance between them, from two sides.",
-    "roots.png": "Picture and centre lines, coloured by diameter and by order.",
 }
 """Captions of the figures in a result's folder, keyed by file name. Reports show those that were drawn."""
 
@@ -283,5 +282,5 @@ def _figures(folder: Path) -> str:
 def _rig(report: ReportData) -> str:
     if report.dataset is None:
         return ""
-    cameras = figure(rig_figure.cameras(report.summary, report.dataset), "Cameras from above. Crosses: unused views.")
+    cameras = figure(rig_figure.cameras(report.summary, report.dataset.scene), "Cameras from above, as estimated. Red: not used.")
     return f"<div class=rig>{figure(rig_figure.svg(report.dataset.scene), 'Rig from the side, as planned.')}{cameras}</div>"

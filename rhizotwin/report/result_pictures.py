@@ -21,9 +21,9 @@ def write_pictures(report: ReportData, *, figures: bool = False) -> list[Path]:
     report : ReportData
         Result, with its dataset if figures are requested.
     figures : bool
-        Also write figures for documents: pictures of the dataset above their silhouettes (``inputs.png``), centre lines
-        (``roots.png``), and for simulated data the comparison with the true shape (``shape_and_truth.png``). Pictures
-        of the dataset that cannot be read are left out.
+        Also write figures for documents: pictures of the dataset above their silhouettes (``inputs.png``), and for
+        simulated data the comparison with the true shape (``shape_and_truth.png``). Pictures of the dataset that cannot
+        be read are left out.
 
     Returns
     -------
@@ -49,17 +49,14 @@ def write_pictures(report: ReportData, *, figures: bool = False) -> list[Path]:
 
 def _figures(report: ReportData) -> dict[str, bytes]:
     """Draw the figures for documents as PNG files, keyed by name."""
-    from rhizotwin.report import figures, root_figures  # load matplotlib
+    from rhizotwin.report import figures  # loads matplotlib
     from rhizotwin.scenes.figures import png
 
-    drawn = {}
-    if report.dataset is not None:
-        truth_mesh = report.dataset.folder / "truth" / "specimen.ply"
-        drawn["inputs.png"] = figures.inputs_and_silhouettes(report.summary, report.folder, report.dataset)
-        if truth_mesh.is_file():
-            truth = result_files.read_mesh(truth_mesh)
-            title = str(report.summary["scene"])
-            drawn["shape_and_truth.png"] = figures.shape_and_truth(report.full_surface, truth, report.dataset.scene, title=title)
-        if report.roots:
-            drawn["roots.png"] = root_figures.roots_and_inputs(report.roots, report.summary, report.dataset)
+    if report.dataset is None:
+        return {}
+    drawn = {"inputs.png": figures.inputs_and_silhouettes(report.summary, report.folder, report.dataset)}
+    truth_mesh = report.dataset.folder / "truth" / "specimen.ply"
+    if truth_mesh.is_file():
+        truth = result_files.read_mesh(truth_mesh)
+        drawn["shape_and_truth.png"] = figures.shape_and_truth(report.full_surface, truth, title=str(report.summary["scene"]))
     return {name: png(figure, dpi=DPI) for name, figure in drawn.items() if figure is not None}

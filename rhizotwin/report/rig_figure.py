@@ -6,10 +6,8 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 
 _MARGIN_MM = 45.0
@@ -66,55 +64,24 @@ def svg(scene: Scene) -> str:
     )
 
 
-def cameras(summary: dict[str, Any], dataset: Dataset) -> str:
-    """Draw the camera positions around the canister from above, as SVG. Crosses mark the cameras of unused views.
-
-    Views without an estimated pose are drawn where the capture plan has them, or omitted.
-    """
-    can, pot = dataset.scene.canister, dataset.scene.net_pot
-    nominal = nominal_centres(dataset)
-    poses, places = {}, {}
-    for view in summary["views"]:
-        if view.get("cam_from_canister") is not None:
-            poses[view["file"]] = frames.invert(np.array(view["cam_from_canister"], np.float64))
-            places[view["file"]] = poses[view["file"]][:3, 3]
-        elif view["file"] in nominal:
-            places[view["file"]] = nominal[view["file"]]
-    reach = 1.1 * max(can.outer_radius_mm, *(float(np.hypot(x, y)) for x, y, _ in places.values()), 0.0)
-    size, parts = reach / 60.0, []
-    for view in summary["views"]:
-        if view["file"] not in places:
-            continue
-        x, y, _ = places[view["file"]]
-        if view["used"] and view["file"] in poses:
-            ahead = places[view["file"]] + 6.0 * size * poses[view["file"]][:3, 2]
-            parts.append(_line(x, y, ahead[0], ahead[1], "#9db7cc") + f'<circle cx="{x:g}" cy="{-y:g}" r="{size:g}" fill="#1f5f8b"/>')
-        else:
-            parts += [_line(x - size, y - side * size, x + size, y + side * size, _RED) for side in (-1.0, 1.0)]
+def cameras(summary: dict[str, Any], scene: Scene) -> str:
+    """Draw the estimated camera positions around the canister from above, as SVG. Cameras of unused views are red."""
+    can, pot = scene.canister, scene.net_pot
+    known = [view for view in summary["views"] if view.get("cam_from_canister") is not None]
+    poses = [frames.invert(np.array(view["cam_from_canister"], np.float64)) for view in known]
+    reach = 1.1 * max(can.outer_radius_mm, *(float(np.hypot(*pose[:2, 3])) for pose in poses), 0.0)
+    size = reach / 60.0
     radii = ((can.outer_radius_mm, "#f0f0f0"), (can.inner_radius_mm, "#cfe6f5"), (pot.outer_radius_mm, "#d9dcde"))
-    canister = "".join(f'<circle r="{radius:g}" fill="{fill}" stroke="#77828a" stroke-width="0.8"/>' for radius, fill in radii)
-    frame = _arrow(0.0, 0.0, 28.0, 0.0, "x") + _arrow(0.0, 0.0, 0.0, 28.0, "y")
+    parts = [f'<circle r="{radius:g}" fill="{fill}" stroke="#77828a" stroke-width="0.8"/>' for radius, fill in radii]
+    parts += [_arrow(0.0, 0.0, 28.0, 0.0, "x"), _arrow(0.0, 0.0, 0.0, 28.0, "y")]
+    for view, pose in zip(known, poses, strict=True):
+        (x, y), (ahead_x, ahead_y) = pose[:2, 3], (pose[:3, 3] + 6.0 * size * pose[:3, 2])[:2]
+        colour = "#1f5f8b" if view["used"] else _RED
+        parts.append(_line(x, y, ahead_x, ahead_y, colour) + f'<circle cx="{x:g}" cy="{-y:g}" r="{size:g}" fill="{colour}"/>')
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{-reach:g} {-reach:g} {2.0 * reach:g} {2.0 * reach:g}" role="img" '
-        f'aria-label="cameras from above" font-family="sans-serif" font-size="{2.0 * size:.1f}">{canister}{frame}{"".join(parts)}</svg>'
+        f'aria-label="cameras from above" font-family="sans-serif" font-size="{2.0 * size:.1f}">{"".join(parts)}</svg>'
     )
-
-
-def nominal_centres(dataset: Dataset) -> dict[str, NDArray[np.float64]]:
-    """Return the planned camera position of each picture in the capture plan.
-
-    Positions (3,), mm, are in the canister frame and keyed by file name. Pictures that are not part of the plan are
-    omitted.
-    """
-    centres = dict[str, NDArray[np.float64]]()
-    for frame in dataset.frames:
-        if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
-            continue
-        ring = dataset.scene.plan.rings[frame.ring]
-        cam_from_rig = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
-        cam_from_table = cam_from_rig @ plan.rig_from_table(dataset.scene, frame.table_deg)
-        centres[frame.file] = frames.invert(cam_from_table)[:3, 3]
-    return centres
 
 
 def _box(x: float, z: float, wide: float, high: float, fill: str, edge: str) -> str:

@@ -15,8 +15,6 @@ from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import png
-from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.rsml import Root, write_rsml
 
 
 def ball(radius_mm: float, at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
@@ -39,13 +37,10 @@ def test_a_picture_of_a_ball_has_its_area_depth_and_light():
     assert picture[75, 45, :3].mean() > picture[125, 95, :3].mean()
 
 
-def test_all_pictures_of_a_result_with_roots(scan):
+def test_all_pictures_of_a_result(scan):
     made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,), voxel_mm=1.0)
-    turn = np.linspace(0.0, 3.0, 30)
-    tap = Root(points_mm=np.stack([4.0 * turn, -turn, -45.0 - 3.0 * turn], 1), diameters_mm=np.full(30, 1.5), order=0, parent=-1)
-    write_rsml(made.result / "roots.rsml", [tap])
     written = result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures=True)
-    assert [path.name for path in written] == ["shape.png", "inputs.png", "shape_and_truth.png", "roots.png"]
+    assert [path.name for path in written] == ["shape.png", "inputs.png", "shape_and_truth.png"]
     pictures = [cv2.imread(str(path)) for path in written]
     assert min(min(picture.shape[:2]) for picture in pictures) > 300
     assert min(picture.std() for picture in pictures) > 5.0
@@ -54,7 +49,7 @@ def test_all_pictures_of_a_result_with_roots(scan):
 def test_a_name_is_not_a_formula():
     """Matplotlib reads text between dollar signs as a formula, and raises an error if it is not one."""
     shape = ball(4.0, (0.0, 0.0, -30.0))
-    drawn = figures.shape_and_truth(shape, shape, Scene(), title=r"$\frac$")
+    drawn = figures.shape_and_truth(shape, shape, title=r"$\frac$")
     assert png(drawn, dpi=20).startswith(b"\x89PNG")
 
 
@@ -89,6 +84,6 @@ def test_a_dataset_that_changes_does_not_spoil_the_report(scan, caplog):
     written = result_pictures.write_pictures(ReportData.read(made.result, loaded), figures=True)
     assert "inputs.png" in [path.name for path in written]
     assert "view_000.png: the picture is missing" in caplog.text
-    assert "written without this picture" in caplog.text
+    assert "drawn without this picture" in caplog.text
     with pytest.raises(UserError, match="was not reconstructed from"):
         ReportData.read(made.result, made.dataset)
