@@ -22,6 +22,8 @@ with a diameter of 0.5 mm overlap by more than half."""
 _BESIDE = 1.5
 """Distance from a centre line of the first thinning, in voxels, within which a voxel of the second thinning is a
 duplicate. The second thinning uses a lattice shifted by half a voxel."""
+_WIDE = 2.0
+"""Minimum depth of a part of the hull, in voxels, below which thinning may delete it: it has no room for a curve."""
 
 
 def centre_lines(leaves: Leaves) -> Array:
@@ -29,7 +31,7 @@ def centre_lines(leaves: Leaves) -> Array:
 
     The hull is thinned to curves. Thinning deletes straight roots whose width is an even number of voxels, and shortens
     other roots. Curves found on a second lattice, shifted by half a voxel so that these widths become odd, are
-    therefore added.
+    therefore added, and the deepest points of wide parts without a curve, such as a ball.
     """
     units = 2 ** max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25)))
     index, size, occupancy = to_voxels(leaves, units)
@@ -39,6 +41,7 @@ def centre_lines(leaves: Leaves) -> Array:
     voxel_mm = leaves.grid.size_mm * units
     nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
     nodes = np.concatenate([nodes, _shifted_curves(volume, nodes)])
+    nodes = np.concatenate([nodes, _deepest_points(volume > 0.5, nodes)])
     if not len(nodes):
         return np.zeros((0, 3))
     pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours, up to a distance of sqrt(3)
@@ -67,3 +70,18 @@ def _shifted_curves(volume: NDArray[np.float32], curves: Array) -> Array:
         return np.zeros((0, 3))
     beside = cKDTree(others[far]).query(others)[0] < wide
     return np.asarray(others[beside & (away > _BESIDE)] - 0.5)
+
+
+def _deepest_points(inside: NDArray[np.bool_], curves: Array) -> Array:
+    """Return the deepest voxels (M, 3) of a hull whose largest spheres contain no point (N, 3) of a curve."""
+    depth = ndimage.distance_transform_edt(inside)
+    deepest = np.argwhere((depth > _WIDE) & (depth == ndimage.maximum_filter(depth, 3)))
+    radius = depth[tuple(deepest.T)]
+    if len(curves):
+        empty = cKDTree(curves).query(deepest)[0] > radius
+        deepest, radius = deepest[empty], radius[empty]
+    found: list[NDArray[np.int64]] = []
+    for voxel in deepest[np.argsort(-radius, kind="stable")]:
+        if all(np.linalg.norm(voxel - other) > depth[tuple(other)] for other in found):
+            found.append(voxel)
+    return np.array(found, np.float64).reshape(-1, 3)
