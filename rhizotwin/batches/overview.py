@@ -13,7 +13,7 @@ import cv2
 from rhizotwin.batches.jobs import Job
 from rhizotwin.recon.results import assessments, reasons, result_traits
 from rhizotwin.recon.results.parts import Json
-from rhizotwin.report import tables
+from rhizotwin.report import tables, words
 from rhizotwin.scenes import atomic, html_page, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
@@ -101,7 +101,7 @@ def _thumbnail(result: Path) -> bytes | None:
 def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]], summary: str) -> str:
     known = [name for name in subject.NAMES if any(_subject(row)[name] for row in rows)]
     shown = [definition for definition in trait_table.DEFINITIONS if definition.field in _COLUMNS]
-    head = ["verdict", "volume (90 % interval)", "", "scan", *known, *(definition.heading for definition in shown)]
+    head = ["verdict", "volume (90 % interval)", "", "scan", *known, *(words.title(definition.heading) for definition in shown)]
     numbers = [1, *range(4 + len(known), len(head))]
     listed = [Markup(f"<b>{escape(job.name)}</b>: {escape(sentence)}") for job, sentence in failed]
     overview = table([_cells(row, known, shown) for row in rows], head=head, numbers=numbers, kind="overview")
@@ -117,12 +117,10 @@ def _cells(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definiti
 
 
 def _number(row: _Row, field: str) -> str:
-    """Format the value of a trait for the table.
-
-    The verdict about the trait is appended in parentheses, unless it is "reliable".
-    """
+    """Format the value of a trait for the table, with a note in parentheses if it is not reliable."""
     value, verdict = getattr(row.traits, field), row.assessed[field].verdict
-    return trait_table.format_number(value) if value is None or verdict == "reliable" else f"{trait_table.format_number(value)} ({verdict})"
+    text = trait_table.format_number(value)
+    return text if value is None or verdict != "not reliable" else f"{text} ({verdict})"
 
 
 def _subject(row: _Row) -> dict[str, str]:

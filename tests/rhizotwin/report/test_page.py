@@ -17,6 +17,7 @@ from rhizotwin.corrections.session import Session
 from rhizotwin.report import page, words
 from rhizotwin.scenes import frames, trait_table
 from rhizotwin.scenes.assessment import NOT_ASSESSED
+from tests.command import Command
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS
@@ -220,3 +221,13 @@ def test_a_simulated_scan_is_called_simulated(plant: plants.Plant, written: Path
     text = page.write(plant.result, dataset=simulated, output=tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Simulated images of roots in a round canister" in text
     assert "Simulated scan: a plant &lt;of paper&gt;" in text
+
+
+def test_figures_are_drawn_on_demand(plant: plants.Plant, tmp_path: Path, command: Command):
+    result = shutil.copytree(plant.result, tmp_path / "result")
+    command.works("report", result)
+    assert not (result / "pictures").exists()
+    command.works("report", result, "--figures")
+    assert sorted(path.name for path in (result / "pictures").iterdir()) == ["inputs.png", "shape.png"]
+    assert "Pictures (top) and silhouettes" in (result / "report.html").read_text(encoding="utf-8")
+    command.fails("report", result, result, "-o", tmp_path / "many.html", "--figures", named=["--figures", "one result"])
