@@ -12,8 +12,8 @@ from benchmarks.cases import NIGHTLY, Case
 from benchmarks.metric import Direction, Metric
 from benchmarks.reconstructions import UNCHANGED
 from benchmarks.run import Run, Say
-from rhizotwin import sources
 from rhizotwin.scenes import atomic
+from rhizotwin.stored import sources
 
 Record = dict[str, Any]
 """One scored case as a JSON object: its description, its cost, and the score."""

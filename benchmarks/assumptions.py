@@ -21,7 +21,6 @@ from skimage import filters
 from benchmarks import cache, datasets
 from benchmarks.cases import DEFAULT_VOXEL_MM, Pictures
 from benchmarks.run import Say
-from rhizotwin import sources
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.carved_hull import CarvedHull, carve_hull
@@ -35,6 +34,7 @@ from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.truth import load_truth
+from rhizotwin.stored import sources
 
 Poses = Literal["picture", "one row", "scan"]
 Outlines = Literal["edges", "dark", "coverage"]

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from benchmarks import cache
-from rhizotwin import sources
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -18,6 +17,7 @@ from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import load_truth, save_truth
+from rhizotwin.stored import sources
 
 PICTURES = ("rhizotwin.sim.simulate",)
 TRUTH_ONLY = frozenset({"rhizotwin.scenes.traits", "rhizotwin.scenes.truth", "rhizotwin.sim.truth"})

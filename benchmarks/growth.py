@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 
 from benchmarks import cache, datasets
 from benchmarks.run import Say
-from rhizotwin import sources
 from rhizotwin.experiment.compare import Observation, differences
 from rhizotwin.experiment.doses import fit_responses
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
@@ -29,6 +28,7 @@ from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.solution import Solution
+from rhizotwin.stored import sources
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from typing import Any
 
 from benchmarks import cache, datasets, worker
 from benchmarks.random_scans import RandomScan
-from rhizotwin import sources
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.stored import sources
 
 COUNT = 300
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rhizotwin.exports import write_nerfstudio
+from rhizotwin.exporter.exports import write_nerfstudio
 from rhizotwin.scenes import atomic, files, key_descriptions
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import load_truth

@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks import cache
 from benchmarks.metric import Metric
 from benchmarks.targets import TARGETS
-from rhizotwin import sources
+from rhizotwin.stored import sources
 
 
 def say(text: str) -> None:

@@ -15,12 +15,12 @@ from typing import Any
 
 from benchmarks import cache, datasets, worker
 from benchmarks.cases import DEFAULT_VOXEL_MM, Case, Method, Pictures
-from rhizotwin import sources
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.stored import sources
 
 UNCHANGED = "none"
 """Change of the pictures: none. See `benchmarks.perturb` for the others."""
-_SOURCES = {"coverage": ("rhizotwin.recon.reconstruct",), "thesis": ("rhizotwin.baselines",)}
+_SOURCES = {"coverage": ("rhizotwin.recon.reconstruct",), "thesis": ("rhizotwin.scoring.baselines",)}
 """Modules that determine the result for a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 

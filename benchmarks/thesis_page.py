@@ -191,7 +191,7 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
 
 _INTRODUCTION = """\
 This page compares the results of the [thesis](index.md#the-thesis) with those of its re-implemented method
-(`rhizotwin/baselines.py`) and of the method of rhizotwin ("ours"). T3.4.2 denotes section 3.4.2 of the thesis. The
+(`rhizotwin/scoring/baselines.py`) and of the method of rhizotwin ("ours"). T3.4.2 denotes section 3.4.2 of the thesis. The
 plants are simulated: their roots have the masses of table A.1 at 1 g/ml, so that the true density is 1 g/ml.
 
 `./run bench thesis --committed -o docs/thesis.md` makes this page. Table 4.1 states the commit at which it was

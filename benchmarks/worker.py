@@ -133,11 +133,11 @@ def reconstruct(given: argparse.Namespace) -> dict[str, Any]:
         Times and memory.
     """
     from benchmarks import commits, perturb
-    from rhizotwin.baselines import reconstruct_baseline
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes import atomic, memory
     from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.scoring.baselines import reconstruct_baseline
 
     kind, _, seed = given.change.partition(":")
     vectors = perturb.halve_vectors() if kind == "rounded" and int(seed) % 2 else "default vectors"

@@ -239,7 +239,7 @@ def export(
     list of Path
         Written files.
     """
-    from rhizotwin import exports
+    from rhizotwin.exporter import exports
 
     pictures = dataset_folder(dataset)
     with watch(monitor, {"pictures": 1.0}) as bar, result_folder(result) as source:

@@ -182,7 +182,7 @@ def reconstruct(
     keep_stages : path, optional
         Folder for the intermediate results of each stage, as JSON and NPZ files.
     method : {"ours", "thesis", "regularised", "hull"}
-        ``ours`` is the full method. The other methods are baselines, see `rhizotwin.baselines`.
+        ``ours`` is the full method. The other methods are baselines, see `rhizotwin.scoring.baselines`.
     device : {"auto", "cpu", "cuda"}
         Device for the computation; ``auto`` is the device in use, or otherwise an NVIDIA GPU if available.
     monitor : Monitor, tqdm class, callable or None
@@ -206,9 +206,9 @@ def reconstruct(
 
     given = load_dataset(dataset) if isinstance(dataset, str | Path) else dataset
     _choose(device)
-    from rhizotwin import baselines
     from rhizotwin.recon.reconstruct import reconstruct as find
     from rhizotwin.recon.settings import Settings
+    from rhizotwin.scoring import baselines
 
     if voxel_mm is not None:
         settings = replace(settings or Settings(), voxel_mm=float(voxel_mm))

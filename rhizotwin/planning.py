@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rhizotwin import plan_report, sources
+from rhizotwin import plan_report
 from rhizotwin.plans import Row, Variant
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
@@ -27,6 +27,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.stored import sources
 
 VIEW_TIME_S = 2.0
 """Time for rotation, settling and exposure of one view on the rig in the documentation, in seconds."""

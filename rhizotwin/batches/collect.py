@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rhizotwin import sources
 from rhizotwin.batches import places
 from rhizotwin.batches.jobs import Job, key_of, named
 from rhizotwin.scenes.errors import UserError
@@ -16,6 +15,7 @@ from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.scenes.reading import read_text
+from rhizotwin.stored import sources
 
 _PIXELS = 20e6
 """Number of pixels that is assumed if the file dataset.json of a dataset cannot be read. The error is reported later,

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.exports import Posed, write_colmap, write_nerfstudio
+from rhizotwin.exporter.exports import Posed, write_colmap, write_nerfstudio
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError

@@ -144,7 +144,7 @@ def camera(
     rhizotwin calibrate camera my_board_pictures --board board.toml -o my_lens
     rhizotwin calibrate camera my_board_pictures --squares 7x5 --square-mm 30 -o my_lens --scene my_scene.toml
     """
-    from rhizotwin.picture_files import list_pictures
+    from rhizotwin.importer.picture_files import list_pictures
     from rhizotwin.rig.lens.calibration import calibrate as fit
     from rhizotwin.rig.lens.calibration import write_calibration
     from rhizotwin.rig.lens.calibration_report import write_report
@@ -230,7 +230,7 @@ def transfer(
     rhizotwin calibrate transfer my_exposures -o my_transfer.toml
     rhizotwin calibrate transfer my_exposures --exposures-s 0.002,0.004,0.008,0.016 -o my_transfer.toml
     """
-    from rhizotwin.picture_files import list_pictures
+    from rhizotwin.importer.picture_files import list_pictures
     from rhizotwin.rig.lens.transfer_fit import fit_transfer
     from rhizotwin.rig.lens.transfer_series import read_series, transfer_text
     from rhizotwin.scenes.atomic import write_text

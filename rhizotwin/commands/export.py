@@ -84,7 +84,7 @@ def export(
 
 
 def _export(result: Path, output: Path, dataset: Path | None, roots: str | None, undistorted: bool, progress: Progress) -> None:
-    from rhizotwin import exports
+    from rhizotwin.exporter import exports
 
     with progress.bar(pictures=1.0) as bar:
         written = exports.export(result, output, dataset_folder=dataset, roots=roots, undistorted=undistorted, monitor=bar)

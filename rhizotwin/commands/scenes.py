@@ -59,7 +59,7 @@ def scenes(
         if path is not None:
             check_new_file(path)
     if name is not None and specimen_stl is not None:
-        from rhizotwin.printable import write_specimen_stl
+        from rhizotwin.exporter.printable import write_specimen_stl
 
         for line in write_specimen_stl(name, specimen_stl):
             print(line)

@@ -7,9 +7,9 @@ from rhizotwin.importer import raw_pictures
 from rhizotwin.importer.damaged_rows import DamageCheck
 from rhizotwin.importer.given_cameras import GivenCameras
 from rhizotwin.importer.given_lens import Lens
+from rhizotwin.importer.picture_files import read_picture
 from rhizotwin.importer.resampling import Resampler
 from rhizotwin.importer.silhouettes import Levels, encode_silhouette
-from rhizotwin.picture_files import read_picture
 from rhizotwin.rig.scanning.preflight import MOST_SATURATED
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Frame, file_sha256

@@ -11,9 +11,9 @@ from rhizotwin.importer import raw_pictures
 from rhizotwin.importer.camera_file import lens_notes, read_camera_file, with_cameras
 from rhizotwin.importer.given_cameras import GivenCameras
 from rhizotwin.importer.picture_copy import PictureCopier
+from rhizotwin.importer.picture_files import SUFFIXES, check_pictures, list_pictures
 from rhizotwin.importer.response import with_response
 from rhizotwin.importer.silhouettes import read_levels
-from rhizotwin.picture_files import SUFFIXES, check_pictures, list_pictures
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, save_dataset
 from rhizotwin.scenes.errors import UserError

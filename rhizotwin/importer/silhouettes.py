@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.picture_files import read_mask
+from rhizotwin.importer.picture_files import read_mask
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.picture_codec import Grey, encode_png

@@ -259,7 +259,7 @@ def _baseline(summary: dict[str, Any]) -> str:
     method = summary.get("settings", {}).get("method")
     if method is None:
         return ""
-    from rhizotwin.baselines import TITLES  # loads the reconstruction
+    from rhizotwin.scoring.baselines import TITLES  # loads the reconstruction
 
     return _BASELINE.format(title=next((title for name, title in TITLES.items() if name == method), "an unknown method"))
 

@@ -1,1 +1,1 @@
-"""Read, check and tabulate result folders."""
+"""Read, check and tabulate result folders, and detect changes of the code on which results depend."""

@@ -9,11 +9,11 @@ import pytest
 from benchmarks import cache, datasets
 from benchmarks.adopt import adopt
 from benchmarks.cases import Pictures
-from rhizotwin import sources
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import load_truth
 from rhizotwin.sim.simulate import simulate
+from rhizotwin.stored import sources
 
 pytestmark = pytest.mark.usefixtures("coarse_ball")
 SETTINGS = {"scene": {"name": "ball", "views": 4}, "seed": 0}

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from rhizotwin import engine, exports, mesh_files, surface_mesh
+from rhizotwin import engine, surface_mesh
+from rhizotwin.exporter import exports, mesh_files
 from rhizotwin.publishing.study import EXAMPLE
 from rhizotwin.stored import result_files
 from tests.interop import mesh_readers, miappe_tables, ro_crate, rsml_readers

@@ -15,7 +15,8 @@ import pytest
 import tifffile
 import trimesh
 
-from rhizotwin import exports, root_mesh
+from rhizotwin import root_mesh
+from rhizotwin.exporter import exports
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError

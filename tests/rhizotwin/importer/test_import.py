@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from rhizotwin.importer.damaged_rows import LEAST, RingPictures
+from rhizotwin.importer.picture_files import list_pictures
 from rhizotwin.importer.picture_import import import_pictures
-from rhizotwin.picture_files import list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.bands import Band

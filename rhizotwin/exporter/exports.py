@@ -16,7 +16,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rhizotwin import mesh_files, root_mesh, surface_mesh, voxel_files
+from rhizotwin import root_mesh, surface_mesh
+from rhizotwin.exporter import mesh_files, voxel_files
+from rhizotwin.exporter.undistorted import VirtualCamera, best_distance_mm
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
@@ -27,7 +29,6 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.stored.stored_cameras import Cameras
-from rhizotwin.undistorted import VirtualCamera, best_distance_mm
 
 REFRACTION = (
     "cameras in air, canister frame, mm. Refraction at the wall and in the water is not modelled, so straight rays from these cameras "

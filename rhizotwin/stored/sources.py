@@ -15,12 +15,11 @@ from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = (
     "rhizotwin.scenes",
     "rhizotwin.sim",
     "rhizotwin.recon",
-    "rhizotwin.baselines",
     "rhizotwin.scoring",
     "rhizotwin.stored",
     "benchmarks",

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.exports import MOST_POINTS, write_colmap
+from rhizotwin.exporter.exports import MOST_POINTS, write_colmap
+from rhizotwin.exporter.undistorted import VirtualCamera, best_distance_mm
 from rhizotwin.importer.colmap_model import read_colmap
 from rhizotwin.recon.optics.cameras import View, project_inner
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Scene
-from rhizotwin.undistorted import VirtualCamera, best_distance_mm
 
 SCENE = Scene(camera=Camera().resized((400, 300)))
 HEIGHTS_MM = (-140.0, -12.0)
