@@ -20,16 +20,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, release
 from rhizotwin.recon.hull.leaves import Grid, Leaves, to_unit_cubes
-from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
+from rhizotwin.recon.roots.footprints import Footprints
 
 Array = NDArray[np.float64]
 
@@ -119,31 +116,38 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     number = np.arange(len(cells.index))
     if not len(number):
         return replace(cells, tops_mm=evidence.tops_mm), number
-    footprints = Footprints.project(evidence, cells.centre_mm)
-    thick = [Footprints.project(evidence, solid.centre_mm)] if len(solid.index) else []
-    table = Table(footprints, Windows.around(footprints, *thick))
-    every = range(evidence.bank.count)
-    coverage = table.windows.cut(evidence, evidence.coverage)
-    covered = dr.zeros(mi.Float, table.windows.pixels * len(every))
-    while thick:
-        organ = thick.pop()  # released at once, since it is large
-        covered = Table(organ, table.windows).shadows(every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
-        del organ
-    dr.eval(covered)
-    shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * dr.opaque(mi.Float, _START * cells.grid.size_mm**2)
-    dr.eval(shadow)
+    footprints, area_mm2 = Footprints.project(evidence, cells.centre_mm), cells.grid.size_mm**2
+    (width, height), views = evidence.image_wh, evidence.bank.count
+    coverage = evidence.coverage.numpy().reshape(views, height, width)
+    covered = _solid_shadows(evidence, solid)
+    passes = [_subsets(views, count) for count in schedule(views)]
+    measured = ((part, coverage[part.start : part.stop].astype(np.float32)) for part in passes[0])
+    shadow = _START * area_mm2 * np.exp(footprints.mean_log(measured, _LEAST_COVERAGE, 1.0))
     done = 0
-    for count in schedule(evidence.bank.count):
-        for views in _subsets(evidence.bank.count, count):
-            shadow = _improve(table, views, coverage, covered, shadow)
-        if any(done < step <= done + count for step in _THIN_OUT):
-            kept = dr.compress(shadow > dr.opaque(mi.Float, _NOTHING * cells.grid.size_mm**2))
-            number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.select(kept)
-            dr.eval(shadow)
-            release()  # kernels of later passes process more views
-        done += count
+    for subsets in passes:
+        for part in subsets:
+            seen = np.s_[part.start : part.stop]
+            explained = covered[seen] + footprints.shadows(part, shadow.astype(np.float32))
+            ratio = (coverage[seen].astype(np.float32) + _FLOOR) / (np.minimum(explained, 1.0) + _FLOOR)
+            shadow *= np.exp(footprints.mean_log([(part, ratio)], _LEAST_RATIO, _MOST_RATIO))
+        if any(done < step <= done + len(subsets) for step in _THIN_OUT):
+            kept = shadow > _NOTHING * area_mm2
+            number, shadow, footprints = number[kept], shadow[kept], footprints.select(kept)
+        done += len(subsets)
     found = cells.select(number)
-    return replace(found, shadow_mm2=np.array(shadow, np.float32), tops_mm=evidence.tops_mm), number
+    return replace(found, shadow_mm2=shadow.astype(np.float32), tops_mm=evidence.tops_mm), number
+
+
+def _solid_shadows(evidence: Evidence, solid: Cells) -> NDArray[np.float16]:
+    """Return the coverage (V, H, W) by opaque cells, which exceeds 1 where cells overlap."""
+    (width, height), views = evidence.image_wh, evidence.bank.count
+    covered = np.zeros((views, height, width), np.float16)
+    if len(solid.index):
+        footprints = Footprints.project(evidence, solid.centre_mm)
+        amount = np.full(len(solid.index), solid.grid.size_mm**2, np.float32)
+        for part in _subsets(views, max(1, views // _VIEWS_A_STEP)):
+            covered[part.start : part.stop] = footprints.shadows(part, amount)
+    return covered
 
 
 def schedule(views: int) -> list[int]:
@@ -165,16 +169,3 @@ def _subsets(views: int, count: int) -> list[range]:
     """
     ends = [views * k // count for k in range(count + 1)]
     return [range(*pair) for pair in pairwise(ends)]
-
-
-def _improve(table: Table, views: range, coverage: Float, covered: Float, shadow: Float) -> Float:
-    """Return the shadows after one MART iteration with a subset of the views."""
-    pixels = table.windows.pixels
-    part = dr.arange(mi.UInt32, pixels * len(views)) + dr.opaque(mi.UInt32, pixels * views.start)
-    explained = dr.gather(mi.Float, covered, part) + table.shadows(views, shadow)
-    measured = mi.Float(dr.gather(mi.Float16, coverage, part))
-    ratio = (measured + _FLOOR) / (dr.minimum(explained, 1.0) + _FLOOR)
-    dr.eval(ratio)
-    better = shadow * dr.exp(table.mean_log(ratio, views, _LEAST_RATIO, _MOST_RATIO))
-    dr.eval(better)
-    return better

@@ -1,6 +1,5 @@
 """Shadows of cells, density, tracing, and what tubes leave unexplained."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -10,7 +9,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.roots import residual_search, tracing
 from rhizotwin.recon.roots.density import Cells, estimate
-from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
+from rhizotwin.recon.roots.footprints import Footprints
 from rhizotwin.recon.tubes import tube_picture
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import score_roots
@@ -84,12 +83,24 @@ def test_shadows_fall_where_the_cells_are() -> None:
     for i, j in np.ndindex(2, 2):
         share = np.abs(1 - i - f[..., 0]) * np.abs(1 - j - f[..., 1])
         np.add.at(expected, (view, low[..., 1] + j, low[..., 0] + i), share * area * amount)
-    footprints = Footprints.project(seen, points_mm)
-    table = Table(footprints, Windows.around(footprints))
-    views = range(1, 4)
-    found = table.shadows(views, mi.Float(amount.astype(np.float32)))
-    whole = np.array(table.windows.cut(seen, mi.Float(expected.ravel().astype(np.float32))))
-    pixels = table.windows.pixels
-    np.testing.assert_allclose(np.array(found), whole[pixels * views.start : pixels * views.stop], atol=0.02 * expected.max())
-    assert whole.sum() == pytest.approx(expected.sum())  # the windows hold all shadows
-    assert len(whole) < 0.5 * expected.size
+    footprints, views = Footprints.project(seen, points_mm), range(1, 4)
+    found = footprints.shadows(views, amount.astype(np.float32))
+    np.testing.assert_allclose(found, expected[views.start : views.stop], atol=0.02 * expected.max())
+
+
+def test_values_of_pictures_are_averaged_over_the_views_that_show_a_cell() -> None:
+    """The product of all values is too small for a number."""
+    views, rng = 90, np.random.default_rng(8)
+    empty, told = blank_of(ring_of(views, (60, 50))), rng.random((views, 50, 60)) < 0.8
+    seen = Evidence.from_silhouettes(empty.bank, [Silhouette(np.zeros((50, 60), np.float32), part) for part in told])
+    points_mm = rng.uniform((-8.0, -8.0, -50.0), (8.0, 8.0, -30.0), (200, 3))
+    pictures = np.exp(rng.uniform(-14.5, -12.0, told.shape)).astype(np.float32)
+    at, view = seen.project(points_mm), np.arange(views)[:, None]
+    nearest, low = np.floor(at.px + 0.5).astype(int), np.floor(at.px).astype(int)
+    shown, f, value = at.visible & told[view, nearest[..., 1], nearest[..., 0]], at.px - low, np.zeros(at.shape)
+    for i, j in np.ndindex(2, 2):
+        value += np.abs(1 - i - f[..., 0]) * np.abs(1 - j - f[..., 1]) * pictures[view, low[..., 1] + j, low[..., 0] + i]
+    logs = np.where(shown, np.log(np.clip(value, 1e-6, 4e-6)), 0.0)
+    parts = [(range(80), pictures[:80]), (range(80, views), pictures[80:])]
+    found = Footprints.project(seen, points_mm).mean_log(parts, 1e-6, 4e-6)
+    np.testing.assert_allclose(found, logs.sum(axis=0) / np.maximum(shown.sum(axis=0), 1), atol=2e-3)
