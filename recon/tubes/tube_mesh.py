@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.tubes.tubes import Tubes
+if TYPE_CHECKING:
+    from rhizotwin.recon.tubes.tubes import Tubes  # imports SciPy, which the viewer loads on first use only
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]

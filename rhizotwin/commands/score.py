@@ -72,6 +72,7 @@ def score(
     volume_ml: VolumeMl | None = None,
     pictures: Annotated[Path | None, with_metavar("DATASET")] = None,
     as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
+    every: Annotated[bool, Parameter(name="--all", show_default=False)] = False,
     progress: Progress = Progress(),
 ) -> None:
     """Compute the errors of a result with respect to the true roots or another reference.
@@ -101,6 +102,8 @@ def score(
         Dataset of the same plant on the same rig, with pictures that the reconstruction did not use.
     as_json : bool
         Print all numbers as JSON instead of a table.
+    every : bool
+        Print every number of a comparison with the true roots, not only the most important ones.
     progress : Progress
         Progress output.
 
@@ -121,4 +124,7 @@ def score(
             found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, progress=bar)
         else:
             found = front_door.score(result, dataset, truth=truth, volume_ml=volume_ml, pictures=pictures, progress=bar)
-    print(json.dumps(found.to_dict(), indent=1) if as_json else found.table())
+    from rhizotwin.scoring.score import Score
+
+    short = isinstance(found, Score) and not every
+    print(json.dumps(found.to_dict(), indent=1) if as_json else found.table(every=False) if short else found.table())

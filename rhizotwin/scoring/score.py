@@ -41,8 +41,19 @@ from rhizotwin.scoring.score_views import MaskScore, PoseScore, compare_masks, c
 from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
 
-SHOWN_LINES = 19
-"""Maximum number of lines that `repr` prints of a score. A further line states the number of omitted lines."""
+_IMPORTANT = {
+    "volume",
+    "  90 % interval",
+    "  trusted",
+    "length",
+    "  tips",
+    "tree",
+    "  ghosts",
+    "voxels",
+    "surface distance",
+    "  camera positions",
+}
+"""Names of the rows that are shown first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,22 +115,22 @@ class Score(VolumeScore):
         return {key: plain(value) for key, value in found.items()}
 
     def __repr__(self) -> str:
-        """Return the first lines of the score's text table."""
-        lines = self.table().splitlines()
-        rest = len(lines) - SHOWN_LINES
-        return "\n".join(lines if rest <= 1 else [*lines[:SHOWN_LINES], f"... {rest} more lines, see print(score.table())"])
+        """Return the most important numbers as a text table."""
+        return self.table(every=False)
 
     def _repr_html_(self) -> str:
         """Return the text table as HTML for notebooks."""
         return f"<pre>{html.escape(self.table())}</pre>"
 
-    def table(self) -> str:
-        """Return the score as a text table."""
+    def table(self, *, every: bool = True) -> str:
+        """Return a text table of ``every`` number, or of the most important ones and the number of others."""
         shoot = [] if self.shoot is None else self.shoot.rows()
         plants = [row for plant in self.plants for row in plant.rows()]
         rows = [*self._shape_rows(), *plants, *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
+        shown = rows if every else [row for row in (*self._shape_rows(), *self._stage_rows()) if row[0] in _IMPORTANT]
         title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, compared with the ground truth"
-        return "\n".join([table_of(title, rows), *(f"warning: {warning}" for warning in self.warnings)])
+        rest = [] if every else [f"... {len(rows) - len(shown)} more lines: rhizotwin score --all, or print(score.table())"]
+        return "\n".join([table_of(title, shown), *rest, *(f"warning: {warning}" for warning in self.warnings)])
 
     def _shape_rows(self) -> list[tuple[str, str]]:
         rows = [*volume_rows(self), *extent_rows(self.extents_mm, self.extents_true_mm, self.extents_error)]

@@ -1,5 +1,6 @@
 """Comparison of self-calibrated rig parameters with the ground truth, in units of their standard deviations."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,7 +41,10 @@ class RigError:
     def text(self) -> str:
         """Text with the calibrated value, the true value and the error."""
         sigmas = "" if not self.sigma else f", {abs(self.error) / self.sigma:.1f} standard deviations"
-        return f"{self.found:.6g}, true {self.true:.6g}: error {self.error:+.2g} {self.unit}".rstrip() + sigmas
+        # two digits of the standard deviation, or else of the error
+        digits = max(0, 1 - math.floor(math.log10(self.sigma or abs(self.error) or 1.0)))
+        found, true, error = (round(value, digits) + 0.0 for value in (self.found, self.true, self.error))
+        return f"{found:.{digits}f}, true {true:.{digits}f}: error {error:+.{digits}f} {self.unit}".rstrip() + sigmas
 
 
 def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[RigError, ...]:
