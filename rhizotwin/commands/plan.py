@@ -26,7 +26,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
 
 if TYPE_CHECKING:
-    from rhizotwin import plans
+    from rhizotwin.planning import plans
 
 HEIGHT_LIMITS_MM = (-2000.0, 2000.0)
 TILT_LIMITS_DEG = (-89.0, 89.0)
@@ -116,14 +116,14 @@ def plan(
     picture sizes for your own scene, with three sets of random errors:
       rhizotwin plan my_scene.toml -o my_plan --views 40 --image-wh 800x600,1600x1200 --profile bench --seeds 3
     """
-    from rhizotwin import planning
+    from rhizotwin.planning import comparison
 
     changed = change_scene(files.load_scene(scene), profile=profile)
     variants = _variants(grid, changed)
     command_steps.start_engine(device, quiet=progress.quiet)
-    with progress.bar(**planning.shares(variants, seeds)) as bar:
-        rows = planning.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=bar.say, monitor=bar)
-    _print_recommended(planning.best(rows, within=within / 100.0), within)
+    with progress.bar(**comparison.shares(variants, seeds)) as bar:
+        rows = comparison.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=bar.say, monitor=bar)
+    _print_recommended(comparison.best(rows, within=within / 100.0), within)
     print(f"figure: {output / 'plan.png'}; table: {output / 'plan.csv'}")
 
 
@@ -140,7 +140,7 @@ def _print_recommended(chosen: "plans.Row | None", within: float) -> None:
 
 def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":
     """Return a capture plan for each combination of the parameters to compare."""
-    from rhizotwin import planning, plans
+    from rhizotwin.planning import comparison, plans
 
     first_mm = scene.plan.rings[0].height_mm
     own = plans.Height(first_mm)
@@ -148,7 +148,7 @@ def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":
     found = [
         plans.Variant(heights=rings, views=count, image_wh=size)
         for size in grid.image_wh or (scene.camera.image_wh,)
-        for rings in dict.fromkeys(given or [(own,), (own, plans.Height(first_mm + planning.SECOND_RING_MM))])
+        for rings in dict.fromkeys(given or [(own,), (own, plans.Height(first_mm + comparison.SECOND_RING_MM))])
         for count in grid.views
     ]
     for variant in found:

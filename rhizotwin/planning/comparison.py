@@ -2,7 +2,7 @@
 
 The plans differ in number of views, number of rings, camera heights and picture size. Each capture plan is simulated,
 reconstructed and scored for a number of random seeds. All plans use the same seeds, so that random differences between
-the plans cancel. `rhizotwin.plan_report` formats the table and the figure.
+the plans cancel. `rhizotwin.planning.plan_report` formats the table and the figure.
 """
 
 import itertools
@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from rhizotwin import plan_report
-from rhizotwin.plans import Row, Variant
+from rhizotwin.planning import plan_report
+from rhizotwin.planning.plans import Row, Variant
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.checks import check_scene

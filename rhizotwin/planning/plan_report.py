@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rhizotwin.plans import Row
+from rhizotwin.planning.plans import Row
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.figures import figure, png
 

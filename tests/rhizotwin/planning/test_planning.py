@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks import cases
-from rhizotwin import command_line, planning, plans
-from rhizotwin.plans import Height
+from rhizotwin import command_line
+from rhizotwin.planning import comparison, plans
+from rhizotwin.planning.plans import Height
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes import plan as capture
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -68,8 +69,8 @@ def test_rings_are_asked_for_on_the_command_line():
 
 def test_the_cheapest_plan_within_a_limit_is_named():
     rows = [row(20, 0.09), row(41, 0.02), row(40, 0.04), row(30, 0.04, image_wh=(1600, 1200))]
-    assert planning.best(rows, within=0.05) is rows[2]
-    assert planning.best(rows, within=0.01) is None
+    assert comparison.best(rows, within=0.05) is rows[2]
+    assert comparison.best(rows, within=0.01) is None
 
 
 @pytest.mark.slow
@@ -94,11 +95,11 @@ def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, com
 
 def test_plans_are_scored_again_after_the_mesh_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings: list[object] = []
-    monkeypatch.setattr(planning, "_run", lambda *given: settings.append(given[3]))
+    monkeypatch.setattr(comparison, "_run", lambda *given: settings.append(given[3]))
     scene = replace(Scene(), specimen=MeshSpecimen(file=str(tmp_path / "root.stl")))
     for data in (b"a root", b"a root", b"a thicker root"):
         (tmp_path / "root.stl").write_bytes(data)
-        planning.run_plans(scene, (), tmp_path / "plan", profile_name="clean", seeds=1, say=print)
+        comparison.run_plans(scene, (), tmp_path / "plan", profile_name="clean", seeds=1, say=print)
     assert settings[0] == settings[1] != settings[2]
 
 

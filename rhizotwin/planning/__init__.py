@@ -1,0 +1,1 @@
+"""Comparison of capture plans in simulation: how many pictures and camera heights a scan needs."""
