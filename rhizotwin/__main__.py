@@ -1,7 +1,7 @@
 """Entry point of the program: `rhizotwin` and `python -m rhizotwin`.
 
-Spawned worker processes also import this module, so the process is configured at import. Until `rhizotwin.cli.main`
-installs its signal handler, Ctrl-C ends the program without a traceback.
+Spawned worker processes also import this module, so the process is configured at import. Until
+`rhizotwin.commands.cli.main` installs its signal handler, Ctrl-C ends the program without a traceback.
 """
 
 import logging
@@ -17,7 +17,7 @@ if sys.platform == "win32":  # the encoding of pipes and files has few character
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="replace")
 
-from rhizotwin.cli import main  # noqa: E402 - after the signal and the environment are set
+from rhizotwin.commands.cli import main  # noqa: E402 - after the signal and the environment are set
 from rhizotwin.scenes.formatting import DEBUG_VARIABLE  # noqa: E402 - as above
 
 # warnings of libraries are for programmers; users get messages

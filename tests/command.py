@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from rhizotwin import cli
+from rhizotwin.commands import cli
 
 STAGE = re.compile(r"[a-z ]+: \d+\.\d s")
 """The line that a finished stage leaves where no terminal shows a bar."""

@@ -9,7 +9,8 @@ import hypothesis
 import pytest
 import trimesh
 
-from rhizotwin import cli, engine
+from rhizotwin import engine
+from rhizotwin.commands import cli
 from rhizotwin.recon.results import result
 from tests.command import Command
 

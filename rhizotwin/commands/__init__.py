@@ -1,5 +1,7 @@
 """Commands of the program, with one module per command or group of commands.
 
+`cli` is the entry point, `command_line` the parser.
+
 A command is a typed function whose numpydoc docstring is the ``--help`` text. To add a command, write its function in a
 module of the same name, and add a line to `COMMANDS`. A module is imported only when its command is used. Imports that
 are slow (Mitsuba, SciPy, ...) should be inside the function, so that ``--help`` is fast.

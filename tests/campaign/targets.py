@@ -23,7 +23,7 @@ BENCH_CASES = 3
 BENCH = f"""
 import shutil, sys
 from dataclasses import replace
-from rhizotwin import cli
+from rhizotwin.commands import cli
 from rhizotwin.bench import benchmarks, run_method
 ball = benchmarks.Case(name="", scene="sphere_20mm", profile="clean", views=10, image_wh=(320, 240), seed=0)
 cases = tuple(replace(ball, name=f"ball{{k}}") for k in range({BENCH_CASES}))

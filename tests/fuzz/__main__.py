@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin import command_line
+from rhizotwin.commands import command_line
 from tests.fuzz import folders
 from tests.fuzz.mutate import STRANGE, mutated
 from tests.fuzz.process import load, run

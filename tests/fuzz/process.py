@@ -13,7 +13,8 @@ from importlib import import_module
 from pathlib import Path
 
 import rhizotwin
-from rhizotwin import cli, engine
+from rhizotwin import engine
+from rhizotwin.commands import cli
 
 LIMIT_S = 60.0  # by the clock: on a machine with eight runs a processor, pages of results took 15
 LIMIT_MIB = 2048

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli
+from rhizotwin.commands import cli
 from tests.fuzz.folders import MARKS, Given, prepared, snapshot, variants
 
 READING = ("traits {f}", "export {f} -o {out}/x.stl", "report {f} -o {out}/p.html")

@@ -64,7 +64,7 @@ def hide_posix() -> None:
 def main(commands: list[str]) -> int:
     """Run commands one after another; the exit code is that of the first that fails."""
     hide_posix()
-    from rhizotwin import cli
+    from rhizotwin.commands import cli
     from rhizotwin.scenes import memory
 
     # the functions of kernel32 are not here: sizes that any computer has

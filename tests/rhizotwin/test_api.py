@@ -30,7 +30,7 @@ SLOW = ("mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d")
 PROGRAMS = {
     "import rhizotwin": ("import rhizotwin", (*SLOW, "numpy", "scipy", "cv2", "tqdm", "cyclopts")),
     "help of every command and the list of scenes": (
-        "from rhizotwin import cli; from rhizotwin.commands import COMMANDS\n"
+        "from rhizotwin.commands import COMMANDS, cli\n"
         "for command in ('', *COMMANDS): cli.main([*command.split(), '--help'])\n"
         "cli.main(['scenes'])",
         (*SLOW, "numpy", "scipy", "cv2"),

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhizotwin import cli, command_line
-from rhizotwin.commands import COMMANDS, GROUPS, place
+from rhizotwin.commands import COMMANDS, GROUPS, cli, command_line, place
 from rhizotwin.pages import PageOptions
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files

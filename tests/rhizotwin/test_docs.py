@@ -8,8 +8,7 @@ from dataclasses import is_dataclass
 from pathlib import Path
 
 from benchmarks.arguments import parser as benchmarks_parser
-from rhizotwin import command_line
-from rhizotwin.commands import COMMANDS, GROUPS
+from rhizotwin.commands import COMMANDS, GROUPS, command_line
 from rhizotwin.recon.settings import Settings
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile, load_scene, scene_from_dict

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli
+from rhizotwin.commands import cli
 from rhizotwin.publishing import crate, miappe
 from rhizotwin.publishing import published as publishing
 from rhizotwin.publishing.study import EXAMPLE, _is_orcid, read_study

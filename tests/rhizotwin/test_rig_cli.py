@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli
+from rhizotwin.commands import cli
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.files import load_scene, save_scene

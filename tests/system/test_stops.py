@@ -15,7 +15,7 @@ import pytest
 import rhizotwin.scenes.atomic
 import rhizotwin.scenes.folders
 import rhizotwin.sim.simulate
-from rhizotwin import cli
+from rhizotwin.commands import cli
 from rhizotwin.importer import picture_copy, picture_import
 from rhizotwin.recon import carved_hull, read_pictures, reconstruct
 from rhizotwin.recon.coverage import silhouettes

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import command_line
+from rhizotwin.commands import command_line
 from tests.command import Command
 
 pytestmark = pytest.mark.nightly

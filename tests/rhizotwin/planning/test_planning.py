@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import cases
-from rhizotwin import command_line
+from rhizotwin.commands import command_line
 from rhizotwin.planning import comparison, plans
 from rhizotwin.planning.plans import Height
 from rhizotwin.scenes import files, frames

@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGALRM") if hasattr(signal, name)]
     before = {number: signal.signal(number, stop) for number in numbers if in_main_thread}
     try:
-        from rhizotwin import command_line  # slow import; Ctrl-C may arrive meanwhile
+        from rhizotwin.commands import command_line  # slow import; Ctrl-C may arrive meanwhile
 
         words = sys.argv[1:] if arguments is None else list(arguments)
         command = words[0] if words else ""
