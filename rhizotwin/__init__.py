@@ -19,15 +19,15 @@ from typing import Any as _Any
 
 if _TYPE_CHECKING:
     from rhizotwin.api import batch, biomass, export, growth, import_pictures, scan
-    from rhizotwin.arguments import Placing
     from rhizotwin.display import plot, view
-    from rhizotwin.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
     from rhizotwin.scenes.errors import UserError
     from rhizotwin.scenes.model import Scene
     from rhizotwin.scenes.monitor import Cancelled, Monitor
     from rhizotwin.scoring.score import Score
+    from rhizotwin.steps.arguments import Placing
+    from rhizotwin.steps.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.stored.save import Result
 
     __version__: str
@@ -63,7 +63,7 @@ _PLACES = {
     "Cancelled": "scenes.monitor",
     "Dataset": "scenes.dataset",
     "Monitor": "scenes.monitor",
-    "Placing": "arguments",
+    "Placing": "steps.arguments",
     "Result": "stored.save",
     "Scene": "scenes.model",
     "Score": "scoring.score",
@@ -75,14 +75,14 @@ _PLACES = {
     "growth": "api",
     "import_pictures": "api",
     "load_dataset": "scenes.dataset",
-    "load_result": "front_door",
-    "load_scene": "front_door",
+    "load_result": "steps.front_door",
+    "load_scene": "steps.front_door",
     "plot": "display",
-    "reconstruct": "front_door",
+    "reconstruct": "steps.front_door",
     "scan": "api",
-    "score": "front_door",
-    "score_file": "front_door",
-    "simulate": "front_door",
+    "score": "steps.front_door",
+    "score_file": "steps.front_door",
+    "simulate": "steps.front_door",
     "view": "display",
 }
 """Name of the submodule of ``rhizotwin`` in which each public name is defined. The key is the public name."""
@@ -102,7 +102,7 @@ def __getattr__(name: str) -> _Any:
 @_cache
 def _public(name: str) -> _Any:
     """Return a public name, whose calls are checked."""
-    from rhizotwin.python_calls import public
+    from rhizotwin.steps.python_calls import public
 
     return public(getattr(_import_module(f"rhizotwin.{_PLACES[name]}"), name))
 

@@ -13,10 +13,10 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
-from rhizotwin.calls import Progress, dataset_folder, require_each, result_folder, watch
-from rhizotwin.front_door import Device, load_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
+from rhizotwin.steps.calls import Progress, dataset_folder, require_each, result_folder, watch
+from rhizotwin.steps.front_door import Device, load_scene
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model
@@ -284,10 +284,10 @@ def scan(
         Dataset with the pictures of the scan.
     """
     from rhizotwin import rigs
-    from rhizotwin.arguments import Progress as Bars
     from rhizotwin.commands.scan import ScanOptions
     from rhizotwin.commands.scan import scan as run
     from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.steps.arguments import Progress as Bars
 
     options = ScanOptions(plan=plan, resume=resume, table_angle_deg=table_angle_deg)
     emulated = rigs.TwinPictures(**twin)

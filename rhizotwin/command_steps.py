@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rhizotwin import engine, private_page
-from rhizotwin.arguments import Page, Progress
-from rhizotwin.calls import SHARES
-from rhizotwin.front_door import Method, reconstruct
+from rhizotwin.steps.arguments import Page, Progress
+from rhizotwin.steps.calls import SHARES
+from rhizotwin.steps.front_door import Method, reconstruct
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings, Settings

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from rhizotwin import private_page
-from rhizotwin.calls import dataset_folder, require_each, result_folder
-from rhizotwin.front_door import load_result
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.calls import dataset_folder, require_each, result_folder
+from rhizotwin.steps.front_door import load_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import Flag, option, read_length_mm, with_metavar
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.arguments import Flag, option, read_length_mm, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.rig.printing.print_page import Paper

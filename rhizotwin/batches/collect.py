@@ -72,7 +72,7 @@ def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed
     datasets : str
         Folder or address for the datasets.
     profile, seed : str, int
-        Profile of simulated imperfections, and random seed, see `rhizotwin.front_door.simulate`.
+        Profile of simulated imperfections, and random seed, see `rhizotwin.steps.front_door.simulate`.
     device : str
         Device for the computation.
 

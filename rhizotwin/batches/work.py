@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin import engine
-from rhizotwin.arguments import Progress
 from rhizotwin.batches import places
 from rhizotwin.batches.jobs import HEADS, Job, Outcome, State, note
 from rhizotwin.scenes import formatting, memory
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.arguments import Progress
 
 OF_DISK = (*formatting.FULL, errno.EIO, errno.ESTALE)
 """Values of errno that indicate a failure of the disk or network. A job that fails with one of them is repeated."""

@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import (
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count, was
+from rhizotwin.scenes.solution import Factors
+from rhizotwin.steps.arguments import (
     Device,
     SceneChanges,
     SceneName,
@@ -20,9 +23,6 @@ from rhizotwin.arguments import (
     read_number,
     with_metavar,
 )
-from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import count, was
-from rhizotwin.scenes.solution import Factors
 
 if TYPE_CHECKING:
     from rhizotwin.batches.run import Batch
@@ -158,10 +158,10 @@ def simulate(
     rhizotwin batch simulate printed_8ml sphere_20mm -o my_scans --profile bench
     rhizotwin batch simulate radish_day15b -o my_scans --plants 3 --days 5,10,15 --treatments 'control:1,low N:0.85'
     """
-    from rhizotwin import front_door
     from rhizotwin.batches import collect
     from rhizotwin.batches.run import run
     from rhizotwin.batches.series import vary
+    from rhizotwin.steps import front_door
 
     loaded = [front_door.load_scene(scene, **vars(changes)) for scene in scenes]
     each = [vary(one, plants=plants, days=days, treatments=treatments) for one in loaded]

@@ -12,10 +12,10 @@ rhizotwin biomass predict my_other_results --model radish.json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rhizotwin.arguments import OutputFolder, check_new_file, option, output, read_number, with_metavar
 from rhizotwin.experiment.masses import BALANCE_G
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
+from rhizotwin.steps.arguments import OutputFolder, check_new_file, option, output, read_number, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model, Pair

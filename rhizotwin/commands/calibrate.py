@@ -17,7 +17,13 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from rhizotwin import command_steps
-from rhizotwin.arguments import (
+from rhizotwin.pages import BoardOptions, PageOptions
+from rhizotwin.scenes import files
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.steps.arguments import (
     Device,
     ImageWh,
     OutputFile,
@@ -31,13 +37,7 @@ from rhizotwin.arguments import (
     read_integer,
     with_metavar,
 )
-from rhizotwin.pages import BoardOptions, PageOptions
-from rhizotwin.scene_changes import change_scene
-from rhizotwin.scenes import files
-from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import count
-from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.steps.scene_changes import change_scene
 
 if TYPE_CHECKING:
     from rhizotwin.rig.lens.calibration import Calibration

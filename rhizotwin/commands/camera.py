@@ -2,9 +2,9 @@
 
 from typing import Annotated
 
-from rhizotwin.arguments import Port, SceneName, with_metavar
 from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
+from rhizotwin.steps.arguments import Port, SceneName, with_metavar
 
 DEFAULT_PORT = 8471
 

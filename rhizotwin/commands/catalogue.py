@@ -23,7 +23,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import (
+from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import count, printable
+from rhizotwin.steps.arguments import (
     Flag,
     OutputFolder,
     Replicate,
@@ -36,9 +39,6 @@ from rhizotwin.arguments import (
     read_integer,
     with_metavar,
 )
-from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
-from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import count, printable
 
 if TYPE_CHECKING:
     from rhizotwin.catalogue.adding import Added

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rhizotwin import command_steps, rigs
-from rhizotwin.arguments import OutputFolder, Page, SceneName, with_metavar
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.arguments import OutputFolder, Page, SceneName, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.console.serve import Served

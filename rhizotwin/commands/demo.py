@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from rhizotwin import command_steps
-from rhizotwin.arguments import Device, OutputFolder, Profile, Progress
+from rhizotwin.steps.arguments import Device, OutputFolder, Profile, Progress
 
 
 def demo(

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Progress, ResultFolder, with_metavar
-from rhizotwin.arguments import output as output_option
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.arguments import Progress, ResultFolder, with_metavar
+from rhizotwin.steps.arguments import output as output_option
 
 
 def edit(

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import Flag, OutputFile, Progress, with_metavar
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.arguments import Flag, OutputFile, Progress, with_metavar
 
 
 @Parameter(name="*", group="Publication")

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFolder, with_metavar
+from rhizotwin.steps.arguments import OutputFolder, with_metavar
 
 
 def growth(results: Annotated[list[Path], with_metavar("RESULTS")], /, *, output: OutputFolder) -> None:

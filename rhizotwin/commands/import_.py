@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, with_metavar
 from rhizotwin.scenes import files
 from rhizotwin.scenes.formatting import count
+from rhizotwin.steps.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, with_metavar
 
 
 def import_(

@@ -3,10 +3,10 @@
 from dataclasses import replace
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFile, SceneName, option, read_integer, read_length_mm
 from rhizotwin.pages import PageOptions
 from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
+from rhizotwin.steps.arguments import OutputFile, SceneName, option, read_integer, read_length_mm
 
 PAPER_LIMITS_MM = (0.0, 2.0)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFolder, SceneName, option, options, read_length_mm, with_metavar
+from rhizotwin.steps.arguments import OutputFolder, SceneName, option, options, read_length_mm, with_metavar
 
 BED_LIMITS_MM = (50.0, 2000.0)
 

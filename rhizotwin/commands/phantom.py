@@ -2,8 +2,8 @@
 
 from typing import Annotated
 
-from rhizotwin.arguments import ResultFolder, list_of, option, read_number
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps.arguments import ResultFolder, list_of, option, read_number
 
 WIRE_LIMITS_MM, MASS_LIMITS_MG = (0.01, 10.0), (0.1, 1e6)
 WIRES_MM = (0.1, 0.2, 0.4, 0.8)

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from rhizotwin import command_steps
-from rhizotwin.arguments import (
+from rhizotwin.scenes import files
+from rhizotwin.scenes.model import Scene
+from rhizotwin.steps.arguments import (
     MAX_SEEDS,
     Device,
     OutputFolder,
@@ -21,9 +23,7 @@ from rhizotwin.arguments import (
     read_number,
     read_views,
 )
-from rhizotwin.scene_changes import change_scene
-from rhizotwin.scenes import files
-from rhizotwin.scenes.model import Scene
+from rhizotwin.steps.scene_changes import change_scene
 
 if TYPE_CHECKING:
     from rhizotwin.planning import plans

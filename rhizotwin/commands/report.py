@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, Progress, output, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import recover
+from rhizotwin.steps.arguments import Flag, Progress, output, with_metavar
 
 
 def report(

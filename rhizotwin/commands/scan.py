@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from rhizotwin import command_steps, rigs
-from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.steps.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 
 if TYPE_CHECKING:
     from collections.abc import Callable

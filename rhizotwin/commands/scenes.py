@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, SceneName, SolutionName, check_new_file, output, with_metavar
 from rhizotwin.scenes import files, key_descriptions
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT, Solution
+from rhizotwin.steps.arguments import Flag, SceneName, SolutionName, check_new_file, output, with_metavar
 
 
 def scenes(

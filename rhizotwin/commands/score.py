@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from rhizotwin import calls, front_door
-from rhizotwin.arguments import DatasetFolder, Flag, Progress, ResultFolder, VolumeMl, with_metavar
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps import calls, front_door
+from rhizotwin.steps.arguments import DatasetFolder, Flag, Progress, ResultFolder, VolumeMl, with_metavar
 
 _OF_PICTURES = ("read", "markers", "poses", "canister", "background", "wall", "silhouettes")
 """Stages of the reconstruction that are repeated before a result is compared with pictures. The progress bar takes

@@ -12,8 +12,8 @@ rhizotwin timelapse status my_experiment.toml
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rhizotwin.arguments import Flag, OutputFile, Progress, check_new_file, with_metavar
 from rhizotwin.scenes.formatting import count
+from rhizotwin.steps.arguments import Flag, OutputFile, Progress, check_new_file, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.timelapse.experiment import Experiment

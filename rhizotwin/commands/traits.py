@@ -5,9 +5,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rhizotwin.arguments import check_new_file, list_of, option, output, read_mass_g, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
+from rhizotwin.steps.arguments import check_new_file, list_of, option, output, read_mass_g, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.scenes.traits import Traits

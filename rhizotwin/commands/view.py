@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin import command_steps
-from rhizotwin.arguments import Page, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.formatting import count, was
+from rhizotwin.steps.arguments import Page, with_metavar
 
 
 def view(

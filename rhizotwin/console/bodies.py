@@ -2,7 +2,7 @@
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from rhizotwin.arguments import SubjectOptions
+from rhizotwin.steps.arguments import SubjectOptions
 
 
 class Body(BaseModel):

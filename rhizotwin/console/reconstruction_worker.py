@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin import command_steps, engine
-from rhizotwin.arguments import Progress
 from rhizotwin.console.messages import explained
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes.terminal import OneBar
 from rhizotwin.scenes.threads import end_with_parent
+from rhizotwin.steps.arguments import Progress
 
 NICE = 10
 """Niceness of the process. It gives a simultaneous scan a higher priority."""

@@ -12,11 +12,11 @@ import pytest
 
 from rhizotwin.commands import COMMANDS, GROUPS, cli, command_line, place
 from rhizotwin.pages import PageOptions
-from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.steps.scene_changes import change_scene
 from tests.command import Command
 
 

@@ -12,7 +12,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from rhizotwin.arguments import SubjectOptions
 from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.console.client import Console
@@ -24,6 +23,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.steps.arguments import SubjectOptions
 from tests.rhizotwin.console.conftest import LONG_S, VIEWS, Lab, until
 
 

@@ -11,15 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
-from rhizotwin import engine, scene_changes
-from rhizotwin.calls import SHARES, Progress, watch
+from rhizotwin import engine
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import HEADS
 from rhizotwin.scenes.model import Scene
+from rhizotwin.steps import scene_changes
+from rhizotwin.steps.calls import SHARES, Progress, watch
 
 if TYPE_CHECKING:
-    from rhizotwin.arguments import Placing
     from rhizotwin.recon.results import result as reconstructed
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rhizotwin.scoring.score_file import FileScore
     from rhizotwin.scoring.score_pictures import PictureScore
     from rhizotwin.scoring.score_solid import SolidScore, VolumeScore
+    from rhizotwin.steps.arguments import Placing
     from rhizotwin.stored.save import Result
 
 log = logging.getLogger("rhizotwin")

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from rhizotwin.arguments import Placing
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
 from rhizotwin.scenes.specimens import MeshSpecimen, PlacedFile, RsmlSpecimen
+from rhizotwin.steps.arguments import Placing
 
 _RSML_SUFFIXES = (".rsml", ".xml")
 

@@ -12,13 +12,13 @@ from dataclasses import is_dataclass
 from functools import wraps
 from typing import Any, Literal, get_args
 
-from rhizotwin.arguments import DIAMETER_LIMITS_MM, MASS_LIMITS_G, PIXEL_LIMITS, VOLUME_LIMITS_ML, VOXEL_LIMITS_MM
-from rhizotwin.calls import require
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_from_dict, scene_to_dict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.name_suggestion import most_similar
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
+from rhizotwin.steps.arguments import DIAMETER_LIMITS_MM, MASS_LIMITS_G, PIXEL_LIMITS, VOLUME_LIMITS_ML, VOXEL_LIMITS_MM
+from rhizotwin.steps.calls import require
 
 LIMITS: Mapping[str, tuple[float, float]] = {
     "image_wh": PIXEL_LIMITS,

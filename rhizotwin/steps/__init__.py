@@ -1,0 +1,1 @@
+"""Steps of a scan as functions, shared by the commands and the Python interface, with checks of their arguments."""
