@@ -88,7 +88,7 @@ def test_shadows_fall_where_the_cells_are() -> None:
     np.testing.assert_allclose(found, expected[views.start : views.stop], atol=0.02 * expected.max())
 
 
-def test_values_of_pictures_are_averaged_over_the_views_that_show_a_cell() -> None:
+def test_values_are_averaged_over_the_views_that_show_a_cell() -> None:
     """The product of all values is too small for a number."""
     views, rng = 90, np.random.default_rng(8)
     empty, told = blank_of(ring_of(views, (60, 50))), rng.random((views, 50, 60)) < 0.8
