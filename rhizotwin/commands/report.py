@@ -17,7 +17,7 @@ def report(
     dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     progress: Progress = Progress(),
 ) -> None:
-    """Write the report of a result, or one report for several results.
+    """Write the report of a result again, or one report for several results.
 
     The report is a single HTML file that can be opened without an internet connection. It contains the volume with its
     90 % interval and reliability, recommendations, the shape in 3D, the pictures with the outline of the
