@@ -6,15 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence, bright_spots, core_outline, generous_outline
 from rhizotwin.recon.coverage.silhouettes import Mask
+from rhizotwin.recon.device import Float, UInt32, halves, points, readable
 from rhizotwin.recon.hull import carve, distance_maps
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Leaves
+from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import density
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.scenes.monitor import Monitor
@@ -27,8 +31,6 @@ accepted.
 
 A bubble covers a point in one view, whereas a gap between roots is visible in several views. With 0.05, which is two of
 40 views, gaps are closed, and the length of a thick print is 7 % instead of 1 % too large."""
-_AT_ONCE = 50_000
-"""Number of cells that are projected at once. This takes 80 MB for 80 views."""
 _MOST_CELLS = 2_000_000
 """Maximum number of cells, since their footprints in all views must fit in memory. A larger search space is divided
 into larger cells."""
@@ -74,20 +76,24 @@ def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -
         bright = _count_views(evidence.select_views(views), core, [spots[k] for k in views])
     some = np.flatnonzero(bright)
     often = np.zeros(len(bright), bool)
-    views_of = _count_views(evidence, core.select(some), [np.ones(one.shape, bool) for one in spots])
-    often[some] = bright[some] > np.maximum(_MOST_BRIGHT * views_of, 1.0)
+    if len(some):
+        views_of = _count_views(evidence, core.select(some), [np.ones(one.shape, bool) for one in spots])
+        often[some] = bright[some] > np.maximum(_MOST_BRIGHT * views_of, 1.0)
     return often
 
 
 def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDArray[np.int64]:
     """Return the number of views (N,) in which each cell is projected onto a pixel of that view's mask."""
-    found = np.zeros(len(cells.index), np.int64)
-    for begin in range(0, len(found), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        nodes = evidence.project(cells.centre_mm[part])
-        column, row = np.rint(np.where(nodes.visible[..., None], nodes.px, 0.0)).astype(np.int64).transpose(2, 0, 1)
-        found[part] = sum(nodes.visible[k] & mask[row[k], column[k]] for k, mask in enumerate(masks))
-    return found
+    marked, point, (width, height) = halves(masks), points(cells.centre_mm), evidence.size
+
+    def body(view: UInt32, count: Float) -> tuple[UInt32, Float]:
+        p = projection.project(evidence.bank, view, point, mi.Bool(True))
+        column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
+        at = view * (width * height) + row * width + column
+        return view + 1, count + mi.Float(dr.gather(mi.Float16, marked, at, p.visible & readable(p.px, width, height)))
+
+    state = dr.zeros(mi.UInt32, len(cells.index)), dr.zeros(mi.Float, len(cells.index))
+    return np.array(dr.while_loop(state, lambda view, _: view < evidence.bank.end, body)[1], np.int64)
 
 
 def _carve(evidence: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:

@@ -74,6 +74,8 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Arr
     reach_mm : float
         Upper limit of the distance outside the core, mm.
     """
+    if not len(core):
+        return np.full(len(cells.index), -reach_mm)
     size_mm, order = cells.grid.size_mm, lattices.sort(cells.index)
     inner, depth = distances.depth(core), np.empty(len(order))
     # Only cells of the rim, which are one cell deep, can be nearest to a cell outside.
