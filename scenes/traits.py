@@ -96,6 +96,12 @@ class Traits:
     """Ratio of the total length to the given mass, m/g. It is None if no mass is given."""
     tissue_density_g_per_ml: float | None = None
     """Ratio of the given mass to the volume, g/ml. It is None if no mass is given."""
+    tortuosity: float | None = None
+    """Ratio of the total length to the sum of the distances between base and tip of all roots."""
+    branch_distance_mm: float | None = None
+    """Mean distance between successive branch points of a root, mm. It is None if no root has two."""
+    lateral_density_per_cm: float | None = None
+    """Number of laterals per length of the zones from the first to the last branch point of each root, 1/cm."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +174,28 @@ def measure_traits(
         angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
         specific_root_length_m_per_g=total_mm / 1000.0 / mass_g if known and mass_g is not None else None,
         tissue_density_g_per_ml=None if mass_g is None else mass_g / (volume_mm3 / 1000.0),
+        tortuosity=_tortuosity(roots, total_mm) if known else None,
+        **_branching(roots),
     )
+
+
+def _tortuosity(roots: Sequence[Root], total_mm: float) -> float | None:
+    direct_mm = sum(float(np.linalg.norm(root.points_mm[-1] - root.points_mm[0])) for root in roots)
+    return total_mm / direct_mm if direct_mm > 0.0 else None
+
+
+def _branching(roots: Sequence[Root]) -> dict[str, float | None]:
+    """Return ``branch_distance_mm`` and ``lateral_density_per_cm``."""
+    places: dict[int, list[float]] = {}
+    for root, position in zip(roots, branch_positions_mm(roots), strict=True):
+        if position is not None:
+            places.setdefault(root.parent, []).append(position)
+    zones = [(max(found) - min(found), len(set(found)) - 1, len(found)) for found in places.values() if len(set(found)) > 1]
+    zone_mm = sum(length for length, _, _ in zones)
+    return {
+        "branch_distance_mm": zone_mm / sum(gaps for _, gaps, _ in zones) if zones else None,
+        "lateral_density_per_cm": 10.0 * sum(laterals for _, _, laterals in zones) / zone_mm if zones else None,
+    }
 
 
 def _segments(roots: Sequence[Root]) -> _Segments:
@@ -256,6 +283,18 @@ def _root_counts(pieces: _Segments) -> tuple[float, float]:
 def _branch_points(roots: Sequence[Root]) -> int:
     places = {(root.parent, *np.round(root.points_mm[0], 3).tolist()) for root in roots if root.parent >= 0}
     return len(places)
+
+
+def branch_positions_mm(roots: Sequence[Root]) -> list[float | None]:
+    """Return the position of each root's branch point along its parent, mm; None for roots without a parent."""
+    found: list[float | None] = []
+    for root in roots:
+        if root.parent < 0:
+            found.append(None)
+            continue
+        points = roots[root.parent].points_mm
+        found.append(float(polyline.arc_length_mm(points)[int(np.argmin(np.sum((points - root.points_mm[0]) ** 2, axis=1)))]))
+    return found
 
 
 def _emergence_deg(roots: Sequence[Root]) -> Array:

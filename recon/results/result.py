@@ -7,6 +7,7 @@
              shape.ply             surface, canister frame, mm
              shoot.ply             surface of the shoot's visual hull, if there are pictures of a shoot
              roots.rsml            centre lines and diameters of the roots, if any were found
+             roots.csv             length, diameters, parent, order and place of each of these roots
              traits.csv, .json     traits with units and definitions
              silhouettes/NAME.png  16 bit: measured fraction of each pixel that roots cover
              seen/NAME.png         8 bit: 255 for usable pixels, 0 for all others
@@ -35,7 +36,7 @@ from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh, pi
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
-from rhizotwin.scenes import atomic, rsml, trait_table
+from rhizotwin.scenes import atomic, root_table, rsml, trait_table
 from rhizotwin.scenes.formatting import interval_ml, ml
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
@@ -294,9 +295,11 @@ class Result:
         (folder / "shoot.ply").unlink(missing_ok=True)
         if self.shoot is not None:
             atomic.write_bytes(folder / "shoot.ply", bytes(trimesh.exchange.ply.export_ply(self.shoot.mesh)))
-        (folder / "roots.rsml").unlink(missing_ok=True)
+        for name in ("roots.rsml", "roots.csv"):
+            (folder / name).unlink(missing_ok=True)
         if solid.roots:
             rsml.write_rsml(folder / "roots.rsml", solid.roots)
+            atomic.write_text(folder / "roots.csv", root_table.to_csv(solid.roots))
         for file, silhouette in self.silhouettes.items():
             atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
             atomic.write_image(picture_path(folder / "seen", file), silhouette.usable.astype(np.uint8) * 255)
