@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin import surface_mesh
 from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.drawing import surface_mesh
+from rhizotwin.drawing.root_mesh import THICKEST_PERCENT
 from rhizotwin.recon.uncertainty.budget import NINETY
-from rhizotwin.root_mesh import THICKEST_PERCENT
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -1,6 +1,6 @@
 """Commands of the program, with one module per command or group of commands.
 
-`cli` is the entry point, `command_line` the parser.
+`cli` is the entry point, `command_line` the parser; `page_options` has the options of printed pages.
 
 A command is a typed function whose numpydoc docstring is the ``--help`` text. To add a command, write its function in a
 module of the same name, and add a line to `COMMANDS`. A module is imported only when its command is used. Imports that

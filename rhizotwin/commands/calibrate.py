@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from rhizotwin import command_steps
-from rhizotwin.pages import BoardOptions, PageOptions
+from rhizotwin.commands.page_options import BoardOptions, PageOptions
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError

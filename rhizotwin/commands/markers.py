@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Annotated
 
-from rhizotwin.pages import PageOptions
+from rhizotwin.commands.page_options import PageOptions
 from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
 from rhizotwin.steps.arguments import OutputFile, SceneName, option, read_integer, read_length_mm

@@ -16,7 +16,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rhizotwin import root_mesh, surface_mesh
+from rhizotwin.drawing import root_mesh, surface_mesh
 from rhizotwin.exporter import mesh_files, voxel_files
 from rhizotwin.exporter.undistorted import VirtualCamera, best_distance_mm
 from rhizotwin.recon.results import assessments

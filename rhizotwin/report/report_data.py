@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from rhizotwin import surface_mesh
+from rhizotwin.drawing import surface_mesh
 from rhizotwin.recon.results import assessments
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.recon.results.result import Result

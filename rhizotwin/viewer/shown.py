@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin import surface_mesh
 from rhizotwin.corrections.lines import Lines
 from rhizotwin.corrections.session import Session
 from rhizotwin.corrections.state import Refitted
+from rhizotwin.drawing import surface_mesh
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError

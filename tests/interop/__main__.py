@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from rhizotwin import engine, surface_mesh
+from rhizotwin import engine
+from rhizotwin.drawing import surface_mesh
 from rhizotwin.exporter import exports, mesh_files
 from rhizotwin.publishing.study import EXAMPLE
 from rhizotwin.stored import result_files

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import trimesh
 
+from rhizotwin.drawing.root_mesh import tubes as meshed
 from rhizotwin.recon.calibration.cameras import Camera as FoundCamera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras
@@ -18,7 +19,6 @@ from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.tubes import filling
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import Term, Volume
-from rhizotwin.root_mesh import tubes as meshed
 from rhizotwin.scenes import atomic, frames, plan
 from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene

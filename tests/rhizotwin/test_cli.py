@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.commands import COMMANDS, GROUPS, cli, command_line, place
-from rhizotwin.pages import PageOptions
+from rhizotwin.commands.page_options import PageOptions
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.errors import UserError

@@ -15,7 +15,7 @@ import pytest
 import tifffile
 import trimesh
 
-from rhizotwin import root_mesh
+from rhizotwin.drawing import root_mesh
 from rhizotwin.exporter import exports
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import file_sha256

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin import surface_mesh
+from rhizotwin.drawing import surface_mesh
 from rhizotwin.recon.results.parts import Mesh
 
 
