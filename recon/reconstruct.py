@@ -37,7 +37,7 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
 
-_VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
+_VERSIONED = ("mitsuba", "drjit", "numba", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 """Packages whose versions are recorded in the result."""
 _SWAYS = 3
 """Maximum number of times that the hull and the roots are reconstructed again because the roots moved between the

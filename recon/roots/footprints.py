@@ -67,8 +67,8 @@ class Footprints:
 
     def select(self, which: NDArray[np.bool_]) -> Footprints:
         """Return the footprints of a subset of the cells, selected by a mask (N,)."""
-        place, area = (np.compress(which, part, axis=1) for part in (self.place, self.px2_a_mm2))  # indexing transposes
-        return replace(self, place=place, px2_a_mm2=area)
+        # Indexing would transpose the memory.
+        return replace(self, place=np.compress(which, self.place, axis=1), px2_a_mm2=np.compress(which, self.px2_a_mm2, axis=1))
 
     def shadows(self, views: range, amount: NDArray[np.float32]) -> Pictures:
         """Project the cells' shadows (N,), mm2, into pictures (K, H, W) of consecutive views by bilinear splatting."""

@@ -24,7 +24,7 @@ from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
 
 ROOT = Path(__file__).resolve().parents[2]
-SLOW = ("mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d")
+SLOW = ("mitsuba", "drjit", "numba", "trimesh", "skimage", "matplotlib", "manifold3d")
 
 
 PROGRAMS = {
