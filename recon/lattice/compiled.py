@@ -18,11 +18,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """Compile a function at its first call.
 
-    It runs without Python's global lock, and its results depend neither on the number of threads nor on the processor:
-    sums are evaluated in the written order.
+    It runs without Python's global lock. Sums are evaluated in the written order.
     """
-    compile_once = numba.njit(nogil=True, error_model="numpy")
+    options = {"nogil": True, "error_model": "numpy"}
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba finds no folder that it may write
-        return compile_once(function)
+        return numba.njit(**options)(function)
