@@ -19,7 +19,6 @@ from typing import Any as _Any
 
 if _TYPE_CHECKING:
     from rhizotwin.api import batch, biomass, export, growth, import_pictures, scan
-    from rhizotwin.display import plot, view
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
     from rhizotwin.scenes.errors import UserError
@@ -27,6 +26,7 @@ if _TYPE_CHECKING:
     from rhizotwin.scenes.monitor import Cancelled, Monitor
     from rhizotwin.scoring.score import Score
     from rhizotwin.steps.arguments import Placing
+    from rhizotwin.steps.display import plot, view
     from rhizotwin.steps.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.stored.save import Result
 
@@ -77,13 +77,13 @@ _PLACES = {
     "load_dataset": "scenes.dataset",
     "load_result": "steps.front_door",
     "load_scene": "steps.front_door",
-    "plot": "display",
+    "plot": "steps.display",
     "reconstruct": "steps.front_door",
     "scan": "api",
     "score": "steps.front_door",
     "score_file": "steps.front_door",
     "simulate": "steps.front_door",
-    "view": "display",
+    "view": "steps.display",
 }
 """Name of the submodule of ``rhizotwin`` in which each public name is defined. The key is the public name."""
 

@@ -283,10 +283,10 @@ def scan(
     Dataset
         Dataset with the pictures of the scan.
     """
-    from rhizotwin import rigs
     from rhizotwin.commands.scan import ScanOptions
     from rhizotwin.commands.scan import scan as run
     from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.steps import rigs
     from rhizotwin.steps.arguments import Progress as Bars
 
     options = ScanOptions(plan=plan, resume=resume, table_angle_deg=table_angle_deg)

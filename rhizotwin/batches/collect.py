@@ -112,7 +112,7 @@ def _head(dataset: str) -> bytes:
 
 def _checked(settings: Path) -> str:
     """Validate a settings file, and return its text."""
-    from rhizotwin.command_steps import settings_of
+    from rhizotwin.steps.command_steps import settings_of
 
     settings_of(settings)
     return read_text(settings)

@@ -67,8 +67,8 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
 
 
 def _reconstruct(job: Job) -> None:
-    from rhizotwin.command_steps import reconstruct_whole, settings_of
     from rhizotwin.recon.settings import PictureSettings
+    from rhizotwin.steps.command_steps import reconstruct_whole, settings_of
     from rhizotwin.stored.result_files import RESULT_NAMES
 
     options = {key: value for key, value in job.options.items() if key != "device"}

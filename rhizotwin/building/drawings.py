@@ -9,10 +9,10 @@ from manifold3d import Manifold
 from rhizotwin.building.line_drawing import CORNER, FRONT, RIGHT, TOP, Drawn, draw
 from rhizotwin.building.part import Dimension, Part, surface
 from rhizotwin.building.rig_parts import Bought
+from rhizotwin.drawing.shading import Side
 from rhizotwin.rig.printing.print_page import Line, Page, Strokes, Text
 from rhizotwin.rig.printing.print_page import Part as Ink
 from rhizotwin.scenes.frames import Array
-from rhizotwin.shading import Side
 
 PAGE_MM = (297.0, 210.0)
 """Width and height of a page (A4 landscape)."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from rhizotwin.building.part import surface
+from rhizotwin.drawing.shading import Side, rasterise
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.frames import Array
-from rhizotwin.shading import Side, rasterise
 
 SHARP_DEG = 25.0
 """Minimum angle between the normals of adjacent faces for which their common edge is drawn. On a round wall with 240

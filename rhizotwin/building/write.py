@@ -17,6 +17,7 @@ from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, check_whole, surface
 from rhizotwin.building.rig_parts import Bought, bought_of, collisions, parts_of
 from rhizotwin.building.wiring import wiring_pages
+from rhizotwin.drawing.shading import rasterise, shade
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.rig.printing.print_files import write_pages
 from rhizotwin.rig.rig_file import HatPart, RigFile
@@ -25,7 +26,6 @@ from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
-from rhizotwin.shading import rasterise, shade
 
 PICTURE_PX = 1100
 """Length of the longer side of the rendered pictures, in pixels. They are then reduced by a factor of two to smooth the

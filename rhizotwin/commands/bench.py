@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, was
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import Device, OutputFile, OutputFolder, Progress, list_of, option, read_number, with_metavar
 
 if TYPE_CHECKING:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps
 from rhizotwin.commands.page_options import BoardOptions, PageOptions
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import (
     Device,
     ImageWh,

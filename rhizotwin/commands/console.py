@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rhizotwin import command_steps, rigs
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps import command_steps, rigs
 from rhizotwin.steps.arguments import OutputFolder, Page, SceneName, with_metavar
 
 if TYPE_CHECKING:

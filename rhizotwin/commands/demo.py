@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rhizotwin import command_steps
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import Device, OutputFolder, Profile, Progress
 
 
@@ -31,7 +31,7 @@ def demo(
     rhizotwin demo
     rhizotwin demo -o my_demo --profile bench
     """
-    from rhizotwin.demo import demo as run_demo
+    from rhizotwin.steps.demo import demo as run_demo
 
     command_steps.start_engine(device, quiet=progress.quiet)
     run_demo(output, profile=profile, say=print, progress=progress)

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps
 from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import (
     MAX_SEEDS,
     Device,

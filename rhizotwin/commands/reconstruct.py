@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, option, with_metavar
 
 if TYPE_CHECKING:

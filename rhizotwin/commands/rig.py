@@ -18,10 +18,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
-from rhizotwin import rigs
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
+from rhizotwin.steps import rigs
 from rhizotwin.steps.arguments import OutputFile, SceneName, check_new_file, option, read_length_mm, with_metavar
 
 DISTANCE_LIMITS_MM, HEIGHT_LIMITS_MM = (20.0, 10000.0), (-2000.0, 2000.0)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps, rigs
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.steps import command_steps, rigs
 from rhizotwin.steps.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 
 if TYPE_CHECKING:

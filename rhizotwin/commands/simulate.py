@@ -5,9 +5,8 @@ from typing import Literal
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps
 from rhizotwin.scenes.formatting import count
-from rhizotwin.steps import front_door
+from rhizotwin.steps import command_steps, front_door
 from rhizotwin.steps.arguments import Device, OutputDataset, Progress, Samples, SceneChanges, SceneName, Seed, SubjectOptions
 
 

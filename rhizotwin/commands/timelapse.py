@@ -66,7 +66,7 @@ def run(experiment: ExperimentFile, /, *, progress: Progress = Progress()) -> No
     --------
     rhizotwin timelapse run my_experiment.toml
     """
-    from rhizotwin import rigs
+    from rhizotwin.steps import rigs
     from rhizotwin.timelapse.experiment import load_experiment
     from rhizotwin.timelapse.runner import Listener, Runner
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps, rigs
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps import command_steps, rigs
 from rhizotwin.steps.arguments import Port, SceneName, option, options, output, read_number
 
 SPEED_LIMITS = (0.01, 1000.0)

@@ -4,10 +4,10 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin import command_steps
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.formatting import count, was
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import Page, with_metavar
 
 

@@ -124,7 +124,7 @@ class Guard:
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         if path == "/" and _same(given, self._access.token):
             # Not a redirect: browsers send a strict cookie only if the site's own page leads to the next one, but the
-            # user may come from a file (`rhizotwin.private_page`).
+            # user may come from a file (`rhizotwin.viewer.private_page`).
             cookie = login_headers(cookie_name, self._access.new_session())["Set-Cookie"]
             await _answer(send, 200, FORWARD, Content_Type="text/html; charset=utf-8", Set_Cookie=cookie)
             return

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rhizotwin import rigs
 from rhizotwin.console.controls import Controls
 from rhizotwin.console.devices import DeviceStates
 from rhizotwin.console.messages import Messages, explained, for_console
@@ -38,6 +37,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, error_sentence
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.steps import rigs
 from rhizotwin.steps.arguments import SubjectOptions
 from rhizotwin.timelapse.runner import Listener, Runner
 

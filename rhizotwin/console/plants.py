@@ -7,7 +7,6 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
-from rhizotwin import rigs
 from rhizotwin.catalogue import adding
 from rhizotwin.catalogue.identity import WrongPlantError, check_plant, identify
 from rhizotwin.catalogue.records import Plant, Visit
@@ -16,6 +15,7 @@ from rhizotwin.catalogue.visits import list_visits
 from rhizotwin.scenes.model import MarkerStrip, Scene
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.steps import rigs
 
 MOST_SHOWN = 6
 """Maximum number of future scans in the list, and of missed scans. Scans planned for today are always listed."""

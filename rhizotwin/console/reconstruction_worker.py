@@ -12,11 +12,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from rhizotwin import command_steps, engine
+from rhizotwin import engine
 from rhizotwin.console.messages import explained
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes.terminal import OneBar
 from rhizotwin.scenes.threads import end_with_parent
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import Progress
 
 NICE = 10

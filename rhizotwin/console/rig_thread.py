@@ -18,8 +18,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.threads import LastingThread
 
 if TYPE_CHECKING:
-    from rhizotwin.rigs import Bench
     from rhizotwin.scenes.picture_codec import Grey
+    from rhizotwin.steps.rigs import Bench
 
 T = TypeVar("T")
 

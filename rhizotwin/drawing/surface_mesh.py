@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin import shading
+from rhizotwin.drawing import shading
 from rhizotwin.recon.results.parts import Mesh
 
 Array = NDArray[np.float64]

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours, shading
 from rhizotwin.corrections.lines import Lines, as_lines
+from rhizotwin.drawing import root_colours, shading
+from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
 from rhizotwin.report.sides import SHAPE_RGB, SHRINK, Box, boxes, raster
 from rhizotwin.scenes.dataset import Dataset
@@ -23,7 +24,6 @@ from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import surface_distance
 from rhizotwin.stored.load import read_silhouette
-from rhizotwin.through_water import Pictures
 
 Floats = NDArray[np.float64]
 TRUTH_RGB = (0.42, 0.62, 0.80)

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours
 from rhizotwin.corrections.lines import as_lines
+from rhizotwin.drawing import root_colours
+from rhizotwin.drawing.through_water import THIN_MM, Pictures
 from rhizotwin.recon.results import result_traits
 from rhizotwin.report import charts, rig_figure, shape_data, tables, words
 from rhizotwin.report.report_data import TRIANGLES_OF_MANY, ReportData
@@ -26,7 +27,6 @@ from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.html_page import Markup, escape, figure, items, table
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM
 from rhizotwin.stored import result_names
-from rhizotwin.through_water import THIN_MM, Pictures
 
 AZIMUTHS_DEG = {"front": 0.0, "side": -90.0}
 """Azimuths of the pictures in a report, deg: those of the renderings, see `shading.FRONT` and `shading.SIDE`."""

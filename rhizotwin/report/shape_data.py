@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours
 from rhizotwin.corrections.lines import as_lines
-from rhizotwin.drawing import surface_mesh
+from rhizotwin.drawing import root_colours, surface_mesh
+from rhizotwin.drawing.root_colours import Key
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.root_colours import Key
 from rhizotwin.scenes.rsml import Root
 
 _LEVELS = 65535

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin import shading
+from rhizotwin.drawing import shading
 from rhizotwin.recon.results.parts import Mesh
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from rhizotwin import rigs
 from rhizotwin.catalogue import adding, identity, schema
 from rhizotwin.catalogue.records import State, Visit
 from rhizotwin.catalogue.store import Catalogue
@@ -28,6 +27,7 @@ from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plan import count_pictures
+from rhizotwin.steps import rigs
 from rhizotwin.timelapse.changers import Changer, NobodyError
 from rhizotwin.timelapse.clocks import STEP, Calendar, SystemCalendar, VirtualCalendar
 from rhizotwin.timelapse.experiment import Experiment, Member

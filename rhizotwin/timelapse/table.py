@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from rhizotwin import engine, rigs
+from rhizotwin import engine
 from rhizotwin.catalogue.identity import strip_for_canister
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.twin.carousel import TwinCarousel
@@ -12,6 +12,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.steps import rigs
 from rhizotwin.timelapse.changers import CarouselChanger, Changer, EmulatedHand, PersonChanger
 from rhizotwin.timelapse.experiment import Experiment, Member
 

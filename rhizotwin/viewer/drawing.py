@@ -15,14 +15,14 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours
 from rhizotwin.corrections.lines import Line
+from rhizotwin.drawing import root_colours
+from rhizotwin.drawing.through_water import THIN_MM
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.formatting import continued, error_sentence, is_expected
 from rhizotwin.scenes.threads import Worker
 from rhizotwin.stored import result_names
-from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Nodes
 from rhizotwin.viewer.scene3d import CANISTER, Scene3d, field_of_view, quaternion

@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 
 import viser
 
-from rhizotwin import root_colours
+from rhizotwin.drawing import root_colours
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import edit_tab, view_tab, words
 from rhizotwin.viewer.app import Viewer, ray_of, screen_of

@@ -9,14 +9,14 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours, shading
 from rhizotwin.corrections.lines import Line
+from rhizotwin.drawing import root_colours, shading
+from rhizotwin.drawing.root_colours import Colouring
+from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.root_colours import Colouring
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
-from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import tubes
 from rhizotwin.viewer.glb import Triangles, concatenate, glb
 

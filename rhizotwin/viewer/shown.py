@@ -13,12 +13,12 @@ from rhizotwin.corrections.lines import Lines
 from rhizotwin.corrections.session import Session
 from rhizotwin.corrections.state import Refitted
 from rhizotwin.drawing import surface_mesh
+from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files
-from rhizotwin.through_water import Pictures
 
 TRIANGLES = 100_000
 """Maximum number of triangles of a displayed surface."""
@@ -113,7 +113,7 @@ class Shown:
 
         The colour scale extends from 0 (violet) to `FARTHEST_MM` (yellow).
         """
-        from rhizotwin import root_colours
+        from rhizotwin.drawing import root_colours
         from rhizotwin.scoring import surface_distance
 
         if self.truth is None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from rhizotwin import root_colours
+from rhizotwin.drawing import root_colours
 from rhizotwin.viewer import capture, words
 from rhizotwin.viewer.app import Viewer
 from rhizotwin.viewer.drawing import LAYERS, TRUTH, set_value

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.corrections.log import Edit
 from rhizotwin.corrections.session import Measured
+from rhizotwin.drawing.root_colours import Key, half_widths, order_name
 from rhizotwin.recon.results import assessments
 from rhizotwin.report import words
-from rhizotwin.root_colours import Key, half_widths, order_name
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.formatting import ml, round_digits
 from rhizotwin.scenes.trait_table import DEFINITIONS

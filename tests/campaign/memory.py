@@ -5,11 +5,11 @@ import sys
 import time
 from pathlib import Path
 
-from rhizotwin import rigs
 from rhizotwin.console.access import Access
 from rhizotwin.console.client import Console as Client
 from rhizotwin.console.console import Console
 from rhizotwin.console.serve import serve
+from rhizotwin.steps import rigs
 from rhizotwin.timelapse.experiment import load_experiment
 from tests.rhizotwin.timelapse.conftest import write_experiment
 

@@ -15,13 +15,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from rhizotwin import rigs
 from rhizotwin.console import console as server
 from rhizotwin.console.access import Access
 from rhizotwin.console.client import Console
 from rhizotwin.console.serve import serve
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import save_scene
+from rhizotwin.steps import rigs
 from tests.rhizotwin.timelapse.conftest import small_scene
 
 ROOT = Path(__file__).resolve().parents[2]

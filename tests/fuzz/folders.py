@@ -269,9 +269,9 @@ def stand_ins(*, save: bool) -> None:
     """Let commands in this process do without an engine, a browser and other processes."""
     import rhizotwin.batches.local
     import rhizotwin.commands.view
-    import rhizotwin.demo
     import rhizotwin.recon.reconstruct
     import rhizotwin.sim.simulate
+    import rhizotwin.steps.demo
     from rhizotwin.batches.jobs import Outcome
     from rhizotwin.batches.work import work
     from rhizotwin.report import result_pictures
@@ -305,7 +305,7 @@ def stand_ins(*, save: bool) -> None:
 
     rhizotwin.recon.reconstruct.reconstruct = reconstruct
     rhizotwin.sim.simulate.Renderer = Renderer
-    rhizotwin.demo.VIEWS, rhizotwin.demo.IMAGE_WH = 2, (32, 24)
+    rhizotwin.steps.demo.VIEWS, rhizotwin.steps.demo.IMAGE_WH = 2, (32, 24)
     rhizotwin.batches.local.run = lambda jobs, **_: ((job, Outcome(**work(job.plain()))) for job in jobs)
     result_pictures.write_pictures = lambda *_, **__: []
     guard.serve = lambda **_: type("Served", (), {"address": "", "port": 0})()

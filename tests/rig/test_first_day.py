@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhizotwin import rigs
 from rhizotwin.commands import rig as rig_commands
 from rhizotwin.rig.first_day import Finding, FirstDay, edge_width_px, panel_evenness
 from rhizotwin.rig.jog import Jog
@@ -20,6 +19,7 @@ from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene, Turntable
+from rhizotwin.steps import rigs
 from tests.rig.fake_devices import CLEAN as SCENE
 from tests.rig.fake_devices import opened
 

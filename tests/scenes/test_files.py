@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from rhizotwin.command_steps import settings_of
 from rhizotwin.report import rig_figure
 from rhizotwin.scenes import files, key_descriptions, subject
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
@@ -18,6 +17,7 @@ from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.versioned_json import read_versioned_json
+from rhizotwin.steps.command_steps import settings_of
 
 MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [
     ("unknown key", "[canister]\n\nwal_mm = 3.0", ("line 3", "[canister] wal_mm", "unknown key", '"wall_mm"')),

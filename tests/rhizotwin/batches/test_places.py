@@ -48,7 +48,7 @@ def test_an_earlier_result_at_an_address_leaves_no_file_behind(elsewhere: str, t
         for name in made:
             atomic.write_bytes(output / name, b"new")
 
-    monkeypatch.setattr("rhizotwin.command_steps.reconstruct_whole", reconstruct)
+    monkeypatch.setattr("rhizotwin.steps.command_steps.reconstruct_whole", reconstruct)
     remote = replace(job("one", tmp_path), output=f"{elsewhere}/r/one")
     places.write(f"{elsewhere}/r/one/notes.txt", b"mine")
     assert work.work(remote.plain())["state"] == "done"

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from rhizotwin import rigs
 from rhizotwin.console import client
 from rhizotwin.console.access import Access
 from rhizotwin.console.console import Console
 from rhizotwin.console.serve import serve
 from rhizotwin.scenes.files import save_scene
+from rhizotwin.steps import rigs
 from rhizotwin.timelapse.experiment import Experiment
 from tests.rhizotwin.timelapse.conftest import small_scene
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin import shading
+from rhizotwin.drawing import shading
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import charts, figures, result_pictures, sides
 from rhizotwin.report.report_data import ReportData

@@ -124,7 +124,7 @@ def test_faults_that_end_the_run_and_not_the_scan(make_experiment, monkeypatch: 
     for cause in (OSError(errno.ENOSPC, "full"), sqlite3.OperationalError("database is locked")):
         error = UserError("free some space")
         error.__cause__ = cause
-        faults.append(("rhizotwin.rigs.take_scan", Mock(side_effect=error)))
+        faults.append(("rhizotwin.steps.rigs.take_scan", Mock(side_effect=error)))
     for name, function in faults:
         with monkeypatch.context() as patch:
             patch.setattr(name, function)

@@ -11,8 +11,7 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from rhizotwin import private_page
-from rhizotwin.viewer import guard
+from rhizotwin.viewer import guard, private_page
 from tests.rhizotwin.console.conftest import until
 
 SOCKET = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rhizotwin import through_water
+from rhizotwin.drawing import through_water
+from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.calibration.cameras import BareUncertainty, Camera, Cameras
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
@@ -14,7 +15,6 @@ from rhizotwin.recon.results.calibration_summary import summarize_cameras
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.stored.result_files import read_summary
-from rhizotwin.through_water import Pictures
 from rhizotwin.viewer.shown import Shown
 from tests.rhizotwin import plant as plants
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhizotwin import root_colours
 from rhizotwin.corrections import log, session
+from rhizotwin.drawing import root_colours
 from rhizotwin.viewer import words
 from rhizotwin.viewer.app import Viewer
 from rhizotwin.viewer.shown import Shown

@@ -4,12 +4,12 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from rhizotwin.command_steps import reconstruct_whole, settings_of
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import temporary_path, write_json
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.steps.arguments import Progress
+from rhizotwin.steps.command_steps import reconstruct_whole, settings_of
 from rhizotwin.steps.scene_changes import change_scene
 
 SCENE = "printed_8ml"

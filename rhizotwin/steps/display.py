@@ -7,10 +7,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rhizotwin import private_page
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.steps.calls import dataset_folder, require_each, result_folder
 from rhizotwin.steps.front_door import load_result
+from rhizotwin.viewer import private_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,10 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rhizotwin import engine, private_page
+from rhizotwin import engine
 from rhizotwin.steps.arguments import Page, Progress
 from rhizotwin.steps.calls import SHARES
 from rhizotwin.steps.front_door import Method, reconstruct
+from rhizotwin.viewer import private_page
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings, Settings

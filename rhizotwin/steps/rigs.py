@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import command_steps
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
+from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import Device, Profile, Seed, with_metavar
 
 if TYPE_CHECKING:
