@@ -133,7 +133,8 @@ def run(
     (transforms.json) and COLMAP (colmap), silhouettes (masks) and pictures without lens distortion (undistorted). Its
     output is recognised by file names: shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz,
     roots.rsml, and traits.csv. If a method crashes, exceeds the timeout or writes no output, this is recorded as its
-    result. Results are saved after each case; after an interruption, run the same command again to continue.
+    result. Results are saved after each case, in a file RESULTS.json.part if RESULTS.json contains other results; after
+    an interruption, run the same command again to continue.
 
     Parameters
     ----------
@@ -172,25 +173,35 @@ def run(
 
 
 def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, options: RunOptions, progress: Progress) -> None:
-    """Run a method on all cases, and write the results after each case."""
+    """Run a method on all cases, and write the results after each case.
+
+    Other results in the file, such as those of a complete run, are replaced when this run is complete.
+    """
     from rhizotwin.bench import run_method
 
-    finished = run_method.finished_rows(output, benchmark, method, cameras=options.cameras)
-    rows: list[run_method.Row] = []
+    part = output.with_name(f"{output.name}.part")
+    begun = part if part.is_file() else output
+    finished = run_method.finished_rows(begun, benchmark, method, cameras=options.cameras)
+    written = part if output.is_file() and (begun == part or finished is None) else output
+    rows = dict(finished or {})
     with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
 
         def record(row: run_method.Row) -> None:
             earlier = " (from an earlier run)" if row.case in (finished or {}) else ""
             print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}{earlier}", flush=True)
-            rows.append(row)
-            stored = run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras)
-            atomic.write_json(output, stored)
+            rows[row.case] = row
+            known = [rows[case.name] for case in benchmark.cases if case.name in rows]
+            stored = run_method.as_json(benchmark, method, known, name=options.label or method, cameras=options.cameras)
+            atomic.write_json(written, stored)
             step()
 
         run_method.run(
             benchmark, folder, method,
             cameras=options.cameras, timeout_s=options.timeout_s, keep=options.keep, finished=finished, say=record,
         )  # fmt: skip
+    if written == part:
+        part.replace(output)
+    part.unlink(missing_ok=True)
 
 
 def score(

@@ -173,6 +173,34 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     assert (count.read_text(), sorted(path.name for path in kept.iterdir())) == ("...", ["ball", "other"])
 
 
+def test_a_complete_run_is_replaced_by_a_complete_one(
+    command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The repetition is stopped after one of three cases, and before the second is stored again when it continues."""
+    several = replace(TINY, cases=tuple(replace(TINY.cases[0], name=name) for name in ("a", "b", "c")))
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, several)
+    for case in several.cases:
+        shutil.copytree(tiny / "ball", tiny / case.name)
+    calls, rows = list[str](), tmp_path / "rows.json"
+
+    def once(case: str, *_: object) -> run_method.Row:
+        calls.append(case)
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return run_method.Row(case=case, state="done", sentence=str(len(calls)))
+
+    monkeypatch.setattr(run_method, "_run_case", once)
+    words = ["bench", "run", "tiny-1", tiny, "--method", "m {output}", "-o", rows]
+    command.works(*words)
+    assert command(*words).code != 0
+    first = json.loads(rows.read_text())
+    command.works(*words)
+    assert [row["sentence"] for row in first["rows"]] == ["1", "2", "3"]
+    assert [row["sentence"] for row in json.loads(rows.read_text())["rows"]] == ["4", "6", "7"]
+    assert calls == ["a", "b", "c", "a", "b", "b", "c"]
+    assert [path.name for path in tmp_path.glob("rows*")] == ["rows.json"]
+
+
 def test_hostile_numbers_and_cases_of_a_foreign_file(command: Command, tmp_path: Path) -> None:
     iou = next(one for one in results.QUANTITIES if one.name == "iou")
     hostile = (10**400, -(10**400), float("nan"), float("inf"), True, "1")
