@@ -84,10 +84,12 @@ def import_pictures(
     given = scene if isinstance(scene, Scene) else load_scene(scene)
     with watch(monitor, {"copy": 1.0}) as bar:
         poses = None if cameras is None else Path(cameras)
-        made = picture_import.import_pictures(Path(folder), given, Path(output), cameras=poses, masks=masks, no_strip=no_strip, monitor=bar)
-    for note in made.notes:
+        imported = picture_import.import_pictures(
+            Path(folder), given, Path(output), cameras=poses, masks=masks, no_strip=no_strip, monitor=bar
+        )
+    for note in imported.notes:
         log.info(note)
-    return made.dataset
+    return imported.dataset
 
 
 def batch(
@@ -159,11 +161,11 @@ def growth(results: Paths, output: str | Path) -> dict[str, Any]:
     dict of str to pandas.DataFrame
         Tables by name: ``traits``, ``roots``, ``treatments``, and further tables that depend on the data.
     """
-    found = _existing("results", results)
+    paths = _existing("results", results)
     from rhizotwin.commands.growth import growth as run
 
     with _logged():
-        run(found, output=Path(output))
+        run(paths, output=Path(output))
     return {path.stem: _table(path) for path in sorted(Path(output).glob("*.csv"))}
 
 
@@ -190,14 +192,14 @@ def biomass(results: Paths, *, masses: str | Path | None = None, model: str | Pa
     """
     if (masses is None) == (model is None):
         raise UserError("exactly one of masses and model is needed; give masses to fit a model, or model to predict masses")
-    found = _existing("results", results)
+    paths = _existing("results", results)
     from rhizotwin.commands import biomass as commands
 
     with _logged():
         if masses is not None:
-            commands.fit([*found, Path(masses)], output=Path(output))
+            commands.fit([*paths, Path(masses)], output=Path(output))
         else:
-            commands.predict(found, model=Path(str(model)), table=Path(output))
+            commands.predict(paths, model=Path(str(model)), table=Path(output))
     if model is not None:
         return _table(Path(output))
     from rhizotwin.experiment import model_file
@@ -309,11 +311,11 @@ def _paths(name: str, given: Any) -> list[Path]:
 
 def _existing(name: str, given: Any) -> list[Path]:
     """Return paths, after it was checked that they exist, before slow libraries are imported."""
-    found = _paths(name, given)
-    missing = [path for path in found if not path.exists()]
+    paths = _paths(name, given)
+    missing = [path for path in paths if not path.exists()]
     if missing:
         raise UserError(f"{name}: {missing[0]} does not exist; check the path")
-    return found
+    return paths
 
 
 @contextmanager

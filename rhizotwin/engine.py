@@ -86,16 +86,16 @@ def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
     tuple of (Path, int) or None
         Path and major version of the library, or None if no such library was found.
     """
-    found: list[tuple[int, Path]] = []
+    libraries: list[tuple[int, Path]] = []
     for folder in folders:
         for pattern in ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib", "LLVM-C.dll"):
             for library in folder.glob(pattern):
                 version = llvm_version(library) or (_ask_version(library) if library.suffix == ".dll" else None)
                 if version is not None and version >= MIN_LLVM and library.is_file():
-                    found.append((version, library))
-    if not found:
+                    libraries.append((version, library))
+    if not libraries:
         return None
-    version, library = max(found, key=lambda item: (item[0], -len(item[1].name), str(item[1])))
+    version, library = max(libraries, key=lambda item: (item[0], -len(item[1].name), str(item[1])))
     return library, version
 
 
@@ -167,10 +167,10 @@ def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
                 f"unset the variable, or install a newer LLVM with: {install_hint()}"
             )
         return library, version
-    found = find_llvm(folders)
-    if found is None:
+    newest = find_llvm(folders)
+    if newest is None:
         raise UserError(f"no LLVM shared library of version {MIN_LLVM} or newer was found; install one with: {install_hint()}")
-    return found
+    return newest
 
 
 def _ask_version(library: Path) -> int | None:

@@ -149,7 +149,7 @@ def _format_default(value: object) -> str | None:
     if value is None or value == "" or value == ():
         return None
     values = value if isinstance(value, tuple) else (value,)
-    return ",".join(f"{one:g}" if isinstance(one, float) else str(one) for one in values)
+    return ",".join(f"{item:g}" if isinstance(item, float) else str(item) for item in values)
 
 
 def _help(source: Any) -> tuple[str, str]:

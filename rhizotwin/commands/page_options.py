@@ -128,13 +128,13 @@ class BoardOptions:
 
         default = CharucoBoard()
         square_mm = self.square_mm or default.square_mm
-        made = CharucoBoard(
+        board = CharucoBoard(
             squares_xy=self.squares or default.squares_xy,
             square_mm=square_mm,
             marker_mm=self.marker_mm or round(square_mm * MARKER_SHARE, 3),
             dictionary=self.dictionary or default.dictionary,
         )
-        return check_board(made, where="the board")
+        return check_board(board, where="the board")
 
     def board_of(self, file: Path | None) -> "CharucoBoard":
         """Return the board described by a file, or by the options if ``file`` is None."""

@@ -132,17 +132,17 @@ def root_orders(lines: Lines) -> dict[int, int]:
 
     A root without parent has the order 0, and its laterals have the order 1.
     """
-    found: dict[int, int] = {}
+    orders: dict[int, int] = {}
     for number in lines:
         path, here = list[int](), number
-        while here in lines and here not in found:
+        while here in lines and here not in orders:
             path.append(here)
             here = lines[here].parent
-        order = found.get(here, -1)
-        for one in reversed(path):
+        order = orders.get(here, -1)
+        for root in reversed(path):
             order += 1
-            found[one] = order
-    return found
+            orders[root] = order
+    return orders
 
 
 def scale_colours(share: Array) -> Bytes:

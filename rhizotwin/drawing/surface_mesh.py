@@ -86,8 +86,8 @@ def simplify(mesh: Mesh, most: int) -> Mesh:
     while solid.num_tri() > most and tolerance_mm < _LARGEST_TOLERANCE_MM:
         solid = solid.simplify(tolerance_mm)
         tolerance_mm *= _GROWTH
-    found = solid.to_mesh64()
-    vertices, faces = np.asarray(found.vert_properties, np.float64)[:, :3], np.asarray(found.tri_verts, np.int64)
+    simplified = solid.to_mesh64()
+    vertices, faces = np.asarray(simplified.vert_properties, np.float64)[:, :3], np.asarray(simplified.tri_verts, np.int64)
     offset_mm = (volume_mm3 - solid.volume()) / max(solid.surface_area(), 1e-12)
     vertices = vertices + offset_mm * shading.unit_normals(Mesh(vertices_mm=vertices, faces=faces))
     return Mesh(vertices_mm=_move_apart(vertices, faces), faces=faces)
@@ -114,14 +114,14 @@ def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
 
     # a k-d tree finds the nearest point among points of similar radius; the groups of radii are then compared
     group = np.round(2.0 * np.log2(np.maximum(radii_mm, 1e-3))).astype(int)
-    best, found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm), np.int64)
-    for one in np.unique(group):
-        members = np.flatnonzero(group == one)
+    best, nearest = np.full(len(points_mm), np.inf), np.zeros(len(points_mm), np.int64)
+    for radius_class in np.unique(group):
+        members = np.flatnonzero(group == radius_class)
         away, near = cKDTree(centres_mm[members]).query(points_mm, workers=-1)
         height = away - radii_mm[members][near]
         nearer = height < best
-        best[nearer], found[nearer] = height[nearer], members[near[nearer]]
-    return found
+        best[nearer], nearest[nearer] = height[nearer], members[near[nearer]]
+    return nearest
 
 
 def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:

@@ -63,10 +63,10 @@ class Pictures(Cameras):
         The pixel is NaN if the point is outside the water or is not visible through the canister.
         """
         within = np.hypot(points_mm[:, 0], points_mm[:, 1]) < self.optics.inner_radius_mm
-        found = np.full((len(points_mm), 2), np.nan)
+        xy_px = np.full((len(points_mm), 2), np.nan)
         if within.any():
-            found[within] = cameras.project_inner(self.views[place], self.optics, points_mm[within])
-        return found
+            xy_px[within] = cameras.project_inner(self.views[place], self.optics, points_mm[within])
+        return xy_px
 
     def nearest(self, azimuth_deg: float) -> int:
         """Return the index of the picture whose camera has the azimuth nearest to the given one."""

@@ -194,5 +194,5 @@ def best_distance_mm(view: View, optics: Optics, heights_mm: tuple[float, float]
         return float(np.sqrt(np.nanmean(np.square(camera.shown(points) - camera.pixels(points)))))
 
     real = float(np.hypot(*view.centre_mm[:2]))
-    found = minimize_scalar(left_px, bounds=(optics.inner_radius_mm * 1.05, 3.0 * real), method="bounded", options={"xatol": 0.5})
-    return float(found.x), float(found.fun)
+    minimum = minimize_scalar(left_px, bounds=(optics.inner_radius_mm * 1.05, 3.0 * real), method="bounded", options={"xatol": 0.5})
+    return float(minimum.x), float(minimum.fun)

@@ -89,9 +89,9 @@ def check_pictures(paths: list[Path], *, image_wh: tuple[int, int]) -> list[int]
     The errors are those of `read_picture`, except for damaged pixels. The result is the orientation tag of each picture
     (see `scenes.orientation`).
     """
-    found = []
+    orientations = []
     for path in paths:
         data = read_file(path, most_mib=MOST_PICTURE_MIB)
         check_header(data, where=str(path), image_wh=image_wh)
-        found.append(read_orientation(data))
-    return found
+        orientations.append(read_orientation(data))
+    return orientations

@@ -109,7 +109,7 @@ def _run(
 ) -> list[Row]:
     """Implement `run_plans` in a locked folder."""
     _refuse_strangers(folder)
-    found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant, _ in variants}
+    scores_of: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant, _ in variants}
     runs = list(itertools.product(range(seeds), variants))
     pictures = {variant: count_pictures(changed) for variant, changed in variants}
     total = seeds * sum(pictures.values())
@@ -117,9 +117,9 @@ def _run(
     for seed, (variant, changed) in runs:
         path = folder / "scores" / f"{variant.name}_seed{seed}.json"
         with monitor.stage(stage_of(variant, seed)):
-            found[variant].append(_scored(changed, path, settings, profile_name, seed))
-    failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
-    rows = [_row(variant, pictures[variant], found[variant]) for variant, _ in variants if variant.name not in failed]
+            scores_of[variant].append(_scored(changed, path, settings, profile_name, seed))
+    failed = {v.name: score["failed"] for v, scores in scores_of.items() for score in scores if "failed" in score}
+    rows = [_row(variant, pictures[variant], scores_of[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
         say(f"the plan {name} could not be reconstructed: {reason}")
     if not rows:
@@ -188,19 +188,19 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     result.mkdir()
     try:
         reconstruct(dataset).save(result)
-        found = score(result, dataset).to_dict()
+        outcome = score(result, dataset).to_dict()
     except UserError as error:  # too few views or an invisible strip are valid outcomes of a plan
-        found = {"failed": str(error).replace(f"{working}/", "")}
-    write_text(path, json.dumps({"made_with": made_with, "score": found}, indent=1) + "\n")
+        outcome = {"failed": str(error).replace(f"{working}/", "")}
+    write_text(path, json.dumps({"made_with": made_with, "score": outcome}, indent=1) + "\n")
     shutil.rmtree(working)
-    return found
+    return outcome
 
 
 def _row(variant: Variant, pictures: int, scores: Sequence[dict[str, Any]]) -> Row:
     roots = [score.get("roots") for score in scores]
-    lines = [found for found in roots if found is not None]
+    lines = [line for line in roots if line is not None]
     has_roots = len(lines) == len(scores)
-    lengths = [float(found["length_error"]) for found in lines] if has_roots else []
+    lengths = [float(line["length_error"]) for line in lines] if has_roots else []
 
     def median(key: str) -> float:
         return float(statistics.median(score[key] for score in (lines if has_roots else scores)))

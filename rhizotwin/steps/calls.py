@@ -104,8 +104,8 @@ def require_each(name: str, given: Any, *kinds: str) -> list[Any]:
         If a value has none of the allowed types, or there is no value.
     """
     several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
-    for one in several:
-        require(name, one, *kinds)
+    for item in several:
+        require(name, item, *kinds)
     if not several:
         raise UserError(f"{name} is an empty list; it must have at least one item")
     return several

@@ -105,11 +105,11 @@ def reconstruct_whole(
     loaded = load_dataset(dataset)
     with save.new_result(output, source=dataset) as building:
         with progress.bar(**SHARES) as monitor:
-            kept = building / "stages" if keep_stages else None
-            found = reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor)
-            found.write(building)
+            stages_folder = building / "stages" if keep_stages else None
+            result = reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=stages_folder, method=method, monitor=monitor)
+            result.write(building)
             with monitor.stage("pictures"):
-                report = ReportData.of(found, building, loaded)
+                report = ReportData.of(result, building, loaded)
                 written = write_pictures(report, figures=figures)
                 written.append(page.write(report))
         names = [path.relative_to(building) for path in written]

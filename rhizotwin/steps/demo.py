@@ -64,10 +64,10 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
     pictures = reconstruct_whole(dataset, result, settings=settings_of(None, voxel_mm=VOXEL_MM), figures=True, progress=progress)
     say("3. comparing the result with the ground truth")
     with progress.bar(score=1.0) as bar, bar.stage("score"):
-        found = score(result, dataset)
-    write_json(folder / "score.json", found.to_dict())
+        scores = score(result, dataset)
+    write_json(folder / "score.json", scores.to_dict())
     say("")
-    say(found.table())
+    say(scores.table())
     say("")
     say("pictures of the result:")
     for path in pictures:

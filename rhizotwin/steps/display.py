@@ -41,11 +41,11 @@ def plot(result: Result | str | Path, *, by: Colouring = "order") -> Figure:
     from rhizotwin.report import figures
     from rhizotwin.scenes.figures import png
 
-    found = load_result(result) if isinstance(result, str | Path) else result
-    if not len(found.solid.surface.faces):
-        raise UserError(f"the result of {found.scene} has no surface to plot")
-    drawn: Any = figures.shape_close_up(found.solid.surface, found.roots, by=by)
-    drawn.suptitle(found.scene, fontsize=11, parse_math=False)
+    loaded = load_result(result) if isinstance(result, str | Path) else result
+    if not len(loaded.solid.surface.faces):
+        raise UserError(f"the result of {loaded.scene} has no surface to plot")
+    drawn: Any = figures.shape_close_up(loaded.solid.surface, loaded.roots, by=by)
+    drawn.suptitle(loaded.scene, fontsize=11, parse_math=False)
     drawn._repr_png_ = lambda: png(drawn, dpi=90)  # notebooks need this method for figures that pyplot did not create
     return drawn
 
@@ -101,8 +101,8 @@ def view(
 
     with ExitStack() as stack:
         given = require_each("result", result, "Result", "path")
-        folders = [stack.enter_context(result_folder(one)) for one in given]
-        temporary = [folder for folder, one in zip(folders, given, strict=True) if not isinstance(one, str | Path)]
+        folders = [stack.enter_context(result_folder(item)) for item in given]
+        temporary = [folder for folder, item in zip(folders, given, strict=True) if not isinstance(item, str | Path)]
         shown = View(app.start(folders, dataset_folder(dataset), temporary=temporary, port=port), stack.pop_all())
     if open_browser:
         private_page.open_page(shown.address)

@@ -64,8 +64,12 @@ def in_python(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     known = _parameters(function)
     named = inspect.signature(function).parameters.values()
-    positional = [one.name for one in named if one.kind is one.POSITIONAL_OR_KEYWORD]
-    needed = [one.name for one in named if one.default is one.empty and one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
+    positional = [parameter.name for parameter in named if parameter.kind is parameter.POSITIONAL_OR_KEYWORD]
+    needed = [
+        parameter.name
+        for parameter in named
+        if parameter.default is parameter.empty and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    ]
 
     @wraps(function)
     def checked(*arguments: Any, **options: Any) -> Any:
@@ -135,7 +139,7 @@ def _bind(
             hint = f" (did you mean {near}?)" if near else ""
             raise UserError(f"{name} has no parameter {option}{hint}; its parameters are {', '.join(known)}")
     given |= options
-    missing = [one for one in needed if one not in given]
+    missing = [parameter for parameter in needed if parameter not in given]
     if missing:
         raise UserError(f"{name} needs {' and '.join(missing)}; its parameters are {', '.join(known)}")
     return given
@@ -143,16 +147,16 @@ def _bind(
 
 def _parameters(function: Callable[..., Any]) -> dict[str, str]:
     """Return the annotation of each parameter. The options of ``**options: Unpack[Options]`` are parameters, too."""
-    found: dict[str, str] = {}
-    for one in inspect.signature(function).parameters.values():
-        text = one.annotation if isinstance(one.annotation, str) else inspect.formatannotation(one.annotation)
-        if one.kind is one.VAR_KEYWORD:
+    annotations: dict[str, str] = {}
+    for parameter in inspect.signature(function).parameters.values():
+        text = parameter.annotation if isinstance(parameter.annotation, str) else inspect.formatannotation(parameter.annotation)
+        if parameter.kind is parameter.VAR_KEYWORD:
             options = function.__globals__[text.removeprefix("Unpack[").removesuffix("]")]
             more = {name: getattr(hint, "__forward_arg__", None) or str(hint) for name, hint in options.__annotations__.items()}
         else:
-            more = {one.name: text}
-        found |= {name: _expanded(hint, function) for name, hint in more.items()}
-    return found
+            more = {parameter.name: text}
+        annotations |= {name: _expanded(hint, function) for name, hint in more.items()}
+    return annotations
 
 
 def _expanded(annotation: str, function: Callable[..., Any]) -> str:
@@ -214,8 +218,8 @@ def _in_words_of_python(text: str) -> str:
     return re.sub(r"(?<![\w-])--([a-z][a-z-]*[a-z])", lambda option: option[1].replace("-", "_"), text)
 
 
-def public(found: Any) -> Any:
+def public(value: Any) -> Any:
     """Return a name of the Python interface with its checks: a function, or a dataclass that users create."""
-    if inspect.isfunction(found):
-        return in_python(found)
-    return checked_class(found) if found.__name__ in ("Placing", "Scene", "Settings") else found
+    if inspect.isfunction(value):
+        return in_python(value)
+    return checked_class(value) if value.__name__ in ("Placing", "Scene", "Settings") else value

@@ -249,7 +249,7 @@ def take_scan(
 
     # a resumed scan also needs the true state of the pictures before the interruption
     rendered = twin is not None and twin.fidelity == "render"
-    made = scan(
+    dataset = scan(
         devices,
         scene,
         folder,
@@ -260,9 +260,9 @@ def take_scan(
         observers=replace(observers, begun=(lambda: bench.twin.record.keep_in(folder / SHOTS_FILE)) if rendered else (lambda: None)),
     )
     if rendered:
-        bench.twin.write_truth(folder, made.frames)
+        bench.twin.write_truth(folder, dataset.frames)
         bench.twin.record.end()
-    return made
+    return dataset
 
 
 def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:

@@ -49,16 +49,16 @@ def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str
     for entry in waiting:
         if _file(entry, root) is None:
             raise FileNotFoundError(f"{entry} is not a module in {root}")
-    found: set[str] = set()
+    modules: set[str] = set()
     while waiting:
         name = waiting.pop()
         file = _file(name, root)
-        if name in found or name in without or file is None:
+        if name in modules or name in without or file is None:
             continue
-        found.add(name)
+        modules.add(name)
         waiting += [name.rpartition(".")[0]] if "." in name else []
         waiting += _imported(name, _read(file.read_bytes())[1])
-    return sorted(found)
+    return sorted(modules)
 
 
 def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> str:
