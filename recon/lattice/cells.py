@@ -19,6 +19,10 @@ _IDLE, _QUEUED, _LATER = 0, 1, 2
 at a higher one."""
 
 
+_STEP = np.sqrt(np.arange(4.0))
+"""Distance between two cells whose indices differ by one along none, one, two or three axes, in cells."""
+
+
 class Lattice(NamedTuple):
     """Cells in ascending order of x, y and z, and the range of the cells in each vertical column.
 
@@ -104,21 +108,21 @@ def find_nearest(lattice: Lattice, points: Array, reach: Array) -> tuple[Array, 
 
 
 @compiled
-def smooth(lattice: Lattice, values: Array, beside: float) -> Array:
-    """Return the weighted mean (N,) over each cell and its 26 neighbours. Values outside the lattice are zero.
+def smooth(lattice: Lattice, values: Array, weights: Array) -> Array:
+    """Return the weighted sum (N,) of the values (N,) of each cell and its 26 neighbours.
 
     Parameters
     ----------
-    beside : float
-        Weight of the next cell along an axis, relative to the weight of the cell itself.
+    weights : (4,) float64 array
+        Weight of the cell, and of neighbours that share a face, an edge and a corner with it.
     """
-    weight, found = beside ** np.arange(4.0) / (1.0 + 2.0 * beside) ** 3, np.zeros(len(values))
+    found = np.zeros(len(values))
     for k in range(len(values)):
         for i in range(-1, 2):
             for j in range(-1, 2):
                 at, end = _seek(lattice, lattice.column[k] + i * lattice.span[1] + j, lattice.height[k] - 1)
                 while at < end and lattice.height[at] <= lattice.height[k] + 1:
-                    found[k] += weight[abs(i) + abs(j) + abs(lattice.height[at] - lattice.height[k])] * values[at]
+                    found[k] += weights[abs(i) + abs(j) + abs(lattice.height[at] - lattice.height[k])] * values[at]
                     at += 1
     return found
 
@@ -155,10 +159,12 @@ def extend_paths(lattice: Lattice, resistance: Array, starts: Index, paths: Path
         Cells from which the paths are extended.
     """
     cost, before, length = paths
-    way, state = np.sqrt(np.arange(4.0)), np.zeros(len(cost), np.int8)
+    state = np.zeros(len(cost), np.int8)
     queue, first, count = np.zeros(len(cost), np.int32), 0, 0  # cyclic
-    later, waiting = np.zeros(len(cost), np.int32), len(starts)
-    later[:waiting], state[starts] = starts, _LATER
+    later, waiting = np.zeros(len(cost), np.int32), 0
+    for k in starts:
+        later[waiting], state[k] = k, _LATER
+        waiting += 1
     while waiting > 0:
         threshold, kept = _next_threshold(cost, resistance, state, later[:waiting]), 0
         for k in later[:waiting]:
@@ -176,7 +182,7 @@ def extend_paths(lattice: Lattice, resistance: Array, starts: Index, paths: Path
                 for j in range(-1, 2):
                     at, end = _seek(lattice, lattice.column[k] + i * lattice.span[1] + j, lattice.height[k] - 1)
                     while at < end and lattice.height[at] <= lattice.height[k] + 1:
-                        step = way[abs(i) + abs(j) + abs(lattice.height[at] - lattice.height[k])]
+                        step = _STEP[abs(i) + abs(j) + abs(lattice.height[at] - lattice.height[k])]
                         found = cost[k] + 0.5 * step * (resistance[k] + resistance[at])
                         if found < cost[at]:
                             cost[at], before[at], length[at] = found, k, length[k] + step
@@ -220,7 +226,8 @@ def extract_branches(lattice: Lattice, paths: Paths, tips: Index, claim: Array, 
         Index of the first cell after each branch.
     """
     taken, unclaimed = np.zeros(len(claim), np.bool_), np.zeros(len(claim), np.bool_)
-    unclaimed[tips] = True
+    for tip in tips:
+        unclaimed[tip] = True
     cells, ends = np.zeros(2 * len(claim), np.int64), np.zeros(len(tips), np.int64)
     count = branches = 0
     for tip in tips:
@@ -236,7 +243,8 @@ def extract_branches(lattice: Lattice, paths: Paths, tips: Index, claim: Array, 
             _claim(lattice, unclaimed, tip, claim[tip])
             continue
         line = cells[count : end + 1]
-        line[:] = line[::-1].copy()
+        for k in range(len(line) // 2):
+            line[k], line[-1 - k] = line[-1 - k], line[k]
         last = line[0]
         for k in line:
             taken[k] = True
@@ -247,7 +255,7 @@ def extract_branches(lattice: Lattice, paths: Paths, tips: Index, claim: Array, 
         count = end + 1
         ends[branches] = count
         branches += 1
-    return cells[:count].copy(), ends[:branches].copy()
+    return cells[:count], ends[:branches]
 
 
 @compiled

@@ -72,13 +72,10 @@ def level_distance(value: Image) -> Image:
     used. Without samples of the other sign, the distance is `_FAR`.
     """
     rows, columns = value.shape
-    inside, near = value > 0, _edge_distance(value)
-    if inside.all() or not inside.any():
-        return np.full((rows, columns), _FAR if inside.all() else -_FAR, np.float32)
-    above = np.zeros((rows, columns), np.int64)
+    near, above = _edge_distance(value), np.zeros((rows, columns), np.int64)
     for i in range(1, rows):
         for j in range(columns):
-            if inside[i, j] != inside[i - 1, j]:
+            if (value[i, j] > 0) != (value[i - 1, j] > 0):
                 above[i, j] = 1
             elif above[i - 1, j] > 0:
                 above[i, j] = above[i - 1, j] + 1
@@ -88,14 +85,14 @@ def level_distance(value: Image) -> Image:
     for i in range(rows - 1, -1, -1):
         begin = 0
         for j in range(columns):
-            if i + 1 < rows and inside[i, j] != inside[i + 1, j]:
+            if i + 1 < rows and (value[i, j] > 0) != (value[i + 1, j] > 0):
                 below[j] = 1
             elif below[j] > 0:
                 below[j] += 1
             step[j] = below[j] if below[j] > 0 and not 0 < above[i, j] <= below[j] else -above[i, j]
         while begin < columns:
             end = begin
-            while end < columns and inside[i, end] == inside[i, begin]:
+            while end < columns and (value[i, end] > 0) == (value[i, begin] > 0):
                 square[end] = step[end] ** 2 if step[end] != 0 else _NONE
                 end += 1
             for beside in (begin - 1, end):
@@ -104,12 +101,14 @@ def level_distance(value: Image) -> Image:
             k = _envelope(square, begin, end, vertex, first) - 1
             for j in range(end - 1, begin - 1, -1):
                 found = near[i, j]
-                if found == 0.0:
+                if k < 0:
+                    found = np.float32(_FAR)
+                elif found == 0.0:
                     at = vertex[k]
                     row = i + step[at] if begin <= at < end else i
                     found = max(np.sqrt(np.float32((j - at) ** 2 + square[at])) - near[row, at], np.float32(0.5))
-                distance[i, j] = found if inside[i, j] else -found
-                if j == first[k]:
+                distance[i, j] = found if value[i, j] > 0 else -found
+                if k >= 0 and j == first[k]:
                     k -= 1
             begin = end
     return distance

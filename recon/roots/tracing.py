@@ -108,7 +108,9 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     lattice, centre, size_mm = Lattice.of(cells.index), cells.centre_mm, cells.grid.size_mm
     shadow = cells.shadow_mm2.astype(np.float64) / size_mm**3
     density, thin = _IN_CORE + _BY_DEPTH * depth_mm, depth_mm <= 0
-    density[thin] = np.minimum(lattices.smooth(lattice, shadow, np.exp(-0.5 / _SMOOTH_CELLS**2))[thin], _CAP)
+    beside = np.exp(-0.5 / _SMOOTH_CELLS**2)  # the Gaussian is truncated after the neighbours
+    smooth = lattices.smooth(lattice, shadow, beside ** np.arange(4.0) / (1.0 + 2.0 * beside) ** 3)
+    density[thin] = np.minimum(smooth[thin], _CAP)
     dense = (density > _DENSE) & ((depth_mm > 0) | (depth_mm <= depth_mm.min()))
     if not dense.any():
         return []

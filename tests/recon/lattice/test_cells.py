@@ -64,7 +64,8 @@ def test_smoothing_weighs_the_cells_around() -> None:
     volume[tuple((index - index.min(axis=0)).T)] = values
     for axis in range(3):
         volume = ndimage.convolve1d(volume, np.array([0.3, 1.0, 0.3]) / 1.6, axis=axis, mode="constant")
-    np.testing.assert_allclose(cells.smooth(Lattice.of(index), values, 0.3), volume[tuple((index - index.min(axis=0)).T)])
+    weights = 0.3 ** np.arange(4.0) / 1.6**3
+    np.testing.assert_allclose(cells.smooth(Lattice.of(index), values, weights), volume[tuple((index - index.min(axis=0)).T)])
 
 
 def test_branches_end_where_they_meet_the_first_one() -> None:
