@@ -31,8 +31,9 @@ def report(
     page : Path, optional
         HTML file to write; required for more than one result.
     figures : bool
-        Also draw figures for documents as PNG files in the folder pictures of the result: pictures above their
-        silhouettes, and for a simulated dataset the comparison with the true roots. The report contains them, too.
+        Also draw figures for documents as PNG files in the folder pictures of the result: centre lines by diameter and
+        order, pictures above their silhouettes, and for a simulated dataset the comparison with the true roots. The
+        report contains them, too.
     dataset : Path, optional
         Dataset of the result; needed only if its folder was moved. Can be used with one result only.
     progress : Progress

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.drawing.normals import vertex_normals
 from rhizotwin.recon.lattice.compiled import compiled
 from rhizotwin.recon.results.parts import Mesh
 
@@ -119,29 +120,6 @@ def _draw_triangles(corners: Floats, faces: NDArray[np.int64], normals: Floats, 
                     depth[row, column] = z
                     for axis in range(3):
                         normal[row, column, axis] = (1.0 - w_b - w_c) * normals[a, axis] + w_b * normals[b, axis] + w_c * normals[c, axis]
-
-
-def vertex_normals(mesh: Mesh) -> Floats:
-    """Return the outward normals (V, 3) of the vertices.
-
-    The normal of a vertex is the sum of the area vectors of its triangles, and does not have unit length. Their
-    orientation makes the signed volume of the mesh positive.
-    """
-    a, b, c = mesh.corners_mm
-    area = np.cross(b - a, c - a)
-    if np.einsum("ij,ij->", a - mesh.vertices_mm.mean(axis=0), area) < 0.0:
-        area = -area
-    count = len(mesh.vertices_mm)
-    return np.stack([np.bincount(mesh.faces.ravel(), weights=np.repeat(area[:, k], 3), minlength=count) for k in range(3)], axis=1)
-
-
-def unit_normals(mesh: Mesh) -> Floats:
-    """Return the outward unit normals (V, 3) of the vertices.
-
-    The normal of a vertex without triangles is zero.
-    """
-    normals = vertex_normals(mesh)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
 def _blurred(image: Pixels, sigma_px: float) -> Pixels:

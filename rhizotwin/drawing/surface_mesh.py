@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.drawing import shading
+from rhizotwin.drawing.normals import unit_normals
 from rhizotwin.recon.results.parts import Mesh
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def simplify(mesh: Mesh, most: int) -> Mesh:
     simplified = solid.to_mesh64()
     vertices, faces = np.asarray(simplified.vert_properties, np.float64)[:, :3], np.asarray(simplified.tri_verts, np.int64)
     offset_mm = (volume_mm3 - solid.volume()) / max(solid.surface_area(), 1e-12)
-    vertices = vertices + offset_mm * shading.unit_normals(Mesh(vertices_mm=vertices, faces=faces))
+    vertices = vertices + offset_mm * unit_normals(Mesh(vertices_mm=vertices, faces=faces))
     return Mesh(vertices_mm=_move_apart(vertices, faces), faces=faces)
 
 

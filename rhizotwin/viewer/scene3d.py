@@ -10,7 +10,8 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
-from rhizotwin.drawing import root_colours, shading
+from rhizotwin.drawing import root_colours
+from rhizotwin.drawing.normals import unit_normals
 from rhizotwin.drawing.root_colours import Colouring
 from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.optics.cameras import View
@@ -140,7 +141,7 @@ class Scene3d:
         shades = np.tile(np.array(root_colours.SURFACE, np.uint8), (len(mesh.vertices_mm), 1)) if colours is None else colours
         if translucent:
             shades = np.column_stack([shades, np.full(len(shades), _OPACITY, np.uint8)])
-        self._add_triangles(name, Triangles(mesh.vertices_mm, shading.unit_normals(mesh), mesh.faces, shades))
+        self._add_triangles(name, Triangles(mesh.vertices_mm, unit_normals(mesh), mesh.faces, shades))
 
     def show_truth(self, mesh: Mesh | None, *, aside_mm: float) -> None:
         """Draw the true surface, translucent and shifted along y. If ``mesh`` is None, the true surface is removed."""
