@@ -67,7 +67,7 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
         scores = score(result, dataset)
     write_json(folder / "score.json", scores.to_dict())
     say("")
-    say(scores.table())
+    say(scores.table(every=False))
     say("")
     say("pictures of the result:")
     for path in pictures:
