@@ -105,11 +105,14 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
     flanked = ghosts.find_margin_nodes(found, thick)
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
     cells = cells.select(lattices.sort(cells.index))
-    _, nearest = lattices.find_nearest(Lattice.of(cells.index), cells.place(line), reach / cells.grid.size_mm)
+    size_mm = cells.grid.size_mm
+    furthest = np.full(len(line), reach.max() / size_mm)
+    away, nearest = lattices.find_nearest(Lattice.of(cells.index), cells.place(line), furthest)
+    inside = away * size_mm < reach[nearest]  # the distance is infinite where no node is near
     # Few views resolve the flank of a thick root, so that no branch may begin there.
-    beside = (nearest < 0) | ~thick[node[nearest]]
-    cells, nearest = cells.select(beside), nearest[beside]
-    lattice, centre, size_mm, inside = Lattice.of(cells.index), cells.centre_mm, cells.grid.size_mm, nearest >= 0
+    beside = ~(inside & thick[node[nearest]])
+    cells, nearest, inside = cells.select(beside), nearest[beside], inside[beside]
+    lattice, centre = Lattice.of(cells.index), cells.centre_mm
     own, explained = np.zeros(len(inside)), np.zeros(len(inside))
     own[~inside], explained[~inside] = residual_coverage(evidence, centre[~inside], free)
     sure = (own > _SURE) & (explained > ghosts.EXPLAINED)
