@@ -143,10 +143,10 @@ def measure_traits(
     hull_mm3, width_mm = _hull(vertices_mm)
     top_mm, bottom_mm = float(vertices_mm[:, 2].max()), float(vertices_mm[:, 2].min())
     pieces = _segments(roots)
-    total_mm = float(pieces.length.sum())
-    known = total_mm > 0.0
+    known = (total_mm := float(pieces.length.sum())) > 0.0
     most, median = _root_counts(pieces) if known else (None, None)
     angles = _emergence_deg(roots)
+    by_diameter = np.floor(pieces.diameter / DIAMETER_BIN_MM + 1e-9).astype(np.int64)
     return Traits(
         total_length_mm=total_mm if known else None,
         volume_mm3=volume_mm3,
@@ -167,9 +167,7 @@ def measure_traits(
         branch_points=_branch_points(roots) if known else None,
         length_by_order_mm=_bin_lengths(pieces.order, pieces.length) if known else (),
         length_by_depth_mm=_by_depth(pieces, top_mm) if known else (),
-        length_by_diameter_mm=_bin_lengths(np.floor(pieces.diameter / DIAMETER_BIN_MM + 1e-9).astype(np.int64), pieces.length)
-        if known
-        else (),
+        length_by_diameter_mm=_bin_lengths(by_diameter, pieces.length) if known else (),
         angle_to_gravity_deg=_gravity_deg(pieces) if known else None,
         angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
         specific_root_length_m_per_g=total_mm / 1000.0 / mass_g if known and mass_g is not None else None,

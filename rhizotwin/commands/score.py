@@ -62,6 +62,24 @@ their origin on the canister's axis at the rim."""
         return next(iter(self.given.items()))
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """Options for the printed numbers."""
+
+    as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False
+    """Print all numbers as JSON instead of a table."""
+    every: Annotated[bool, Parameter(name="--all", show_default=False)] = False
+    """Print every number of a comparison with the true roots, not only the most important ones."""
+
+    def show(self, found: Any) -> None:
+        """Print a score."""
+        from rhizotwin.scoring.score import Score
+
+        short = isinstance(found, Score) and not self.every
+        print(json.dumps(found.to_dict(), indent=1) if self.as_json else found.table(every=False) if short else found.table())
+
+
 def score(
     result: ResultFolder,
     dataset: DatasetFolder | None = None,
@@ -71,8 +89,7 @@ def score(
     truth: Annotated[Path | None, with_metavar("FILE")] = None,
     volume_ml: VolumeMl | None = None,
     pictures: Annotated[Path | None, with_metavar("DATASET")] = None,
-    as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
-    every: Annotated[bool, Parameter(name="--all", show_default=False)] = False,
+    shown: Shown = Shown(),
     progress: Progress = Progress(),
 ) -> None:
     """Compute the errors of a result with respect to the true roots or another reference.
@@ -100,10 +117,8 @@ def score(
         Volume of the specimen in ml, measured for example by water displacement.
     pictures : Path, optional
         Dataset of the same plant on the same rig, with pictures that the reconstruction did not use.
-    as_json : bool
-        Print all numbers as JSON instead of a table.
-    every : bool
-        Print every number of a comparison with the true roots, not only the most important ones.
+    shown : Shown
+        Numbers to print.
     progress : Progress
         Progress output.
 
@@ -124,7 +139,4 @@ def score(
             found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, progress=bar)
         else:
             found = front_door.score(result, dataset, truth=truth, volume_ml=volume_ml, pictures=pictures, progress=bar)
-    from rhizotwin.scoring.score import Score
-
-    short = isinstance(found, Score) and not every
-    print(json.dumps(found.to_dict(), indent=1) if as_json else found.table(every=False) if short else found.table())
+    shown.show(found)

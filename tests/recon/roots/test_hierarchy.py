@@ -132,7 +132,7 @@ def test_a_root_that_enters_a_solid_has_no_tip_there(first: int, end: int, tips:
     assert json.dumps(found) == json.dumps(tips)  # NumPy's values cannot be written as JSON
 
 
-def test_a_fork_of_equal_branches_is_ambiguous_and_a_lateral_is_not():
+def test_a_fork_of_equal_branches_is_ambiguous():
     """Both branches leave the stem at 25 degrees with its diameter: the shorter one is 12 mm long and bears one of 4 mm."""
     stem = root([0, 0, 0], [0, 0, -20])
     tangent = np.tan(np.deg2rad(25.0))
