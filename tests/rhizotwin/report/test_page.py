@@ -228,6 +228,6 @@ def test_figures_are_drawn_on_demand(plant: plants.Plant, tmp_path: Path, comman
     command.works("report", result)
     assert not (result / "pictures").exists()
     command.works("report", result, "--figures")
-    assert sorted(path.name for path in (result / "pictures").iterdir()) == ["inputs.png", "shape.png"]
+    assert sorted(path.name for path in (result / "pictures").iterdir()) == ["inputs.png", "roots.png", "shape.png"]
     assert "Pictures (top) and silhouettes" in (result / "report.html").read_text(encoding="utf-8")
     command.fails("report", result, result, "-o", tmp_path / "many.html", "--figures", named=["--figures", "one result"])
