@@ -115,17 +115,17 @@ def _add_pages(app: FastAPI, access: Access) -> None:
 def _add_state(app: FastAPI, console: Console) -> None:
     """Add the routes through which clients read the state, pictures and reports."""
 
-    @app.get("/api/state", tags=["state"])
+    @app.get("/api/state", tags=["state"], response_model=dict[str, Any])
     async def state(
         client: Client = "",
         after: Annotated[int, Query(description="Version of the state known to the client; wait for a newer version")] = 0,
         wait_s: Annotated[float, Query(ge=0.0, le=LONGEST_WAIT_S, description="Maximum waiting time, s")] = 0.0,
-    ) -> dict[str, Any]:
+    ) -> JSONResponse:
         """Return the state of the devices, the latest picture, the scan, the queue and the messages."""
         end_s = time.monotonic() + wait_s
         while console.version == after and time.monotonic() < end_s:
             await asyncio.sleep(LOOK_S)
-        return await asyncio.to_thread(console.state, client)
+        return JSONResponse(await asyncio.to_thread(console.state, client))
 
     @app.get("/api/picture.jpg", tags=["state"], response_class=Response, responses={200: {"content": {"image/jpeg": {}}}})
     def picture() -> Response:

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from rhizotwin.console.console import Console
 
 
+SHARED_S = 0.5
+"""Time for which clients receive the state that was collected for one of them, if there is no newer version, s. Only
+changes of folders by other programs have no version."""
+
+
 class StateView:
     """Collects the state of a console for its clients.
 
@@ -26,6 +31,9 @@ class StateView:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._lock = threading.Lock()
+        self._collecting = threading.Lock()
+        self._shared: tuple[float, dict[str, Any]] = (-SHARED_S, {"version": -1})
+        """State for all clients, and the time at which it was collected, s."""
         self._sketch: tuple[int, Any] = (0, None)
         self._last: dict[str, Any] = {"plants": NOTHING, "scans": [], "schedule": None}
         """Values of the parts of the state that are read from the disk, when they were read last."""
@@ -36,17 +44,25 @@ class StateView:
         It includes whether ``client`` has control of the rig.
         """
         console = self._console
+        with self._collecting:
+            collected_s, shared = self._shared
+            if shared["version"] != console.version or time.monotonic() > collected_s + SHARED_S:
+                shared = self._collect()
+                self._shared = time.monotonic(), shared
+        return shared | {"controls": console.controls.state(client), "live": console.rig.live_until_s > time.monotonic()}
+
+    def _collect(self) -> dict[str, Any]:
+        """Return the state without the parts that depend on the client or the time."""
+        console = self._console
         version = console.version  # read first, so that a later change is not missed
         queue = console.queue.plain()
         plants, visits = self._read("plants", console.plants.plain)
         return {
             "version": version,
             "rig": self._rig(),
-            "controls": console.controls.state(client),
             "devices": console.devices.plain(),
             "activity": console.rig.busy,
             "open": console.rig.open,
-            "live": console.rig.live_until_s > time.monotonic(),
             "picture": self._picture(),
             "scan": None if console.scan is None else console.scan.plain(),
             "question_number": console.questions.number,  # read first, so that an answer to an earlier question is rejected
