@@ -125,7 +125,7 @@ def _add_state(app: FastAPI, console: Console) -> None:
         end_s = time.monotonic() + wait_s
         while console.version == after and time.monotonic() < end_s:
             await asyncio.sleep(LOOK_S)
-        return JSONResponse(await asyncio.to_thread(console.state, client))
+        return JSONResponse(await asyncio.to_thread(console.state, client, shared=wait_s > 0.0))
 
     @app.get("/api/picture.jpg", tags=["state"], response_class=Response, responses={200: {"content": {"image/jpeg": {}}}})
     def picture() -> Response:

@@ -129,15 +129,16 @@ class Console:
 
     # state
 
-    def state(self, client: str) -> dict[str, Any]:
+    def state(self, client: str, *, shared: bool) -> dict[str, Any]:
         """Return the complete state of the console as JSON values.
 
-        It includes whether ``client`` has control of the rig.
+        It includes whether ``client`` has control of the rig. If ``shared``, other parts may have been collected for
+        another client.
         """
         if self.rig.live_until_s > 0.0:
             self.rig.live_until_s = time.monotonic() + LIVE_S
         self.controls.touch(client)
-        return self._view.plain(client)
+        return self._view.plain(client, shared=shared)
 
     def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
         """Return the coarse cells of the roots as centres (N, 3) and edge length.

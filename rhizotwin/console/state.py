@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 SHARED_S = 0.5
-"""Time for which clients receive the state that was collected for one of them, if there is no newer version, s. Only
-changes of folders by other programs have no version."""
+"""Time for which waiting clients receive the state that was collected for one of them, if there is no newer version, s.
+Only changes of folders by other programs have no version."""
 
 
 class StateView:
@@ -38,18 +38,19 @@ class StateView:
         self._last: dict[str, Any] = {"plants": NOTHING, "scans": [], "schedule": None}
         """Values of the parts of the state that are read from the disk, when they were read last."""
 
-    def plain(self, client: str) -> dict[str, Any]:
+    def plain(self, client: str, *, shared: bool) -> dict[str, Any]:
         """Return the complete state of the console as JSON values.
 
-        It includes whether ``client`` has control of the rig.
+        It includes whether ``client`` has control of the rig. If ``shared``, other parts may have been collected for
+        another client.
         """
         console = self._console
         with self._collecting:
-            collected_s, shared = self._shared
-            if shared["version"] != console.version or time.monotonic() > collected_s + SHARED_S:
-                shared = self._collect()
-                self._shared = time.monotonic(), shared
-        return shared | {"controls": console.controls.state(client), "live": console.rig.live_until_s > time.monotonic()}
+            collected_s, state = self._shared
+            if not shared or state["version"] != console.version or time.monotonic() > collected_s + SHARED_S:
+                state = self._collect()
+                self._shared = time.monotonic(), state
+        return state | {"controls": console.controls.state(client), "live": console.rig.live_until_s > time.monotonic()}
 
     def _collect(self) -> dict[str, Any]:
         """Return the state without the parts that depend on the client or the time."""

@@ -70,13 +70,15 @@ async def wrong_password(address: str) -> None:
 
 
 async def page(address: str) -> None:
-    """Do what the page of the console does: wait for the next state, and load its picture."""
-    token, seen = urlsplit(address).query.removeprefix("token="), 0
+    """Do what the page of the console does: wait for the next state, and load its picture if it is another one."""
+    token, seen, picture = urlsplit(address).query.removeprefix("token="), 0, None
     head = f"HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {token}\r\nX-Rhizotwin-Client: {id(asyncio.current_task())}\r\n\r\n"
     while True:
         state = json.loads(await _ask(address, f"GET /api/state?after={seen}&wait_s=20 {head}"))
-        seen = state["version"]
-        await _ask(address, f"GET /api/picture.jpg {head}")
+        seen, shown = state["version"], (state["picture"] or {}).get("number")
+        if shown != picture:
+            await _ask(address, f"GET /api/picture.jpg {head}")
+        picture = shown
 
 
 LOADS = {one.__name__: one for one in (idle, slow_body, wrong_password, page)}

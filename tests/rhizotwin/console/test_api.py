@@ -169,7 +169,6 @@ def test_a_complete_scan_is_in_the_catalogue_after_a_kill(lab: Lab, monkeypatch:
 
 
 def test_a_catalogue_that_cannot_be_read_hides_nothing_else(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rhizotwin.console.state.SHARED_S", -1.0)  # the folder is read for every request
     console, path = lab.client("Anna"), lab.console.plants.path
     with Catalogue.open(path) as catalogue:
         catalogue.add_plant(Plant(name="P7", species="Zea mays"))
