@@ -29,12 +29,21 @@ def test_two_roots_that_spread_from_a_point(half_deg: float) -> None:
 
 
 SIBLINGS = [line(0.0, diameter_mm=1.2), *(line(60.0, begin=(0.0, 0.0, z), parent=0) for z in (-20.0, -21.0))]
+THICK = [line(angle, diameter_mm=3.0) for angle in (-5.0, 5.0)]
 LATERAL = [line(0.0), line(60.0, begin=(0.0, 0.0, -20.0), parent=0)]
 CROSSING = [line(0.0), line(10.0, begin=(-3.5, 0.0, 0.0))]
 ON_TAPROOT = [line(0.0, diameter_mm=1.2), line(20.0, begin=(0.0, 0.0, -10.0), parent=0)]
 
 
-NOTHING = {"lateral": LATERAL, "crossing": CROSSING, "taproot": ON_TAPROOT, "siblings": SIBLINGS, "one": LATERAL[:1], "none": []}
+NOTHING = {
+    "lateral": LATERAL,
+    "crossing": CROSSING,
+    "taproot": ON_TAPROOT,
+    "siblings": SIBLINGS,
+    "one": LATERAL[:1],
+    "thick": THICK,
+    "none": [],
+}
 
 
 @pytest.mark.parametrize("roots", NOTHING.values(), ids=NOTHING)
