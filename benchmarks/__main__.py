@@ -17,7 +17,7 @@ from rhizotwin.scenes.errors import UserError
 
 HERE = Path(__file__).resolve().parent
 
-_IN_PROCESS = ("thesis", "batch", "growth", "damages", "adopt", "rig", "freeze")
+_IN_PROCESS = ("thesis", "batch", "growth", "damages", "rig", "freeze")
 """Commands that compute in this process; the others run workers."""
 
 
@@ -234,7 +234,6 @@ def _update_ladder(run: Run) -> None:
 
 
 _COMMANDS = {
-    "adopt": commands.adopt,
     "against": commands.against_frozen,
     "batch": commands.batch,
     "compare": commands.compare,
@@ -245,7 +244,6 @@ _COMMANDS = {
     "intervals": commands.intervals,
     "scatter": _scatter,
     "thesis": commands.thesis,
-    "view": commands.view,
 }
 """Commands other than those that `_run` compares with a baseline: accuracy, speed and rig."""
 

@@ -32,10 +32,8 @@ def parser() -> argparse.ArgumentParser:
         one.add_argument("--quick", action="store_true", help="the small set, run for every change (accuracy: under five minutes)")
         one.add_argument("--gate", action="store_true", help="exit with code 1 if a number is worse than the baseline or missing")
         one.add_argument("--update-baseline", action="store_true", help="record this run as the baseline, to be committed")
-        one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-        one.add_argument(
-            "-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)"
-        )
+        _add_device(one)
+        _add_output(one)
         if name == "accuracy":
             _add_selection(one)
         if name == "speed":
@@ -46,7 +44,6 @@ def parser() -> argparse.ArgumentParser:
     compared.add_argument("after", type=Path, metavar="B.json", help="output after the change; cases in only one of them are ignored")
     compared.add_argument("--method", choices=cases.METHODS, default="coverage", help="default: %(default)s")
     _add_intervals(what.add_parser("intervals", help=_INTERVALS, description=_INTERVALS))
-    _add_view(what.add_parser("view", help=_VIEW, description=_VIEW))
     _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
     _add_growth(what.add_parser("growth", help=_GROWTH, description=_GROWTH))
@@ -55,12 +52,17 @@ def parser() -> argparse.ArgumentParser:
     printed = what.add_parser("fingerprints", help="write the fingerprints with which `rhizotwin bench make` compares a rendered benchmark")
     printed.add_argument("name", metavar="NAME", help="name of the benchmark, such as quick-1")
     printed.add_argument("folder", type=Path, metavar="FOLDER", help="folder in which `rhizotwin bench make` rendered it")
-    adopted = what.add_parser("adopt", help="add rendered datasets to the cache, if they are identical to its own rendering")
-    adopted.add_argument(
-        "folders", type=Path, nargs="+", metavar="DATASET", help="folders written by `rhizotwin simulate` or an older cache"
-    )
-    adopted.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     return made
+
+
+def _add_device(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+
+
+def _add_output(
+    one: argparse.ArgumentParser, metavar: str = "FILE", text: str = "where to write every number as JSON (default: the cache folder)"
+) -> None:
+    one.add_argument("-o", "--output", type=Path, metavar=metavar, help=text)
 
 
 _FREEZE = "twelve cases with pictures, intermediate values and scores in one folder, to compare changes of the reconstruction with"
@@ -71,11 +73,11 @@ def _add_frozen(what: Any) -> None:
     freeze = what.add_parser("freeze", help=_FREEZE, description=f"{_FREEZE}; a stopped run is resumed")
     against = what.add_parser("against", help=_AGAINST, description=_AGAINST)
     against.add_argument("frozen", type=Path, metavar="FROZEN", help="folder written by `freeze`")
-    freeze.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="new folder (default: in the cache folder)")
-    against.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: only the table)")
+    _add_output(freeze, "FOLDER", "new folder (default: in the cache folder)")
+    _add_output(against, text="where to write every number as JSON (default: only the table)")
     for one in (freeze, against):
         one.add_argument("--cases", type=_words, metavar="NAME,...", help="only these cases (a wrong name lists them)")
-        one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+        _add_device(one)
 
 
 _THESIS = (
@@ -90,8 +92,8 @@ def _add_thesis(one: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--committed", action="store_true", help="use the radishes' volumes of the ladder's committed baseline")
     one.add_argument("--kept", action="store_true", help="use earlier measurements only; missing values are shown as dashes")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    one.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="page; figures are written beside it (default: the cache folder)")
+    _add_device(one)
+    _add_output(one, "FILE.md", "page; figures are written beside it (default: the cache folder)")
 
 
 _GROWTH = (
@@ -106,8 +108,8 @@ def _add_growth(one: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--sets", type=int, default=20, metavar="N", help="number of sets of plants (default: %(default)s)")
     one.add_argument("--no-pictures", action="store_true", help="only treatments and doses, without rendering and reconstruction")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
+    _add_device(one)
+    _add_output(one)
 
 
 _BATCH = "a batch of eighteen small scans with a killed worker and a damaged scan: results, messages, overhead of the batch"
@@ -121,24 +123,7 @@ def _add_batch(one: argparse.ArgumentParser) -> None:
         metavar="S",
         help="assumed time of a real scan, for the relative overhead (default: %(default)s)",
     )
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
-
-
-_VIEW = (
-    "viewer and report in a real browser (Chromium): time to the first picture, response to clicks, memory, volume after corrections, size"
-)
-
-
-def _add_view(one: argparse.ArgumentParser) -> None:
-    one.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders written by `rhizotwin reconstruct`")
-    one.add_argument("--dataset", type=Path, metavar="DATASET", help="folder of the pictures, if they were moved")
-    one.add_argument(
-        "--clean", type=Path, metavar="RESULT", help="result of the same scan without debris; the additional roots are removed by clicks"
-    )
-    one.add_argument(
-        "--repeats", type=int, default=3, metavar="N", help="number of starts, whose median is reported (default: %(default)s)"
-    )
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="also write every number as JSON")
+    _add_output(one)
 
 
 def _add_ratios(one: argparse.ArgumentParser) -> None:
@@ -166,7 +151,7 @@ def _add_intervals(one: argparse.ArgumentParser) -> None:
     one.add_argument("--count", type=int, default=intervals.COUNT, metavar="N", help="number of scans (default: %(default)s)")
     one.add_argument("--first", type=int, default=0, metavar="K", help="number of the first scan (default: %(default)s)")
     one.add_argument("--processes", type=int, default=1, metavar="P", help="number of scans at the same time (default: %(default)s)")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    _add_device(one)
     one.add_argument(
         "--table",
         type=Path,
@@ -174,16 +159,14 @@ def _add_intervals(one: argparse.ArgumentParser) -> None:
         help="evaluate this table of an earlier run, such as benchmarks/intervals.csv, without new scans",
     )
     one.add_argument("--calibrate", action="store_true", help="record the factors in recon/uncertainty, and the table beside this command")
-    one.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.csv", help="table of all scans; a page and a figure are written beside it (.md, .png)"
-    )
+    _add_output(one, "FILE.csv", "table of all scans; a page and a figure are written beside it (.md, .png)")
 
 
 def _add_damages(one: argparse.ArgumentParser) -> None:
     one.add_argument("--names", type=_words, metavar="NAME,...", help="only these damages (a wrong name lists them)")
     one.add_argument("--scene", default="printed_8ml", help="scene of the quick ladder whose clean scan is used (default: %(default)s)")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
+    _add_device(one)
+    _add_output(one, text="where to write every number as JSON, and a table beside it (.md)")
 
 
 def _add_scatter(one: argparse.ArgumentParser) -> None:
@@ -207,7 +190,7 @@ def _add_scatter(one: argparse.ArgumentParser) -> None:
         default=scatter.ROUNDED,
         help="lossy: one picture in twenty mirrored; reports how often the gate shuts, without recording (default: %(default)s)",
     )
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    _add_device(one)
 
 
 def _add_selection(one: argparse.ArgumentParser) -> None:

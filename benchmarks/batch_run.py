@@ -13,7 +13,6 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from benchmarks.run import Say
 from rhizotwin.batches.jobs import RECORDS
@@ -129,8 +128,3 @@ def lines(night: Night, job_s: float) -> list[str]:
         f"{night.wall_s:.0f} s, of which {night.own_s:.1f} s overhead of the batch: {100.0 * night.own_s / night.wall_s:.1f} % here, "
         f"{100.0 * night.share(job_s):.1f} % with scans of {job_s:g} s",
     ]
-
-
-def plain(night: Night) -> dict[str, Any]:
-    """Return all numbers as a JSON object."""
-    return vars(night) | {"own_s": night.own_s}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import FROZEN_RUNS
-from benchmarks.output import about, results_folder, results_table, say
+from benchmarks.output import about, results_folder, say
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
@@ -81,6 +81,14 @@ def _failed_scans(failures: Sequence[str], scans: int) -> str:
     return f"{len(failures)} of {count(scans, 'random scan')} failed; the first error is: {failures[0]}"
 
 
+def _write(given: argparse.Namespace, found: dict[str, Any]) -> Path:
+    """Write the numbers of a command as JSON, and return the path."""
+    output: Path = given.output or results_folder() / f"{given.what}.json"
+    atomic.write_json(output, {"about": about(given.what, getattr(given, "device", "cpu")), **found})
+    say(f"every number: {output}")
+    return output
+
+
 def batch(given: argparse.Namespace) -> int:
     """Run a batch with a killed worker and a damaged scan; return 1 if a result is missing, or computed twice."""
     from benchmarks import batch_run
@@ -88,9 +96,7 @@ def batch(given: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="rhizotwin-many-") as folder:
         night = batch_run.measure(Path(folder), say=say)
     say("\n".join(batch_run.lines(night, given.job_s)))
-    output = given.output or results_folder() / "batch.json"
-    atomic.write_json(output, {"about": about("batch", "cpu"), **batch_run.plain(night)})
-    say(f"every number: {output}")
+    _write(given, {**asdict(night), "own_s": night.own_s})
     whole = night.results == batch_run.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
     return 0 if whole else 1
 
@@ -115,9 +121,7 @@ def growth(given: argparse.Namespace) -> int:
     held = sum(low <= slope <= high for low, high in intervals)
     found["dose_response"] = {"slope": slope, "intervals": intervals, "held": held}
     say(f"dose response: the slope {slope:.4f} l/mmol is inside {held} of {given.sets} intervals")
-    output = given.output or results_folder() / "growth.json"
-    atomic.write_json(output, {"about": about("growth", given.device), **found})
-    say(f"every number: {output}")
+    _write(given, found)
     return 0
 
 
@@ -128,10 +132,7 @@ def damages(given: argparse.Namespace) -> int:
     records = damages.measure(given.names, scene=given.scene, say=say)
     text = damages.table(records)
     say("\n" + text)
-    output = given.output or results_folder() / "damages.json"
-    atomic.write_json(output, {"about": about("damages", given.device), "records": records})
-    atomic.write_text(output.with_suffix(".md"), text)
-    say(f"every number: {output}")
+    atomic.write_text(_write(given, {"records": records}).with_suffix(".md"), text)
     return 1 if any(damages.fails(record) for record in records) else 0
 
 
@@ -150,22 +151,9 @@ def scaling(given: argparse.Namespace) -> int:
     found = scaling.measure(given.axes, quick=given.quick, device=given.device, say=say)
     say("\n" + scaling.table(found))
     if given.output is not None:
-        atomic.write_json(given.output, scaling.as_json(found))
+        atomic.write_json(given.output, {"growths": [asdict(one) for one in found]})
         atomic.write_bytes(given.output.with_suffix(".png"), scaling.draw(found))
     return 0
-
-
-def view(given: argparse.Namespace) -> int:
-    """Measure the viewer; return 1 if that failed."""
-    from benchmarks import viewer
-
-    if given.repeats < 1:
-        raise UserError(f"--repeats {given.repeats}: must be at least 1")
-    run = viewer.measure(given.results, given.dataset, clean=given.clean, repeats=given.repeats, say=say)
-    say("\n" + results_table(run.metrics))
-    if given.output is not None:
-        atomic.write_json(given.output, {metric.key: {"value": metric.value, "unit": metric.unit} for metric in run.metrics})
-    return 1 if run.crashed else 0
 
 
 def fingerprints(given: argparse.Namespace) -> int:
@@ -191,7 +179,7 @@ def against(given: argparse.Namespace) -> int:
     ratios = commit_comparison.compare(given.against, jobs=jobs, repeats=given.repeats, device=given.device, say=say)
     say("\n" + commit_comparison.table(ratios))
     if given.output is not None:
-        atomic.write_json(given.output, commit_comparison.as_json(given.against, ratios))
+        atomic.write_json(given.output, {"against": given.against, "ratios": [asdict(ratio) for ratio in ratios]})
     return 0
 
 
@@ -213,9 +201,7 @@ def against_frozen(given: argparse.Namespace) -> int:
     rows = frozen.compare(given.frozen, given.cases, device=given.device, say=say)
     say("\n" + frozen.compared_table(rows))
     if given.output is not None:
-        stored = [{**row, "changes": [asdict(one) for one in row.get("changes", ())]} for row in rows]
-        atomic.write_json(given.output, {"about": about("against", given.device), "cases": stored})
-        say(f"every number: {given.output}")
+        _write(given, {"cases": [{**row, "changes": [asdict(one) for one in row.get("changes", ())]} for row in rows]})
     return 1 if any("crashed" in row for row in rows) else 0
 
 
@@ -239,17 +225,3 @@ def tree_scatter(given: argparse.Namespace) -> int:
     write_ladder_page(ladder.read())
     say(f"recorded: {tree_scatter.PATH}")
     return 0
-
-
-def adopt(given: argparse.Namespace) -> int:
-    """Adopt each folder; those that do not match are reported, and the rest continue."""
-    from benchmarks.adopt import adopt
-
-    refused = 0
-    for number, folder in enumerate(given.folders, start=1):
-        try:
-            say(f"[{number}/{len(given.folders)}] {folder} -> {adopt(folder)}")
-        except UserError as error:
-            refused += 1
-            say(f"[{number}/{len(given.folders)}] REFUSED: {error}")
-    return 1 if refused else 0

@@ -19,9 +19,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from benchmarks import cache, masks_in_air
+from benchmarks.output import markdown
 from benchmarks.run import Say
 from rhizotwin.scenes.errors import UserError
 
@@ -227,14 +227,9 @@ def _middle(runs: Sequence[Used]) -> Used:
 
 def table(ratios: Sequence[Ratio]) -> str:
     """Return ratios as a Markdown table."""
-    lines = ["| job | pairs | processor time | must | memory | processor s | memory MiB |", "|---|---|---|---|---|---|---|"]
+    rows = []
     for r in ratios:
         must = "" if r.must is None else f"{r.must:.2f}"
         times, memories = f"{r.before.cpu_s:.1f} -> {r.after.cpu_s:.1f}", f"{r.before.memory_mib:.0f} -> {r.after.memory_mib:.0f}"
-        lines.append(f"| {r.job} | {r.runs} | {r.cpu:.2f} | {must} | {r.memory:.2f} | {times} | {memories} |")
-    return "\n".join(lines)
-
-
-def as_json(commit: str, ratios: Sequence[Ratio]) -> dict[str, Any]:
-    """Return ratios as a JSON object."""
-    return {"against": commit, "ratios": [asdict(ratio) for ratio in ratios]}
+        rows.append((r.job, f"{r.runs}", f"{r.cpu:.2f}", must, f"{r.memory:.2f}", times, memories))
+    return markdown("job | pairs | processor time | must | memory | processor s | memory MiB", rows)

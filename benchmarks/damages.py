@@ -17,6 +17,7 @@ from benchmarks import cases, datasets
 from benchmarks.damaged_scan import Damage, Scan
 from benchmarks.damages_light import LIGHT
 from benchmarks.damages_place import PLACE, exchange_picture
+from benchmarks.output import markdown
 from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.results.result import Result
 from rhizotwin.scenes.errors import UserError
@@ -138,17 +139,17 @@ def line(record: Record) -> str:
 
 def table(records: Sequence[Record]) -> str:
     """Return all trials as a Markdown table."""
-    lines = ["| damage | cause | volume | interval | trusted | messages |", "|---|---|---|---|---|---|"]
-    for record in records:
-        head = f"| `{record['name']}` | {record['why']} | "
-        if record["crashed"] is not None:
-            lines.append(head + "crashed | | | |")
-        elif record["refused"] is not None:
-            lines.append(head + f"refused | | | {record['refused']} |")
-        else:
-            low, high = record["interval"]
-            said = record["verdict"] if not record["trusted"] else "; ".join(c["found"] for c in record["checks"] if c["state"] == "fair")
-            holds = "holds" if low <= 0.0 <= high else "misses"
-            verdict = "**yes**" if fails(record) else "yes" if record["trusted"] else "no"
-            lines.append(head + f"{100.0 * record['volume_error']:+.1f} % | {holds} | {verdict} | {said} |")
-    return "\n".join(lines) + "\n"
+    rows = [(f"`{record['name']}`", record["why"], *_cells(record)) for record in records]
+    return markdown("damage | cause | volume | interval | trusted | messages", rows) + "\n"
+
+
+def _cells(record: Record) -> tuple[str, str, str, str]:
+    if record["crashed"] is not None:
+        return "crashed", "", "", ""
+    if record["refused"] is not None:
+        return "refused", "", "", record["refused"]
+    low, high = record["interval"]
+    said = record["verdict"] if not record["trusted"] else "; ".join(c["found"] for c in record["checks"] if c["state"] == "fair")
+    holds = "holds" if low <= 0.0 <= high else "misses"
+    verdict = "**yes**" if fails(record) else "yes" if record["trusted"] else "no"
+    return f"{100.0 * record['volume_error']:+.1f} %", holds, verdict, said

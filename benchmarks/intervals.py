@@ -7,11 +7,13 @@ that a stopped run continues.
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from benchmarks import cache, datasets, worker
+from benchmarks.cases import DEFAULT_VOXEL_MM
 from benchmarks.random_scans import RandomScan
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.provenance import versions
@@ -73,10 +75,13 @@ def _measure_one(scan: RandomScan, device: str) -> Record:
     try:
         if not datasets.is_ready(scan):
             worker.start(["dataset", json.dumps({"random_scan": scan.number})], device=device)
-        found = worker.start(["score", str(datasets.place(scan)), "coverage", "0.27", "none"], device=device)
+        dataset = str(datasets.place(scan))
+        with tempfile.TemporaryDirectory(prefix="rhizotwin-scan-") as folder:
+            cost = worker.start(["reconstruct", dataset, folder, "coverage", f"{DEFAULT_VOXEL_MM}", "none"], device=device)
+            found = worker.start(["score", f"{folder}/result", dataset, "none"], device=device)
     except RuntimeError as error:
         return record | {"crashed": str(error)}
-    record |= {"score": found["score"], "summary": found["summary"], "cpu_s": found["cpu_s"]}
+    record |= {"score": found["score"], "summary": found["summary"], "cpu_s": cost["cpu_s"]}
     atomic.write_json(kept, record)
     return record
 

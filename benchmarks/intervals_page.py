@@ -10,6 +10,7 @@ import pandas as pd
 
 from benchmarks import conformal
 from benchmarks.intervals_table import TRAITS, ratios
+from benchmarks.output import markdown
 from rhizotwin.recon.uncertainty.calibration import THIN_PX
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.figures import figure, png
@@ -59,21 +60,18 @@ def page(table: pd.DataFrame, factors: conformal.Factors, *, widest: float) -> s
     """
     table = table[table["volume_mm3.value"].notna()].sort_values("number", ignore_index=True)
     before, after = conformal.apply(table, {}, widest=widest), conformal.cross_apply(table, widest=widest)
-    lines = [
-        "| trait | regime | factor | scans | hold | 90 % band | median width | score | uncalibrated: hold | score |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for trait, label in LABELS.items():
         for regime in ("all", *sorted(factors)):
             some = slice(None) if regime == "all" else (table["regime"] == regime).to_numpy()
             new, old = (conformal.coverage(one[some], trait) for one in (after, before))
             factor = "" if regime == "all" else f"{factors[regime].get(trait, 1.0):.2f}"
             low, high = new["band"]
-            lines.append(
-                f"| {label} | {regime} | {factor} | {new['scans']} | {_share(new)} | {100 * low:.0f}-{100 * high:.0f} % "
-                f"| {100 * new['width']:.1f} % | {new['score']:.3f} | {_share(old)} of {old['scans']} | {old['score']:.3f} |"
-            )
-    return "\n".join([*lines, "", *_totals(after), ""])
+            of_old = f"{_share(old)} of {old['scans']}", f"{old['score']:.3f}"
+            widths = f"{100 * low:.0f}-{100 * high:.0f} %", f"{100 * new['width']:.1f} %", f"{new['score']:.3f}"
+            rows.append((label, regime, factor, f"{new['scans']}", _share(new), *widths, *of_old))
+    titles = "trait | regime | factor | scans | hold | 90 % band | median width | score | uncalibrated: hold | score"
+    return "\n".join([markdown(titles, rows), "", *_totals(after), ""])
 
 
 def _share(found: Mapping[str, float]) -> str:

@@ -2,7 +2,7 @@
 
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,12 @@ def results_table(metrics: Sequence[Metric]) -> str:
             target = f"{wanted.text}: {'reached' if wanted.reached(metric.value) else 'NOT REACHED'}"
         lines.append(f"{metric.key:<{width}}  {metric.value:>12.5g} {metric.unit:<4}  {target}".rstrip())
     return "\n".join(lines)
+
+
+def markdown(titles: str, rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table; the titles are separated by ``|``."""
+    lines = [f"| {titles} |", "|---" * (titles.count("|") + 1) + "|"]
+    return "\n".join([*lines, *(f"| {' | '.join(cells)} |" for cells in rows)])
 
 
 def results_folder() -> Path:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks import cache, commit_comparison
+from benchmarks.output import markdown
 from benchmarks.run import Say
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
@@ -127,12 +127,12 @@ def growth(axis: str, points: Sequence[Point]) -> Growth:
 
 def table(found: Sequence[Growth]) -> str:
     """Return the exponents as a Markdown table."""
-    lines = ["| against | from | to | processor s | exponent | memory MiB | exponent |", "|---|---|---|---|---|---|---|"]
+    rows = []
     for one in found:
         first, last = one.points[0], one.points[-1]
         times, memories = f"{first.cpu_s:.1f} -> {last.cpu_s:.1f}", f"{first.memory_mib:.0f} -> {last.memory_mib:.0f}"
-        lines.append(f"| {one.axis} | {first.value:.3g} | {last.value:.3g} | {times} | {one.cpu:.2f} | {memories} | {one.memory:.2f} |")
-    return "\n".join(lines)
+        rows.append((one.axis, f"{first.value:.3g}", f"{last.value:.3g}", times, f"{one.cpu:.2f}", memories, f"{one.memory:.2f}"))
+    return markdown("against | from | to | processor s | exponent | memory MiB | exponent", rows)
 
 
 def draw(found: Sequence[Growth]) -> bytes:
@@ -152,11 +152,6 @@ def draw(found: Sequence[Growth]) -> bytes:
             axes.set_yticks([min(cost), max(cost)], [f"{min(cost):.0f}", f"{max(cost):.0f}"])
             axes.grid(True, which="both", alpha=0.3)
     return png(drawn, dpi=110)
-
-
-def as_json(found: Sequence[Growth]) -> dict[str, Any]:
-    """Return the results as a JSON object."""
-    return {"growths": [asdict(one) for one in found]}
 
 
 def _pictures(step: Step, *, device: str) -> Path:

@@ -1,15 +1,18 @@
 """Split conformal calibration gives its nominal coverage, the committed factors follow from the table, and random scans draw as said."""
 
 import json
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import conformal, intervals_page, intervals_table, random_scans
+from benchmarks import conformal, intervals, intervals_page, intervals_table, random_scans, worker
+from benchmarks.cases import Case, Pictures
 from benchmarks.intervals_table import TRAITS
 from benchmarks.random_scans import PROFILES, SIGNED, TROUBLES, VIEWS, RandomScan
 from rhizotwin.recon.settings import TrustSettings
@@ -57,6 +60,25 @@ def test_failed_scans_are_counted_and_set_the_exit_code(
     assert command.main(words) == code
     said = f"{crashed} of 24 random scans failed; the first error is: scan 0: MemoryError"
     assert (said in capsys.readouterr().out) == bool(crashed)
+
+
+def test_a_random_scan_is_measured_by_jobs_of_the_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_of: Callable[..., dict[str, Any]]
+) -> None:
+    jobs = []
+
+    def start(arguments: list[str], *, device: str) -> dict[str, Any]:
+        jobs.append(worker.parser().parse_args(["--device", device, "--working", str(tmp_path), *arguments]).job)
+        score = record_of(Case(pictures=Pictures(scene="bean")))["score"]
+        return {"cpu_s": 50.0} if jobs[-1] == "reconstruct" else {"score": score, "summary": {}}
+
+    monkeypatch.setattr(worker, "start", start)
+    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
+    (record,) = intervals.measure([3], processes=1, device="cpu", say=lambda _: None)
+    assert jobs == ["dataset", "reconstruct", "score"]
+    assert record["cpu_s"] == 50.0
+    assert intervals.measure([3], processes=1, device="cpu", say=lambda _: None)[0]["number"] == 3
+    assert len(jobs) == 3
 
 
 def test_a_factor_is_one_unless_coverage_is_significantly_lower() -> None:
