@@ -7,21 +7,24 @@ both plants.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from rhizotwin.scenes import polyline
+from rhizotwin.scenes.compounds import IONS
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import Place
 from rhizotwin.scenes.solution import check_solution
-from rhizotwin.scenes.specimens import GrownSpecimen
+from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder
 
 SEEDS_APART = 1_000_003
 """Difference between the seeds of successive replicates. It is large enough that no replicate has the seed of another
 plant in the library."""
 
+Order = TypeVar("Order", bound=RootOrder)
 Grow = Callable[[GrownSpecimen], Sequence[Root]]
 
 
@@ -88,15 +91,48 @@ def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str
     UserError
         If the nutrient solution has no compounds to which the factors apply.
     """
-    plant = require_grown(scene)
-    orders = tuple(
-        replace(order, elongation_mm_per_day=order.elongation_mm_per_day * growth, max_length_mm=order.max_length_mm * growth)
-        for order in plant.orders
-    )
+    plant = scale_growth(require_grown(scene), growth)
     told = replace(scene.subject, treatment=name, plant=f"{scene.subject.plant or scene.name} {name}".strip())
     solution = replace(scene.solution, factors={**scene.solution.factors, **(factors or {})})
     check_solution(solution, Place(f"treatment {name} of scene {scene.name}").at("solution"))
-    return replace(scene, specimen=replace(plant, orders=orders), subject=told, solution=solution)
+    return replace(scene, specimen=plant, subject=told, solution=solution)
+
+
+def scale_growth(plant: GrownSpecimen, factor: float) -> GrownSpecimen:
+    """Return a plant whose elongation rates and final lengths are multiplied by a factor."""
+
+    def scaled(order: Order) -> Order:
+        return replace(order, elongation_mm_per_day=order.elongation_mm_per_day * factor, max_length_mm=order.max_length_mm * factor)
+
+    return replace(plant, orders=tuple(map(scaled, plant.orders)), basal=tuple(map(scaled, plant.basal)))
+
+
+def limitation(plant: GrownSpecimen, ions_mmol_per_l: Mapping[str, float]) -> float:
+    """Return the factor by which the nutrient solution limits the growth of a plant, between 0 and 1.
+
+    It is the smallest factor of all ions (Liebig's law of the minimum). The factor of an ion is c / (c + K), where c is
+    its concentration and K its half-saturation constant (Monod 1949, Annual Review of Microbiology 3:371).
+
+    Parameters
+    ----------
+    plant : GrownSpecimen
+        Plant with its half-saturation constants.
+    ions_mmol_per_l : mapping of float
+        Ion concentrations of the nutrient solution, mmol/l.
+
+    Raises
+    ------
+    UserError
+        If the plant has half-saturation constants of unknown ions, or the nutrient solution is unknown.
+    """
+    half = plant.half_growth_mmol_per_l
+    if unknown := sorted(half.keys() - set(IONS)):
+        raise UserError(f"specimen.half_growth_mmol_per_l: {unknown[0]} is not an ion; known ions are {', '.join(IONS)}")
+    if half and not ions_mmol_per_l:
+        raise UserError(
+            'specimen.half_growth_mmol_per_l requires the concentrations of a nutrient solution; set recipe = "kliman_2022" in [solution]'
+        )
+    return min((ions_mmol_per_l[ion] / (ions_mmol_per_l[ion] + constant) for ion, constant in half.items()), default=1.0)
 
 
 def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None = None) -> Scene:

@@ -1,17 +1,12 @@
-"""Nutrient solutions: mass concentrations of compounds, and the resulting ion concentrations.
+"""Nutrient solutions: mass concentrations of compounds, the resulting ion concentrations, and their preparation."""
 
-A compound is divided into the ions of `_IONS`. Atomic masses are taken from molmass (IUPAC). Phosphate and carbonate
-are counted in the form that prevails between pH 5 and 7, and boron as boric acid. Of organic compounds, such as iron
-chelates, only the metal is counted.
-"""
-
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+from rhizotwin.scenes import compounds
+from rhizotwin.scenes.compounds import IONS
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place, from_plain
 
@@ -24,7 +19,7 @@ RECIPES: Mapping[str, Mapping[str, float]] = {
     "kliman_2022": {
         "MgSO4.7H2O": 0.2461,
         "Ca(NO3)2.4H2O": 0.4859,
-        "NH4NO3": 0.038,
+        "NH4NO3": 0.03882,
         "KH2PO4": 0.136,
         "KNO3": 0.442,
         "H3BO3": 0.0009,
@@ -35,47 +30,29 @@ RECIPES: Mapping[str, Mapping[str, float]] = {
         "C14H21FeN3O10": 0.01,
     }
 }
-"""Mass concentrations of the compounds in each recipe, g/l. ``kliman_2022`` is table 3.1 of the thesis."""
-
-_IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
-    "NO3": ("NO3", 1, (-1,)),
-    "NH4": ("NH4", 1, (1,)),
-    "H2PO4": ("H2PO4", 1, (-1,)),
-    "HPO4": ("H2PO4", 1, (-2,)),
-    "PO4": ("H2PO4", 1, (-3,)),
-    "K": ("K", 1, (1,)),
-    "Ca": ("Ca", 1, (2,)),
-    "Mg": ("Mg", 1, (2,)),
-    "SO4": ("SO4", 1, (-2,)),
-    "Fe": ("Fe", 1, (2, 3)),
-    "Mn": ("Mn", 1, (2,)),
-    "Zn": ("Zn", 1, (2,)),
-    "Cu": ("Cu", 1, (2,)),
-    "H3BO3": ("H3BO3", 1, (0,)),
-    "B4O7": ("H3BO3", 4, (-2,)),
-    "MoO4": ("MoO4", 1, (-2,)),
-    "Mo7O24": ("MoO4", 7, (-6,)),
-    "Ni": ("Ni", 1, (2,)),
-    "Co": ("Co", 1, (2,)),
-    "Na": ("Na", 1, (1,)),
-    "Cl": ("Cl", 1, (-1,)),
-    "I": ("I", 1, (-1,)),
-    "SiO3": ("SiO3", 1, (-2,)),
-    "HCO3": ("HCO3", 1, (-1,)),
-    "CO3": ("HCO3", 1, (-2,)),
-    "H": ("", 0, (1,)),
-    "OH": ("", 0, (-1,)),
+"""Mass concentrations of the compounds in each recipe, g/l. ``kliman_2022`` is table 3.1 of the thesis. The mass of
+NH4NO3 in this table (0.69872 g in 18 l) contradicts its concentration (0.038 g/l), and is used instead."""
+STOCKS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
+    "kliman_2022": {
+        "MgSO4": {"MgSO4.7H2O": 98.59},
+        "Ca(NO3)2": {"Ca(NO3)2.4H2O": 170.1},
+        "KH2PO4": {"KH2PO4": 54.4},
+        "Fe chelate": {"C14H21FeN3O10": 3.985},
+        "Micronutrient Mix": {
+            "H3BO3": 3.6,
+            "MnSO4.H2O": 3.2,
+            "Na2MoO4.2H2O": 0.24,
+            "CuSO4.5H2O": 0.36,
+            "ZnSO4.7H2O": 2.4,
+        },
+    }
 }
-"""Ions that correspond to the groups of a formula. The values are the name of the ion (empty for acid and alkali), the
-number of ions per group, and the possible charges of the group."""
-IONS = tuple(dict.fromkeys(name for name, _, _ in _IONS.values() if name))
-"""Names of all ions, in the order in which they are listed in tables."""
-_METALS = frozenset({"K", "Ca", "Mg", "Fe", "Mn", "Zn", "Cu", "Ni", "Co", "Na"})
-_NUTRIENTS = _METALS | {"N", "P", "S", "B", "Mo", "Cl", "I", "Si", "C"}
-"""Symbols of the elements for which a factor can be specified."""
-_GROUP = re.compile(rf"({'|'.join(sorted(_IONS, key=len, reverse=True))})(\d*)|\(({'|'.join(sorted(_IONS, key=len, reverse=True))})\)(\d*)")
-_MOST_LETTERS = 80
-"""Maximum length of a formula in characters. The longest chelate in use has 25 characters."""
+"""Stock solutions of each recipe: mass concentrations of their compounds, g/l. Those of ``kliman_2022`` are the ratio
+of the concentration in table 3.1 to the volume of concentrate for 18 l."""
+LITRES = (1e-3, 1e6)
+"""Minimum and maximum volume of a solution to be prepared, l."""
+_FLOAT_ROUNDING = 1e-9
+"""Fraction of a compound up to which the part that is not supplied by stock solutions is regarded as zero."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +68,12 @@ class Solution:
     """Factors for concentrations. The keys are elements or formulas, such as K = 0.5. The concentration of every
     compound with an ion of the element is multiplied by the factor. If several factors apply to a compound, all of them
     are multiplied."""
+    only: bool = False
+    """Whether factors change the ions of their element alone. The charge is balanced by sodium or chloride, and the
+    other ions remain unchanged."""
+    stocks_g_per_l: dict[str, dict[str, float]] = field(default_factory=dict, hash=False, metadata={"limits": (1e-6, 10000.0)})
+    """Stock solutions with the mass concentrations of their compounds in grams per litre. The keys are names and
+    formulas. These stock solutions are used in addition to those of the recipe, and replace those of the same name."""
 
     @property
     def known(self) -> bool:
@@ -102,8 +85,19 @@ class Solution:
         """Mass concentrations of the compounds after multiplication by the factors, g/l. The keys are formulas."""
         found = {**RECIPES.get(self.recipe, {}), **self.grams_per_l}
         for what, factor in self.factors.items():
-            found = {name: grams * (factor if _holds(name, what) else 1.0) for name, grams in found.items()}
+            before, found = found, {}
+            for name, grams in before.items():
+                changed = {name: 1.0}
+                if _holds(name, what):
+                    changed = compounds.replace_alone(name, compounds.symbol(what), factor) if self.only else {name: factor}
+                for formula, share in changed.items():
+                    found[formula] = found.get(formula, 0.0) + share * grams
         return found
+
+    @property
+    def stocks(self) -> dict[str, Mapping[str, float]]:
+        """Stock solutions of the recipe and of the user, with the mass concentrations of their compounds, g/l."""
+        return {**STOCKS.get(self.recipe, {}), **self.stocks_g_per_l}
 
     @property
     def ions_mmol_per_l(self) -> dict[str, float]:
@@ -115,10 +109,30 @@ class Solution:
             return {}
         total = dict.fromkeys(IONS, 0.0)
         for formula, grams in self.compounds_g_per_l.items():
-            mass, ions = _divide(formula)
-            for name, count in ions.items():
-                total[name] += 1000.0 * grams / mass * count
+            divided = compounds.divide(formula)
+            for name, count in divided.ions.items():
+                total[name] += 1000.0 * grams / divided.g_per_mol * count
         return total
+
+    def portions(self, litres: float) -> "Portions":
+        """Return the volumes of stock solutions and the masses of salts in a volume of the solution.
+
+        Of each stock solution, as much is used as none of its compounds exceeds. The rest is weighed as salt.
+
+        Parameters
+        ----------
+        litres : float
+            Volume of the nutrient solution, l.
+        """
+        needed = {formula: litres * grams for formula, grams in self.compounds_g_per_l.items()}
+        left, stocks_ml = dict(needed), dict[str, float]()
+        for name, contents in self.stocks.items():
+            stock_l = min((left.get(formula, 0.0) / grams for formula, grams in contents.items()), default=0.0)
+            if stock_l > 0.0:
+                stocks_ml[name] = 1000.0 * stock_l
+                left |= {formula: left[formula] - stock_l * grams for formula, grams in contents.items()}
+        salts = {formula: grams for formula, grams in left.items() if grams > _FLOAT_ROUNDING * needed[formula]}
+        return Portions(stocks_ml=stocks_ml, salts_g=salts)
 
     def __str__(self) -> str:
         """Return the recipe, the added compounds and the factors on one line.
@@ -126,31 +140,51 @@ class Solution:
         The line is empty if the solution is unknown.
         """
         own = [f"{name} {grams:g} g/l" for name, grams in self.grams_per_l.items()]
-        return ", ".join([*filter(None, [self.recipe]), *own, *(f"{what} x {factor:g}" for what, factor in self.factors.items())])
+        alone = " only" if self.only else ""
+        return ", ".join([*filter(None, [self.recipe]), *own, *(f"{what} x {factor:g}{alone}" for what, factor in self.factors.items())])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Portions:
+    """Portions from which a nutrient solution is prepared."""
+
+    stocks_ml: Mapping[str, float]
+    """Volume of each stock solution, ml."""
+    salts_g: Mapping[str, float]
+    """Mass of each salt that is weighed, g."""
 
 
 def check_solution(solution: Solution, place: Place) -> None:
     """Reject compounds that cannot be divided into ions.
 
-    Also reject factors for substances that are not in the solution.
+    Also reject factors for substances that are not in the solution, and factors for a single element that cannot be
+    balanced.
 
     Raises
     ------
     UserError
         If a compound or factor is invalid; the message states the compound or factor and the condition.
     """
-    for formula in solution.grams_per_l:
+    named: list[tuple[str, ...]] = [("grams_per_l", formula) for formula in solution.grams_per_l]
+    named += [("stocks_g_per_l", name, formula) for name, contents in solution.stocks_g_per_l.items() for formula in contents]
+    for *section, formula in named:
         try:
-            _divide(formula)
+            compounds.divide(formula)
         except UserError as error:
-            raise place.at("grams_per_l", formula).error(str(error)) from None
-    compounds = {**RECIPES.get(solution.recipe, {}), **solution.grams_per_l}
+            raise place.at(*section, formula).error(str(error)) from None
+    known = {**RECIPES.get(solution.recipe, {}), **solution.grams_per_l}
     for what in solution.factors:
-        if not any(_holds(formula, what) for formula in compounds):
-            has = ", ".join(compounds) or "none"
+        if not any(_holds(formula, what) for formula in known):
+            has = ", ".join(known) or "none"
             raise place.at("factors", what).error(
                 f"must be an element (K, N, potassium) or a compound of the solution, whose compounds are {has}"
             )
+        if solution.only and (alone := compounds.symbol(what)) not in compounds.NUTRIENTS - compounds.BALANCING:
+            raise place.at("factors", what).error(f"must be an element other than sodium and chlorine to be changed alone, not {alone}")
+    try:
+        solution.compounds_g_per_l  # noqa: B018
+    except UserError as error:
+        raise place.at("factors").error(str(error)) from None
 
 
 def from_summary(summary: Mapping[str, Any], where: str) -> Solution:
@@ -183,6 +217,8 @@ def headings(many: Sequence[Mapping[str, float]]) -> dict[str, str]:
 def read_solution(text: str) -> Solution:
     """Parse a command-line solution: a recipe or TOML file, followed by factors, as in ``kliman_2022,K=0.5``.
 
+    The word ``only`` after the factors changes their elements alone.
+
     Raises
     ------
     UserError
@@ -197,13 +233,14 @@ def read_solution(text: str) -> Solution:
     else:
         table, place = {"recipe": name}, Place("--solution")
     factors = dict(table.get("factors", {})) if isinstance(table.get("factors", {}), Mapping) else {}
-    for change in changes:
+    alone = {"only": True} if "only" in changes else {}
+    for change in (one for one in changes if one != "only"):
         what, _, factor = change.partition("=")
         try:
             factors[what.strip()] = float(factor)
         except ValueError:
-            raise UserError(f"--solution {text}: {change!r} is not a factor; specify ELEMENT=FACTOR, such as K=0.5") from None
-    solution = from_plain(Solution, {**table, **({"factors": factors} if changes else {})}, place)
+            raise UserError(f"--solution {text}: {change!r} is not a factor; specify ELEMENT=FACTOR, such as K=0.5, and only") from None
+    solution = from_plain(Solution, {**table, **({"factors": factors} if factors else {}), **alone}, place)
     check_solution(solution, place)
     return solution
 
@@ -213,53 +250,4 @@ def _holds(formula: str, what: str) -> bool:
 
     It can be the formula of the compound, or an element of one of its ions.
     """
-    return formula == what or (_symbol(what) in _NUTRIENTS and any(_symbol(what) in _atoms(ion)[1] for ion in _divide(formula)[1]))
-
-
-def _symbol(element: str) -> str:
-    """Return the symbol of an element, which is given by its symbol or its English name.
-
-    Other texts are returned unchanged.
-    """
-    from molmass import ELEMENTS
-
-    return next((str(one.symbol) for one in ELEMENTS if one.name.lower() == element.lower()), element)
-
-
-@lru_cache(maxsize=256)
-def _atoms(formula: str) -> tuple[float, Mapping[str, int]]:
-    """Return the molar mass of a formula (g/mol), and the number of atoms of each element."""
-    from molmass import Formula, FormulaError  # imported here, as loading it would slow down the start of every command
-
-    if not formula or len(formula) > _MOST_LETTERS:
-        raise UserError(f"must be a formula with 1 to {_MOST_LETTERS} characters, such as KNO3")
-    try:
-        found = Formula(_plain(formula))
-        return float(found.mass), {str(one): item.count for one, item in found.composition().items()}
-    except FormulaError as error:
-        raise UserError(f"must be a formula such as KNO3 or Ca(NO3)2.4H2O: {str(error).splitlines()[0]}") from None
-
-
-@lru_cache(maxsize=256)
-def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
-    """Return the molar mass of a compound (g/mol), and the numbers of its ions. The keys are names of ions."""
-    mass, atoms = _atoms(formula)
-    body = re.sub(r"\.\d*H2O$", "", _plain(formula))
-    charges, ions, end = {0}, dict[str, int](), 0
-    while match := _GROUP.match(body, end):
-        end = match.end()
-        count = int(match[2] or match[4] or 1)
-        name, times, choices = _IONS[match[1] or match[3]]
-        charges = {charge + count * choice for charge in charges for choice in choices}
-        if name:
-            ions[name] = ions.get(name, 0) + count * times
-    if end == len(body) and 0 in charges:
-        return mass, ions
-    if {"C", "H"} <= atoms.keys():  # in an organic compound, only the metals of a chelate are counted
-        return mass, {name: count for name, count in atoms.items() if name in _METALS}
-    raise UserError(f"cannot be divided into the ions {', '.join(IONS)} with zero net charge")
-
-
-def _plain(formula: str) -> str:
-    """Return a formula with a full stop instead of other symbols before the water of crystallisation."""
-    return re.sub(r"\s*[.·*]\s*", ".", formula)
+    return formula == what or compounds.contains(formula, compounds.symbol(what))

@@ -132,6 +132,11 @@ class GrownSpecimen:
     """Growth parameters of the roots of each order: the taproot, its laterals, their laterals, and so on."""
     basal: tuple[BasalRoots, ...] = ()
     """Further kinds of roots that emerge at the top of the taproot."""
+    half_growth_mmol_per_l: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (1e-9, 1000.0)})
+    """Concentration of each ion at which roots grow at half of the rate, such as NO3 = 0.027. The elongation rates and
+    final lengths are multiplied by the smallest ratio c / (c + half) of all given ions, where c is the concentration in
+    the nutrient solution. Without an ion, growth does not depend on the nutrient solution. `volume_ml` and the
+    parameters of the roots are those of a plant whose growth is not limited."""
     origin_mm: tuple[float, float, float] = bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
     """Position of the base of the taproot. A rounded end extends above the base by the radius of the taproot."""
     lean_deg: float = bounded(0.0, 0.0, 90.0)

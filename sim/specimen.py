@@ -12,6 +12,7 @@ import manifold3d
 import numpy as np
 import trimesh
 
+from rhizotwin.scenes import series
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
@@ -206,8 +207,8 @@ def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: M
     if isinstance(specimen, SphereSpecimen):
         return _Part("the sphere", _sphere(specimen))
     if isinstance(specimen, GrownSpecimen):
-        grown = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
-        solid, grown, _ = solids.scale_to_volume(grown, 1000.0 * specimen.volume_ml, monitor=monitor)
+        grown, volume_ml = _grow(specimen, scene)
+        solid, grown, _ = solids.scale_to_volume(grown, 1000.0 * volume_ml, monitor=monitor)
         return _Part("the grown plant", solid, tuple(grown))
     path = _locate(specimen.file, folder)
     what = str(path)
@@ -228,6 +229,24 @@ def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: M
     if (bodies := len(solid.decompose())) > 1:
         notes.append(f"{what}: the roots form {bodies} separate bodies, because gaps in the file are not closed.")
     return _Part(what, solid, tuple(replace(root, plant="") for root in roots), tuple(notes))
+
+
+def _grow(specimen: GrownSpecimen, scene: Scene) -> tuple[list[Root], float]:
+    """Grow a plant in the nutrient solution of a scene, and return its roots and its volume in ml.
+
+    If the nutrient solution limits the growth, radii have the same scale as without limitation.
+    """
+    factor = series.limitation(specimen, scene.solution.ions_mmol_per_l)
+    grown = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
+    if factor == 1.0:
+        return grown, specimen.volume_ml
+    limited = [] if factor == 0.0 else growth.grow(series.scale_growth(specimen, factor), canister=scene.canister, net_pot=scene.net_pot)
+    if not limited:
+        raise UserError(
+            f"the roots of scene {scene.name!r} do not grow, because its nutrient solution contains too little of "
+            f"{', '.join(specimen.half_growth_mmol_per_l)}; increase the concentrations"
+        )
+    return limited, specimen.volume_ml * series.tube_mm3(limited) / series.tube_mm3(grown)
 
 
 def _is_moved(specimen: PlacedFile) -> bool:

@@ -1,12 +1,13 @@
 """Command `rhizotwin scenes`."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 from rhizotwin.scenes import files, key_descriptions
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.solution import UNIT, Solution
-from rhizotwin.steps.arguments import Flag, SceneName, SolutionName, check_new_file, output, with_metavar
+from rhizotwin.scenes.solution import LITRES, UNIT, Solution
+from rhizotwin.steps.arguments import Flag, SceneName, SolutionName, check_new_file, option, output, read_number, with_metavar
 
 
 def scenes(
@@ -17,6 +18,7 @@ def scenes(
     specimen_stl: Annotated[Path | None, with_metavar("FILE")] = None,
     keys: Flag = False,
     solution: SolutionName | None = None,
+    litres: Annotated[float | None, option(lambda text: read_number(text, LITRES, "l", "litres"), "L")] = None,
 ) -> None:
     """List the scenes and profiles of the library, or write a scene or its specimen to a file.
 
@@ -37,7 +39,10 @@ def scenes(
         Print a reference of all keys of scene files (Markdown).
     solution : Solution, optional
         Print the composition of a nutrient solution: kliman_2022, or a TOML file with the keys of a scene's table
-        [solution], optionally with scaled elements, such as kliman_2022,K=0.5.
+        [solution], optionally with scaled elements, such as kliman_2022,K=0.5. With kliman_2022,K=0.5,only the other
+        ions remain unchanged, apart from sodium and chloride, which balance the charge.
+    litres : float, optional
+        Also print the volumes of stock solutions and the masses of salts for this volume of the nutrient solution.
 
     Examples
     --------
@@ -45,30 +50,37 @@ def scenes(
     rhizotwin scenes sphere_20mm -o my_scene.toml
     rhizotwin simulate my_scene.toml -o my_dataset
     rhizotwin scenes --keys
-    rhizotwin scenes --solution kliman_2022,K=0.5
+    rhizotwin scenes --solution kliman_2022 --litres 18
+    rhizotwin scenes --solution kliman_2022,K=0.5,only
     rhizotwin scenes printed_8ml --specimen-stl my_part.stl
     """
+    if litres is not None and solution is None:
+        raise UserError("--litres is the volume of a nutrient solution; add --solution, such as --solution kliman_2022")
+    if (keys or solution is not None) and (name is not None or copy is not None or specimen_stl is not None):
+        raise UserError("--keys and --solution cannot be used with a scene, -o or --specimen-stl; remove these arguments")
     if keys or solution is not None:
-        if name is not None or copy is not None or specimen_stl is not None:
-            raise UserError("--keys and --solution cannot be used with a scene, -o or --specimen-stl; remove these arguments")
-        print(key_descriptions.page() if solution is None else _solution_table(solution), end="")
-        return
-    if (name is None) != (copy is None and specimen_stl is None):
+        print(key_descriptions.page() if solution is None else _solution_table(solution, litres), end="")
+    elif (name is None) != (copy is None and specimen_stl is None):
         raise UserError("a scene must be given together with -o FILE or --specimen-stl FILE; to list the library, give no arguments")
+    elif name is None:
+        _print_library()
+    else:
+        _write(name, copy, specimen_stl)
+
+
+def _write(name: str, copy: Path | None, specimen_stl: Path | None) -> None:
+    """Write a scene and its specimen to new files."""
     for path in (copy, specimen_stl):
         if path is not None:
             check_new_file(path)
-    if name is not None and specimen_stl is not None:
+    if specimen_stl is not None:
         from rhizotwin.exporter.printable import write_specimen_stl
 
         for line in write_specimen_stl(name, specimen_stl):
             print(line)
-    if name is not None and copy is not None:
+    if copy is not None:
         files.save_scene(files.load_scene(name), copy, new=True)
         print(f"wrote {copy}; edit the file, then run: rhizotwin simulate {copy} -o my_dataset")
-    if name is not None:
-        return
-    _print_library()
 
 
 def _print_library() -> None:
@@ -79,10 +91,24 @@ def _print_library() -> None:
             print(f"  {row[0]:<{width}}  {row[1]}")
 
 
-def _solution_table(solution: Solution) -> str:
+def _solution_table(solution: Solution, litres: float | None) -> str:
+    dissolved = solution.compounds_g_per_l
+    tables: list[tuple[str, str, str, Mapping[str, float], Mapping[str, str]]] = []
+    tables.append(("compound", "g/l", "", dissolved, {}))
+    tables.append(("ion", UNIT, "", solution.ions_mmol_per_l, {}))
+    if litres is not None:
+        made, volume = solution.portions(litres), f"for {litres:g} l"
+        masses = {formula: f"{grams * litres:>12.4g}" for formula, grams in dissolved.items()}
+        contents = {name: ", ".join(f"{formula} {grams:g}" for formula, grams in own.items()) for name, own in solution.stocks.items()}
+        tables[0] = ("compound", "g/l", f"{'g ' + volume:>12}", dissolved, masses)
+        tables.append((f"stock {volume}", "ml", "contents (g/l)", made.stocks_ml, contents))
+        tables.append((f"salt {volume}", "g", "", made.salts_g, {}))
     lines = []
-    for title, unit, rows in (("compound", "g/l", solution.compounds_g_per_l), ("ion", UNIT, solution.ions_mmol_per_l)):
-        width = max(len(title), *(len(name) for name in rows))
-        lines.append(f"{title:<{width}}  {unit:>10}")
-        lines += [f"{name:<{width}}  {amount:>10.4g}" for name, amount in rows.items() if amount]
+    for title, unit, remark, rows, remarks in tables:
+        shown = [
+            (title, f"{unit:>10}", remark),
+            *((name, f"{amount:>10.4g}", remarks.get(name, "")) for name, amount in rows.items() if amount),
+        ]
+        width = max(len(row[0]) for row in shown)
+        lines += [f"{name:<{width}}  {amount}  {more}".rstrip() for name, amount, more in shown]
     return "\n".join(lines) + "\n"

@@ -14,6 +14,7 @@ from typing import get_args
 from rhizotwin.recon.results import result_traits
 from rhizotwin.scenes import assessment, solution, subject, table_file, trait_table
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment, Verdict
+from rhizotwin.scenes.compounds import IONS
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored import result_files, stored_traits
@@ -222,7 +223,7 @@ def _ions(row: table_file.Row) -> dict[str, float]:
 
     The dictionary is empty if there are none.
     """
-    headings = {ion: f"{ion} ({solution.UNIT})" for ion in solution.IONS}
+    headings = {ion: f"{ion} ({solution.UNIT})" for ion in IONS}
     found = {ion: value for ion, heading in headings.items() if (value := table_file.number(row, heading)) is not None}
     if low := [ion for ion, value in found.items() if value < 0.0]:
         raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must be at least 0")

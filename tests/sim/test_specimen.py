@@ -13,8 +13,9 @@ import trimesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.scenes.rsml import Root, length_mm, write_rsml
 from rhizotwin.scenes.shoots import Shoot
+from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
 from rhizotwin.scenes.thickened_roots import BURIED_MM
 from rhizotwin.sim import placement, solids
@@ -276,3 +277,25 @@ def test_a_flat_blade_has_its_outline_s_area_times_its_thickness() -> None:
 def test_leaves_in_the_pot_are_refused() -> None:
     with pytest.raises(UserError, match=r"below the top of the net pot .* Increase shoot\.elevation_deg"):
         shoot_of(elevation_deg=-40.0)
+
+
+def test_roots_respond_to_the_ion_that_limits_them() -> None:
+    """1 mmol/l of K and NO3 limit growth to 1 / (1 + 0.25) = 0.8 and 1 / (1 + 1) = 0.5, of which the smaller applies."""
+    taproot = RootOrder(diameter_mm=1.0, length_sd=0.0, diameter_sd=0.0, elongation_mm_per_day=4.0, max_length_mm=60.0)
+    salt = Solution(grams_per_l={"KNO3": 0.101102})
+
+    def build(solution: Solution, **half: float) -> SpecimenSolid:
+        plant = GrownSpecimen(volume_ml=0.03, age_days=10.0, orders=(taproot,), half_growth_mmol_per_l=half)
+        return build_specimen(Scene(specimen=plant, solution=solution))
+
+    free, limited = build(Solution()), build(salt, K=0.25, NO3=1.0)
+    assert length_mm(free.roots) == pytest.approx(60.0 * (1.0 - np.exp(-40.0 / 60.0)), rel=1e-3)
+    assert length_mm(limited.roots) == pytest.approx(0.5 * length_mm(free.roots), rel=1e-3)
+    assert limited.volume_mm3 == pytest.approx(0.5 * free.volume_mm3, rel=0.01), "same diameters at half of the length"
+    for solution, half, match in (
+        (Solution(), "K", "requires the concentrations"),
+        (salt, "K+", "K\\+ is not an ion"),
+        (salt, "Ca", "too little of Ca"),
+    ):
+        with pytest.raises(UserError, match=match):
+            build(solution, **{half: 0.1})
