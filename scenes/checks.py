@@ -6,8 +6,8 @@ The parts of the rig must fit together, and match the camera model.
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from types import ModuleType
 
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
 from rhizotwin.scenes.plants import check_plants
 from rhizotwin.scenes.schema import Place, suggestion
@@ -58,28 +58,6 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     _check_specimen(scene.specimen, scene, place.at("specimen"))
     for number, plant in enumerate(scene.plants):
         _check_specimen(plant.placed(), scene, place.at("plants", number, "specimen"))
-
-
-def marker_capacity(dictionary: str) -> int | None:
-    """Return the number of markers in an OpenCV dictionary, or None if its name is unknown.
-
-    The name is given without ``DICT_``.
-    """
-    aruco = _aruco()
-    if not hasattr(aruco, f"DICT_{dictionary}"):
-        return None
-    return len(aruco.getPredefinedDictionary(getattr(aruco, f"DICT_{dictionary}")).bytesList)
-
-
-def _aruco() -> ModuleType:
-    import cv2  # imported here: loading takes half a second, and many users of scenes check none
-
-    aruco: ModuleType = cv2.aruco
-    return aruco
-
-
-def _dictionaries() -> list[str]:
-    return [name for name in dir(_aruco()) if name.startswith("DICT_")]
 
 
 def _unit_slip(value: float, low_mm: float, high_mm: float) -> str:
@@ -187,16 +165,19 @@ def _check_strip(scene: Scene, place: Place) -> None:
     strip, pot = scene.strip, scene.net_pot
     if strip.rows == 0:
         return
+    import cv2  # imported here: loading takes half a second, and many scenes have no strip
+
+    from rhizotwin.scenes.markers import strip_ids
+
     here = place.at("strip")
-    capacity = marker_capacity(strip.dictionary)
-    if capacity is None:
-        known = [name.removeprefix("DICT_") for name in _dictionaries()]
+    known = [name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_")]
+    if strip.dictionary not in known:
         near = suggestion(strip.dictionary, known) or f"; known dictionaries are {', '.join(known)}"
         raise here.at("dictionary").error(f"is not a marker dictionary of OpenCV{near}", strip.dictionary)
-    needed = strip.first_id + strip.rows * strip.columns
-    if needed > capacity:
-        must = f"has {capacity} markers, but first_id + rows * columns is {needed}; use fewer columns or a larger dictionary"
-        raise here.at("dictionary").error(must, strip.dictionary)
+    try:
+        strip_ids(strip)
+    except UserError as error:
+        raise here.at("dictionary").error(str(error), strip.dictionary) from None
     pitch_mm = 2.0 * math.pi * pot.outer_radius_mm / strip.columns
     if strip.marker_mm >= pitch_mm:
         must = f"must be below {pitch_mm:.4g} mm, the width of each of the {strip.columns} columns on the net pot's circumference"

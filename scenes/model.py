@@ -82,7 +82,8 @@ class MarkerStrip:
     """Strip of ArUco markers around the net pot, with rows from the top and columns counter-clockwise seen from above.
 
     Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x). The marker in row j and column k has
-    the id ``first_id + j * columns + k``. Seen from outside, ids increase to the right.
+    the id ``first_id + j * columns + k`` if the dictionary has enough markers. Otherwise the strip is coded: the ids of
+    its markers are those of `scenes.markers.marker_ids`.
     """
 
     dictionary: str = "APRILTAG_36h11"
@@ -99,8 +100,9 @@ class MarkerStrip:
     """Distance between the lower edges of adjacent rows."""
     bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
     """Height (z) of the lower edge of the markers in the lowest row."""
-    first_id: int = bounded(0, 0, 10000)
-    """Id of the first marker. Strips with different ids identify different plants."""
+    first_id: int = bounded(0, 0, 1_000_000)
+    """Id of the first marker; of a coded strip, the number of its canister, counted from 0, times the number of markers
+    on the strip. Strips with different ids identify different plants."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -89,7 +89,10 @@ def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Arra
 
     Corners are ordered as in OpenCV: top left, top right, bottom right, bottom left, seen from outside.
     """
+    from rhizotwin.scenes.markers import strip_ids  # imported here: it loads OpenCV, which takes half a second
+
     half_rad = strip.marker_mm / net_pot.outer_radius_mm / 2.0
+    ids = strip_ids(strip)
     corners: dict[int, frames.Array] = {}
     for row in range(strip.rows):
         low = strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm
@@ -99,7 +102,7 @@ def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Arra
             angle = np.array([middle - half_rad, middle + half_rad, middle + half_rad, middle - half_rad])
             z = np.array([high, high, low, low])
             xy = net_pot.outer_radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            corners[strip.first_id + row * strip.columns + column] = np.concatenate([xy, z[:, None]], axis=1)
+            corners[int(ids[row, column])] = np.concatenate([xy, z[:, None]], axis=1)
     return corners
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.scenes.markers import marker_cells
+from rhizotwin.scenes.markers import marker_cells, strip_ids
 from rhizotwin.scenes.model import MarkerStrip, NetPot
 
 PAPER, INK = 0.85, 0.04
@@ -44,11 +44,11 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
     columns, rows = round(around_mm / mm_per_texel), round(high_mm / mm_per_texel)
     s_edges_mm = np.linspace(0.0, around_mm, columns + 1)
     z_edges_mm = net_pot.top_mm - np.linspace(0.0, high_mm, rows + 1)
-    picture = np.full((rows, columns), PAPER)
+    picture, ids = np.full((rows, columns), PAPER), strip_ids(strip)
     for row in range(strip.rows):
         top_mm = strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm + strip.marker_mm
         for column in range(strip.columns):
-            cells = marker_cells(strip.dictionary, strip.first_id + row * strip.columns + column)
+            cells = marker_cells(strip.dictionary, int(ids[row, column]))
             cell_mm = strip.marker_mm / len(cells)
             left_mm = (column + 0.5) * around_mm / strip.columns - strip.marker_mm / 2.0
             across = _share(s_edges_mm, left_mm + cell_mm * np.arange(len(cells) + 1))

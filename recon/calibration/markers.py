@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, MarkerFit, Scratch, fit_marker
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.markers import get_dictionary, marker_cells
+from rhizotwin.scenes.markers import get_dictionary, ids_text, marker_cells, strip_ids
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
@@ -31,7 +30,8 @@ reflection of a lamp does not reduce the contrast of the strip."""
 FEW = 6
 """Number of detected markers below which the detection is repeated with the next tone curve."""
 OTHER_DICTIONARIES = (
-    "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
+    "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50",
+    "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11", "APRILTAG_36h10",
 )  # fmt: skip
 """Marker dictionaries that are searched if no marker of the strip's dictionary is found."""
 
@@ -61,27 +61,6 @@ class Markers:
     """Reason why no markers were found; None if markers were found."""
 
 
-def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
-    """Return the OpenCV dictionary that contains the markers of a strip.
-
-    Raises
-    ------
-    UserError
-        If OpenCV has no such dictionary, or if the dictionary has too few markers for the strip.
-    """
-    try:
-        dictionary = get_dictionary(strip.dictionary)
-    except UserError as error:
-        raise UserError(f"strip.dictionary: {error}") from None
-    last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
-    if last >= size:
-        raise UserError(
-            f"strip: the last marker of the strip has the id {last}, but the dictionary {strip.dictionary} ends at the id {size - 1}. "
-            "Lower first_id, or use fewer markers."
-        )
-    return dictionary
-
-
 def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) -> Markers:
     """Detect a strip's markers in a picture and measure their corners.
 
@@ -103,9 +82,9 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     Raises
     ------
     UserError
-        If OpenCV does not know the strip's dictionary.
+        If OpenCV does not know the strip's dictionary, or it is too small for the strip.
     """
-    dictionary = marker_dictionary(strip)
+    dictionary = get_dictionary(strip.dictionary)
     ids, corners_px, foreign = _search(image, dictionary, strip, subpix=not measure)
     if len(ids) and not measure:
         return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
@@ -145,10 +124,11 @@ def _search(
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
     foreign: dict[int, Array] = {}
+    on_strip = set(strip_ids(strip).ravel().tolist())
     for tone in (_linear, _square_root, _equalise):
         corners, ids, _ = detector.detectMarkers(tone(small))
         for marker_id, four in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
-            group = own if 0 <= marker_id - strip.first_id < strip.rows * strip.columns else foreign
+            group = own if marker_id in on_strip else foreign
             group.setdefault(marker_id, (np.asarray(four, np.float64).reshape(4, 2) + 0.5) * scale - 0.5)
         if len(own) >= FEW:
             break
@@ -204,18 +184,17 @@ def _equalise(image: Picture) -> Bytes:
 
 def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
     """Return the reason why no markers were found in a picture."""
-    last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
         return f"{blurred} markers were identified, but they are too blurred or noisy to be measured"
     names = ", ".join(str(k) for k in foreign[:5])
     others = (
         f"the picture shows markers of another strip: their {strip.dictionary} ids are {names}, but those of the scene's strip are "
-        f"{strip.first_id} to {last}"
+        f"{ids_text(strip.dictionary, strip.first_id, strip.rows * strip.columns)}"
     )
     if len(foreign) >= 3:
         return others
     picture = _linear(image)
-    mirrored = _detector(marker_dictionary(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
+    mirrored = _detector(get_dictionary(strip.dictionary)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
     if mirrored is not None and len(mirrored) >= 3:
         return "the picture is mirrored: its markers can only be read in its mirror image"
     for name in OTHER_DICTIONARIES:

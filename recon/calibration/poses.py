@@ -18,6 +18,7 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.markers import ids_text
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
@@ -127,8 +128,8 @@ def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured:
         strip = scene.strip
         raise UserError(
             f"{first}: markers of another strip ({strip.dictionary} ids {', '.join(str(k) for k in strange[:5])}) appear beside the "
-            f"ids {strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1} of the scene's strip. Correct first_id, columns "
-            "and rows of the strip in the scene file, or cover the other markers."
+            f"ids {ids_text(strip.dictionary, strip.first_id, strip.rows * strip.columns)} of the scene's strip. Correct dictionary, "
+            "first_id, columns and rows of the strip in the scene file, or cover the other markers."
         )
 
 

@@ -1,6 +1,6 @@
 """Identification of the plant on the turntable from the marker strip on its net pot.
 
-Each net pot has a strip with unique marker numbers, so the plant can be identified in every picture of a scan.
+Each net pot has a strip of its own markers, so the plant can be identified in every picture of a scan.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -8,13 +8,10 @@ from dataclasses import replace
 
 from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.markers import get_dictionary
+from rhizotwin.scenes.markers import LARGE_DICTIONARY, MOST_COMMON, strip_count
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_codec import Grey
-
-LEAST_MARKERS = 4
-"""Minimum number of detected markers that must belong to a strip before it is identified. Misread markers have random
-numbers, so that four of them are unlikely to belong to the same strip."""
+from rhizotwin.scenes.plan import LEAST_MARKERS
 
 
 class WrongPlantError(UserError):
@@ -29,27 +26,29 @@ class WrongPlantError(UserError):
 def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
     """Return the marker strip of the canister with a given number.
 
-    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers.
+    Canister 1 has the strip of the scene. The strip of each further canister has the next marker numbers. If the
+    dictionary of the scene is too small for a canister, its strip has markers of `LARGE_DICTIONARY`, and is coded if
+    that is too small as well (`scenes.markers.marker_ids`).
 
     Raises
     ------
     UserError
-        If the dictionary has too few markers for this number.
+        If the dictionaries are too small for this number.
     """
     count = strip.rows * strip.columns
     if not count:
         raise UserError(
             f"canister {canister}: the scene has no marker strip (strip.rows = 0) by which plants could be identified; add a strip"
         )
-    first = strip.first_id + (canister - 1) * count
-    capacity = len(get_dictionary(strip.dictionary).bytesList)
-    most = (capacity - strip.first_id) // count
-    if not 1 <= canister <= most:
-        raise UserError(
-            f"canister {canister}: the marker dictionary {strip.dictionary} has {capacity} markers, enough for {most} strips of "
-            f"{count} markers; use a larger dictionary in [strip], such as 6X6_1000"
-        )
-    return replace(strip, first_id=first)
+    first_id, most = strip.first_id + (canister - 1) * count, 0
+    for dictionary in (strip.dictionary, LARGE_DICTIONARY):
+        most = strip_count(dictionary, strip.first_id, count) - strip.first_id // count
+        if 1 <= canister <= most:
+            return replace(strip, dictionary=dictionary, first_id=first_id)
+    raise UserError(
+        f"canister {canister}: strips of {count} markers distinguish the canisters 1 to {most} only; reduce the number of columns or "
+        "first_id in [strip]"
+    )
 
 
 def tag_in(ids: Iterable[int], tags: Sequence[Tag]) -> Tag | None:
@@ -65,15 +64,13 @@ def tag_in(ids: Iterable[int], tags: Sequence[Tag]) -> Tag | None:
     Returns
     -------
     Tag or None
-        Tag whose range includes most markers; None if the range includes fewer than `LEAST_MARKERS` markers or at most
-        half of all detected markers.
+        Tag with most of the markers. None if it has fewer than `LEAST_MARKERS` of them, at most half of them, or less
+        than `MOST_COMMON` more than another tag.
     """
     numbers = set(ids)
-    counts = {tag: sum(tag.first_id <= one <= tag.last_id for one in numbers) for tag in tags}
-    best = max(counts, key=lambda tag: counts[tag], default=None)
-    if best is None or counts[best] < LEAST_MARKERS or len(numbers) - counts[best] >= counts[best]:
-        return None
-    return best
+    counts = sorted(((len(numbers & tag.ids), tag) for tag in tags), key=lambda counted: counted[0], reverse=True)
+    (most, best), (others, _) = (*counts, (0, None), (0, None))[:2]
+    return best if most >= LEAST_MARKERS and 2 * most > len(numbers) and most >= others + MOST_COMMON else None
 
 
 def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
@@ -108,8 +105,9 @@ def identify(image: Grey, plants: Sequence[Plant], strip: MarkerStrip) -> Plant:
             "lit, inside the picture and in focus"
         )
     raise WrongPlantError(
-        f"the canister on the turntable ({dictionary} markers {ids[0]} to {ids[-1]}) matches no plant in the catalogue; "
-        "put the right canister on the turntable, or add the plant with the number of its canister"
+        f"the canister on the turntable ({dictionary} markers {', '.join(map(str, ids))}) matches no plant in the catalogue, or several; "
+        "put the right canister on the turntable, add the plant with the number of its canister, or remove dirt and reflections from "
+        "the strip, whose markers may be misread"
     )
 
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from rhizotwin.scenes.markers import MOST_COMMON, ids_text, marker_ids
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.solution import Solution
 
@@ -14,13 +16,14 @@ State = Literal["due", "scanning", "scanned", "missed"]
 
 @dataclass(frozen=True, kw_only=True)
 class Tag:
-    """Range of marker numbers that identifies the marker strip of a net pot, and thus its plant."""
+    """Markers that identify the marker strip of a net pot, and thus its plant."""
 
     dictionary: str
     """OpenCV's name of the marker dictionary."""
     first_id: int
+    """`MarkerStrip.first_id`."""
     markers: int
-    """Number of markers on the strip. They have the numbers ``first_id`` to ``first_id + markers - 1``."""
+    """Number of markers on the strip."""
 
     @classmethod
     def of_strip(cls, strip: MarkerStrip) -> "Tag | None":
@@ -28,19 +31,18 @@ class Tag:
         count = strip.rows * strip.columns
         return cls(dictionary=strip.dictionary, first_id=strip.first_id, markers=count) if count else None
 
-    @property
-    def last_id(self) -> int:
-        """Number of the last marker."""
-        return self.first_id + self.markers - 1
+    @cached_property
+    def ids(self) -> frozenset[int]:
+        """Ids of the markers on the strip (`marker_ids`)."""
+        return frozenset(marker_ids(self.dictionary, self.first_id, self.markers).tolist())
 
     def overlaps(self, other: "Tag") -> bool:
-        """Return whether two tags have a common marker."""
-        same = self.dictionary == other.dictionary
-        return same and self.first_id <= other.last_id and other.first_id <= self.last_id
+        """Return whether two tags have so many common markers that they could be confused."""
+        return self.dictionary == other.dictionary and len(self.ids & other.ids) > MOST_COMMON
 
     def __str__(self) -> str:
-        """Return the dictionary and the range of marker numbers as text."""
-        return f"{self.dictionary} markers {self.first_id} to {self.last_id}"
+        """Return the dictionary and the ids of the markers as text."""
+        return f"{self.dictionary} markers {ids_text(self.dictionary, self.first_id, self.markers)}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from rhizotwin.rig.printing.print_page import (
     square,
 )
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.markers import black_rectangles, marker_cells
+from rhizotwin.scenes.markers import black_rectangles, marker_cells, strip_ids
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 TAB_MM: Final = 6.0
@@ -148,7 +148,7 @@ def _wrapping_notes(flat: FlatStrip) -> list[str]:
         "Cut along the grey lines. Glue each piece's left edge on the line where the",
         "white tab of the previous piece begins; the last tab goes under the first",
         f"piece, which closes at the seam: {flat.length_mm:.1f} mm round, for paper {flat.paper_mm:g} mm thick.",
-        "Arrows point up; ids increase to the right. After wrapping, measure across the pot over",
+        "Arrows point up. Use pieces of the same strip only. After wrapping, measure across the pot over",
         f"the paper: it must be {across_mm:.1f} mm. If not, enter half of the measured value in",
         "the scene as net_pot.outer_radius_mm, and print the strip again.",
     ]
@@ -171,8 +171,8 @@ def _page(flat: FlatStrip, paper: Paper, size_mm: tuple[float, float], pieces: l
 
 def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
     """Return the parts of one piece: markers (row 0 at the top), cut marks and tab."""
-    strip, pot = flat.strip, flat.net_pot
-    last_of_all = piece.last == strip.columns
+    strip, pot, ids = flat.strip, flat.net_pot, strip_ids(flat.strip)
+    number, last_of_all = strip.first_id // ids.size + 1, piece.last == strip.columns
     end_mm, bottom_mm = left_mm + (piece.last - piece.first) * flat.pitch_mm, top_mm + flat.height_mm
     black = []
     for row in range(strip.rows):
@@ -181,7 +181,7 @@ def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list
             middle_mm = left_mm + (column + 0.5 - piece.first) * flat.pitch_mm
             flat_marker = black_rectangles(
                 strip.dictionary,
-                strip.first_id + row * strip.columns + column,
+                int(ids[row, column]),
                 left_mm=-strip.marker_mm / 2.0,
                 top_mm=0.0,
                 side_mm=strip.marker_mm,
@@ -190,8 +190,11 @@ def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list
     parts: list[Part] = [Fill(rectangles_mm=np.concatenate(black))]
     parts += _cuts(left_mm, end_mm, top_mm, bottom_mm)
     parts += _labels(flat, piece, left_mm, top_mm)
-    parts += [_arrow(left_mm + 3.0, top_mm - 2.0), Text(at_mm=(left_mm + 5.5, top_mm - 3.5), text=_name(strip, piece), height_mm=1.8)]
-    tab = f"tab: glue under piece {1 if last_of_all else piece.number + 2}"
+    parts += [
+        _arrow(left_mm + 3.0, top_mm - 2.0),
+        Text(at_mm=(left_mm + 5.5, top_mm - 3.5), text=f"up; strip {number}, piece {piece.number + 1}", height_mm=1.8),
+    ]
+    tab = f"tab: glue under piece {1 if last_of_all else piece.number + 2} of strip {number}"
     parts += [Text(at_mm=(end_mm + TAB_MM / 2.0 + 0.8, bottom_mm - 1.5), text=tab, height_mm=1.5, grey=0.4, turned=True)]
     if piece.first == 0:
         parts += [Shape(points_mm=np.array([[left_mm, top_mm], [left_mm + 1.0, top_mm], [left_mm, top_mm + 1.6]]))]
@@ -200,14 +203,6 @@ def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list
         parts += [Shape(points_mm=np.array([[end_mm, top_mm], [end_mm - 1.0, top_mm], [end_mm, top_mm + 1.6]]))]
         parts += [Text(at_mm=(end_mm, bottom_mm + 3.6), text="seam (+x)", height_mm=1.5, align="right")]
     return parts
-
-
-def _name(strip: MarkerStrip, piece: Piece) -> str:
-    rows = [
-        f"{strip.first_id + row * strip.columns + piece.first} to {strip.first_id + row * strip.columns + piece.last - 1}"
-        for row in range(strip.rows)
-    ]
-    return f"up; piece {piece.number + 1}, ids {', '.join(rows)}"
 
 
 def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> list[Part]:
@@ -234,16 +229,16 @@ def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> lis
 
 def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
     """Return each column's marker ids, placed on the strip if the quiet zone permits, otherwise above the cut line."""
-    strip = flat.strip
+    strip, ids = flat.strip, strip_ids(flat.strip)
     highest_mm = strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm + strip.marker_mm
-    cell_mm = strip.marker_mm / len(marker_cells(strip.dictionary, strip.first_id))
+    cell_mm = strip.marker_mm / len(marker_cells(strip.dictionary, int(ids[0, 0])))
     fits = flat.net_pot.top_mm - highest_mm >= EDGE_MM + LABEL_MM + QUIET_CELLS * cell_mm
     baseline_mm = top_mm + EDGE_MM + LABEL_MM if fits else top_mm - 1.0
     parts: list[Part] = []
     for column in range(piece.first, piece.last):
-        ids = " ".join(str(strip.first_id + row * strip.columns + column) for row in range(strip.rows))
         middle_mm = left_mm + (column + 0.5 - piece.first) * flat.pitch_mm
-        parts.append(Text(at_mm=(middle_mm, baseline_mm), text=ids, height_mm=LABEL_MM, grey=0.3, align="center"))
+        text = " ".join(map(str, ids[:, column]))
+        parts.append(Text(at_mm=(middle_mm, baseline_mm), text=text, height_mm=LABEL_MM, grey=0.3, align="center"))
         if fits and column == piece.first:
             parts.append(_arrow(middle_mm - 0.4 * strip.marker_mm, baseline_mm, high_mm=LABEL_MM))
     return parts

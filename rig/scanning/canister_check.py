@@ -7,6 +7,7 @@ import numpy as np
 from rhizotwin.rig.scanning.markers import read_ids
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.markers import strip_ids
 from rhizotwin.scenes.model import MarkerStrip, Scene
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import LEAST_MARKERS
@@ -30,9 +31,9 @@ def other_canister(image: Grey, strip: MarkerStrip) -> str | None:
     The text is empty if the strip itself, or some of its markers, can be seen. It is None if there are no markers.
     """
     ids = read_ids(image, strip)
-    foreign = [one for one in ids if not 0 <= one - strip.first_id < strip.rows * strip.columns]
+    foreign = sorted({*ids} - {*strip_ids(strip).ravel().tolist()})
     if len(foreign) >= LEAST_MARKERS and 2 * len(foreign) > len(ids):
-        return f"{foreign[0]} to {foreign[-1]}"
+        return ", ".join(map(str, foreign))
     return "" if ids else None
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.markers import marker_cells
+from rhizotwin.scenes.markers import marker_cells, strip_ids
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
@@ -157,11 +157,11 @@ def _strip_texture(scene: Scene) -> Light:
     columns, rows = round(around_mm / MM_PER_TEXEL), round((pot.top_mm - pot.skirt_bottom_mm) / MM_PER_TEXEL)
     s_mm = (np.arange(columns) + 0.5) / columns * around_mm
     down_mm = (np.arange(rows) + 0.5) * MM_PER_TEXEL
-    picture = np.ones((rows, columns), np.float32)
+    picture, ids = np.ones((rows, columns), np.float32), strip_ids(strip)
     for row in range(strip.rows):
         top_mm = pot.top_mm - (strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm + strip.marker_mm)
         for column in range(strip.columns):
-            cells = marker_cells(strip.dictionary, strip.first_id + row * strip.columns + column)
+            cells = marker_cells(strip.dictionary, int(ids[row, column]))
             left_mm = (column + 0.5) * around_mm / strip.columns - strip.marker_mm / 2.0
             across, down = _share(s_mm, left_mm, strip.marker_mm, len(cells)), _share(down_mm, top_mm, strip.marker_mm, len(cells))
             j, i = np.flatnonzero(down.any(axis=1)), np.flatnonzero(across.any(axis=1))
