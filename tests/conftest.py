@@ -1,18 +1,24 @@
 """The engine, started once (Mitsuba's variant is the one global state of the project), and one small scan with its result for all tests."""
 
+import functools
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
 import trimesh
+from xdist.scheduler import LoadFileScheduling
 
 from rhizotwin import engine
 from rhizotwin.commands import cli
 from rhizotwin.recon.results import result
 from tests.command import Command
+
+ROOT = Path(__file__).resolve().parents[1]
 
 hypothesis.settings.register_profile("any machine", deadline=None)  # how long a case takes says nothing on a busy one
 hypothesis.settings.load_profile("any machine")
@@ -26,16 +32,29 @@ def pytest_sessionstart() -> None:
     engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run each file in one process, and those that share one scan in the same; begin with these and with slow ones.
+@functools.cache
+def shares_the_scan(file: Path) -> bool:
+    """Tell whether a file has tests that take the shared scan or its result."""
+    return re.search(r"\b(made: Path|found: (Reconstructed|Any))\b", file.read_text(encoding="utf-8")) is not None
 
-    The shared scan is rendered and reconstructed once in this way, and no process waits for another at the end.
-    """
+
+class ByFile(LoadFileScheduling):
+    """Run each file in one process, and those that share one scan in the same: the scan is rendered and reconstructed once."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file: str = super()._split_scope(nodeid)
+        return "shared scan" if shares_the_scan(ROOT / file) else file
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
+    return ByFile(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with files that share one scan and with slow ones, so that no process waits for another at the end."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    shared = {item.path for item in items if {"made", "found"} & set(getattr(item, "fixturenames", ()))}
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group("shared scan" if item.path in shared else str(item.path)))
-    items.sort(key=lambda item: (item.path not in shared, item.path not in slow))
+    items.sort(key=lambda item: (not shares_the_scan(item.path), item.path not in slow))
 
 
 @pytest.fixture(scope="session", autouse=True)
