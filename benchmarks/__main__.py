@@ -17,7 +17,7 @@ from rhizotwin.scenes.errors import UserError
 
 HERE = Path(__file__).resolve().parent
 
-_IN_PROCESS = ("thesis", "batch", "growth", "damages", "rig", "freeze")
+_IN_PROCESS = ("thesis", "growth", "damages", "rig", "freeze")
 """Commands that compute in this process; the others run workers."""
 
 
@@ -235,7 +235,6 @@ def _update_ladder(run: Run) -> None:
 
 _COMMANDS = {
     "against": commands.against_frozen,
-    "batch": commands.batch,
     "compare": commands.compare,
     "damages": commands.damages,
     "fingerprints": commands.fingerprints,

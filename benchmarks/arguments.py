@@ -47,7 +47,6 @@ def parser() -> argparse.ArgumentParser:
     _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
     _add_growth(what.add_parser("growth", help=_GROWTH, description=_GROWTH))
-    _add_batch(what.add_parser("batch", help=_BATCH, description=_BATCH))
     _add_frozen(what)
     printed = what.add_parser("fingerprints", help="write the fingerprints with which `rhizotwin bench make` compares a rendered benchmark")
     printed.add_argument("name", metavar="NAME", help="name of the benchmark, such as quick-1")
@@ -109,20 +108,6 @@ def _add_growth(one: argparse.ArgumentParser) -> None:
     one.add_argument("--sets", type=int, default=20, metavar="N", help="number of sets of plants (default: %(default)s)")
     one.add_argument("--no-pictures", action="store_true", help="only treatments and doses, without rendering and reconstruction")
     _add_device(one)
-    _add_output(one)
-
-
-_BATCH = "a batch of eighteen small scans with a killed worker and a damaged scan: results, messages, overhead of the batch"
-
-
-def _add_batch(one: argparse.ArgumentParser) -> None:
-    one.add_argument(
-        "--job-s",
-        type=float,
-        default=60.0,
-        metavar="S",
-        help="assumed time of a real scan, for the relative overhead (default: %(default)s)",
-    )
     _add_output(one)
 
 

@@ -5,7 +5,6 @@ because the first import of Dr.Jit selects the LLVM of the process.
 """
 
 import argparse
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -84,21 +83,9 @@ def _failed_scans(failures: Sequence[str], scans: int) -> str:
 def _write(given: argparse.Namespace, found: dict[str, Any]) -> Path:
     """Write the numbers of a command as JSON, and return the path."""
     output: Path = given.output or results_folder() / f"{given.what}.json"
-    atomic.write_json(output, {"about": about(given.what, getattr(given, "device", "cpu")), **found})
+    atomic.write_json(output, {"about": about(given.what, given.device), **found})
     say(f"every number: {output}")
     return output
-
-
-def batch(given: argparse.Namespace) -> int:
-    """Run a batch with a killed worker and a damaged scan; return 1 if a result is missing, or computed twice."""
-    from benchmarks import batch_run
-
-    with tempfile.TemporaryDirectory(prefix="rhizotwin-many-") as folder:
-        night = batch_run.measure(Path(folder), say=say)
-    say("\n".join(batch_run.lines(night, given.job_s)))
-    _write(given, {**asdict(night), "own_s": night.own_s})
-    whole = night.results == batch_run.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
-    return 0 if whole else 1
 
 
 def growth(given: argparse.Namespace) -> int:

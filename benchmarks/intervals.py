@@ -14,13 +14,13 @@ from typing import Any
 
 from benchmarks import cache, datasets, worker
 from benchmarks.cases import DEFAULT_VOXEL_MM
+from benchmarks.output import VERSIONED
 from benchmarks.random_scans import RandomScan
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.stored import sources
 
 COUNT = 300
-_VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 
 Record = dict[str, Any]
 
@@ -59,7 +59,7 @@ def measure(numbers: Sequence[int], *, processes: int, device: str, say: Callabl
 
 
 def _measure_one(scan: RandomScan, device: str) -> Record:
-    settings = {"dataset": datasets.place(scan).name, "device": device, "versions": versions(_VERSIONED)}
+    settings = {"dataset": datasets.place(scan).name, "device": device, "versions": versions(VERSIONED)}
     code = sources.digest(("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"))
     kept = cache.folder() / "intervals" / f"{cache.key(settings, sources=code)}.json"
     if kept.is_file():

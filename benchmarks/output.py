@@ -1,16 +1,18 @@
 """Output of the benchmarks: lines of progress, tables of numbers, and the description of a run."""
 
-import platform
 import sys
 from collections.abc import Iterable, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from benchmarks import cache
 from benchmarks.metric import Metric
 from benchmarks.targets import TARGETS
+from rhizotwin.scenes.provenance import versions
 from rhizotwin.stored import sources
+
+VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
+"""Libraries on whose versions results depend."""
 
 
 def say(text: str) -> None:
@@ -21,20 +23,8 @@ def say(text: str) -> None:
 
 def about(command: str, device: str) -> dict[str, Any]:
     """Return the command and the device of measurements, with the versions that they depend on."""
-    packages = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
-    versions = {}
-    for package in packages:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return {
-        "command": command,
-        "device": device,
-        "reconstruction": sources.digest(("rhizotwin.recon.reconstruct",))[:12],
-        "python": platform.python_version(),
-        **versions,
-    }
+    code = sources.digest(("rhizotwin.recon.reconstruct",))[:12]
+    return {"command": command, "device": device, "reconstruction": code, **versions(VERSIONED)}
 
 
 def results_table(metrics: Sequence[Metric]) -> str:

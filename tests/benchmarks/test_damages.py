@@ -16,19 +16,15 @@ from benchmarks import cases, damages
 from benchmarks.damaged_scan import Damage, Light, Scan
 from rhizotwin import engine
 from rhizotwin.scenes import atomic
+from rhizotwin.scenes import frames as frames_of
 from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import TrueView, Truth, save_truth
+from tests.recon.hull.exact_pictures import rows
 
-VIEWS = 20
+VIEWS = 16
 SAID = ("reversed", "step-other", "focal-said-3-more", "strip-said-3-more", "n-said-1.37", "radius-said-3-more", "stopped")
 """These change what is said of the pictures, not the pictures."""
-
-
-def ring_pose(turn_rad: float) -> tuple[tuple[float, ...], ...]:
-    """Return a camera 400 mm from the axis, 60 mm below the rim, that looks at it."""
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
-    return ((-s, c, 0.0, 0.0), (0.0, 0.0, -1.0, -60.0), (-c, -s, 0.0, 400.0), (0.0, 0.0, 0.0, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +38,14 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Scan:
         name, path = f"images/{k:03d}.png", folder / f"images/{k:03d}.png"
         atomic.write_image(path, np.random.default_rng(k).integers(20000, 40000, (120, 160), np.uint16))
         frames.append(Frame(file=name, sha256=file_sha256(path), table_deg=360.0 * k / VIEWS))
-        views.append(TrueView(file=name, cam_from_canister=ring_pose(2.0 * math.pi * k / VIEWS), table_deg=360.0 * k / VIEWS))
+        pose = frames_of.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0) @ frames_of.rotation_z(2.0 * math.pi * k / VIEWS)
+        views.append(TrueView(file=name, cam_from_canister=rows(pose), table_deg=360.0 * k / VIEWS))
     save_dataset(Dataset(folder=folder, scene=scene, frames=tuple(frames), origin={}))
     (folder / "truth").mkdir()
-    identity = tuple(tuple(row) for row in np.eye(4).tolist())
     specimen = trimesh.creation.capsule(height=50.0, radius=5.0).apply_translation((0.0, 0.0, -85.0))
     specimen.export(folder / "truth" / "specimen.ply")
     box = {"extents_min_mm": (-5.0, -5.0, -90.0), "extents_max_mm": (5.0, 5.0, -30.0)}
-    save_truth(folder, Truth(volume_mm3=6000.0, **box, n_water=1.333, canister_from_strip=identity, views=tuple(views)))
+    save_truth(folder, Truth(volume_mm3=6000.0, **box, n_water=1.333, canister_from_strip=rows(np.eye(4)), views=tuple(views)))
     return Scan.read(folder)
 
 

@@ -3,9 +3,9 @@
 import json
 import math
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks import accuracy, gate, tree_faults
@@ -13,9 +13,10 @@ from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.targets import TARGETS
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root, length_mm
+from rhizotwin.scenes.rsml import length_mm
 from rhizotwin.scoring.score_roots import compare_roots
 from rhizotwin.scoring.score_topology import compare_topology
+from tests.roots import straight
 
 ERROR = Metric(key="ball/volume_error", value=-0.010, unit="1", direction="zero", abs_tol=0.002)
 IOU = Metric(key="ball/iou", value=0.90, unit="1", direction="up", abs_tol=0.01)
@@ -112,13 +113,10 @@ def test_a_missed_target_shuts_the_gate_whatever_the_baseline() -> None:
 CASE = Case(pictures=Pictures(scene="radish_day05a"))
 
 
-def straight(start, end, *, parent, order=1, mm=0.3):
-    return Root(points_mm=np.linspace(start, end, 81, dtype=float), diameters_mm=np.full(81, mm), order=order, parent=parent)
-
-
-MAIN = straight((0, 0, -20), (0, 0, -100), parent=-1, order=0, mm=0.8)
-LATERALS = [straight((0, 0, z), (40, 0, z - 20), parent=0) for z in range(-90, -20, 10)]
-CROSSING = [straight((0, 0, -60), (30, 0, -36), parent=0), *(straight((0, 0, z), (0, 6, z), parent=0) for z in range(-96, -30, 6))]
+lateral = partial(straight, mm=0.3, count=81, order=1, parent=0)
+MAIN = straight((0, 0, -20), (0, 0, -100), 0.8, count=81)
+LATERALS = [lateral((0, 0, z), (40, 0, z - 20)) for z in range(-90, -20, 10)]
+CROSSING = [lateral((0, 0, -60), (30, 0, -36)), *(lateral((0, 0, z), (0, 6, z)) for z in range(-96, -30, 6))]
 ROOTS = (MAIN, *LATERALS, *CROSSING)
 
 

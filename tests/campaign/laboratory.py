@@ -22,7 +22,8 @@ from rhizotwin.scenes.dataset import file_sha256, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import save_scene
 from rhizotwin.stored.load import load_result
-from tests.rhizotwin.console.conftest import console_process, until
+from tests.rhizotwin.browser import until
+from tests.rhizotwin.console.conftest import console_process
 from tests.rhizotwin.timelapse.conftest import small_scene
 
 PORT = 8830

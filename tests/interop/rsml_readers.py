@@ -19,20 +19,17 @@ SNAPSHOTS = {
 def check(folder: Path) -> dict[str, tuple[float, float]]:
     """Write roots of three orders to a folder, and compare what both programs read with what was written.
 
-    The programs are installed into the folder. The result contains each number by the program and ours. An AssertionError
-    is raised if they differ by more than 0.1 %.
+    The programs are installed into the folder. The result contains each number by the program and ours.
     """
     from rhizotwin.scenes import rsml
+    from tests.roots import straight
 
-    def root(start: tuple[float, ...], end: tuple[float, ...], order: int, parent: int, *, tip_seen: bool = True) -> rsml.Root:
-        points_mm, diameters_mm = np.linspace(start, end, 9), np.linspace(1.2 - 0.3 * order, 0.4 - 0.1 * order, 9)
-        return rsml.Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, tip_seen=tip_seen)
-
+    first = {"mm": (0.9, 0.3), "count": 9, "order": 1, "parent": 0}
     roots = (
-        root((0.0, 0.0, -12.0), (0.0, 0.0, -92.0), 0, -1),
-        root((0.0, 0.0, -32.0), (24.0, 0.0, -40.0), 1, 0, tip_seen=False),
-        root((12.0, 0.0, -36.0), (12.0, 18.0, -44.0), 2, 1),
-        root((0.0, 0.0, -52.0), (-24.0, 8.0, -60.0), 1, 0),
+        straight((0.0, 0.0, -12.0), (0.0, 0.0, -92.0), (1.2, 0.4), count=9),
+        straight((0.0, 0.0, -32.0), (24.0, 0.0, -40.0), **first, tip_seen=False),
+        straight((12.0, 0.0, -36.0), (12.0, 18.0, -44.0), (0.6, 0.2), count=9, order=2, parent=1),
+        straight((0.0, 0.0, -52.0), (-24.0, 8.0, -60.0), **first),
     )
     rsml.write_rsml(folder / "roots.rsml", roots)
     ours = {
@@ -45,11 +42,8 @@ def check(folder: Path) -> dict[str, tuple[float, float]]:
         "mean diameter mm": float(np.mean([one.diameters_mm for one in roots])),
         "joined length mm": rsml.length_mm(roots),
     }
-    pairs = {f"{program}, {name}": (value, ours[name]) for program, read in _read_apart(folder).items() for name, value in read.items()}
-    wrong = {name: pair for name, pair in pairs.items() if not abs(pair[0] - pair[1]) <= 1e-3 * abs(pair[1])}
-    assert not wrong, wrong
-    assert len(pairs) == 2 * len(ours), pairs
-    return pairs
+    read = _read_apart(folder)
+    return {f"{program}, {name}": (read[program].get(name, np.nan), value) for program in read for name, value in ours.items()}
 
 
 def _read_apart(folder: Path) -> dict[str, dict[str, float]]:

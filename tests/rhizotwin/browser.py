@@ -25,6 +25,8 @@ FLAGS = (
 PROGRAMS = "chromium", "chromium-browser", "google-chrome", "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
 PATIENCE_MS = 300_000
 """Time-out; software rendering is slow on a busy machine."""
+LONG_S = 600.0
+"""Limit of each wait, s. Waits end with their condition; the limit only ends a test that hangs, even on a busy computer."""
 
 
 @contextmanager
@@ -44,12 +46,11 @@ def chromium() -> Iterator[Any]:
             browser.close()
 
 
-def wait(until: Callable[[], Any], what: str) -> Any:
-    """Wait for something to become true and return it."""
-    end = time.monotonic() + PATIENCE_MS / 1000.0
+def until(found: Callable[[], Any], what: str = "a value that is true") -> Any:
+    """Wait for a value that is true, and return it."""
+    end = time.monotonic() + LONG_S
     while time.monotonic() < end:
-        found = until()
-        if found:
-            return found
-        time.sleep(0.05)
+        if value := found():
+            return value
+        time.sleep(0.02)
     raise AssertionError(f"waited in vain for {what}")

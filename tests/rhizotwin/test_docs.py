@@ -119,10 +119,3 @@ def test_no_address_or_package_is_named_before_it_exists() -> None:
     files = [*files, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CITATION.cff"))]
     texts = {path: path.read_text(encoding="utf-8") for path in files if path.name != "releasing.md"}
     assert [(path, name) for path, text in texts.items() for name in unpublished if name in text] == []
-
-
-def test_every_package_is_in_the_wheel() -> None:
-    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"])
-    tops = [ROOT / "rhizotwin", *((ROOT / "rhizotwin" / name) for name in ("recon", "rig", "scenes", "sim"))]
-    folders = {file.parent.relative_to(ROOT) for top in tops for file in top.rglob("__init__.py")}
-    assert listed == {".".join(folder.parts) for folder in folders}

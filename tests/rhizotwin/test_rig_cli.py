@@ -15,8 +15,8 @@ from rhizotwin.commands import cli
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.files import load_scene, save_scene
-from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 from tests.command import Command
+from tests.rhizotwin.timelapse.conftest import small_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ("--fidelity", "sketch", "--profile", "clean", "--seed", "2")
@@ -25,12 +25,7 @@ SKETCH = ("--fidelity", "sketch", "--profile", "clean", "--seed", "2")
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """Return the file of a small scene."""
-    small = Scene(
-        camera=Camera().resized((400, 300)),
-        strip=MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0),
-        plan=CapturePlan(rings=(Ring(views=3, height_mm=-20.0),)),
-    )
-    save_scene(small, tmp_path / "scene.toml")
+    save_scene(small_scene(3), tmp_path / "scene.toml")
     return tmp_path / "scene.toml"
 
 

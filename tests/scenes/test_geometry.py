@@ -1,14 +1,15 @@
 """Frames, lines of points, lenses and tubes against their closed forms."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 
 from rhizotwin.scenes import frames, polyline
 from rhizotwin.scenes.lens import fold_r2
-from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.tube_surface import exposed_area_mm2, stations
+from tests.roots import straight
 
 CORNER = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 2.0]])
 
@@ -44,17 +45,16 @@ def test_a_lens_folds_where_the_derivative_is_first_zero(distortion: tuple[float
     assert fold_r2(distortion) == pytest.approx(expected)
 
 
-def tube(start, end, radius_mm) -> Root:
-    return Root(points_mm=np.array([start, end], float), diameters_mm=np.full(2, 2.0 * radius_mm), order=0, parent=-1)
+tube = partial(straight, count=2)
 
 
 def test_a_lateral_is_hidden_as_far_as_it_runs_inside_its_parent():
-    alone = stations([tube([1.0, 2.0, 3.0], [4.0, 6.0, -9.0], 0.2)])
+    alone = stations([tube([1.0, 2.0, 3.0], [4.0, 6.0, -9.0], 0.4)])
     assert exposed_area_mm2(alone).sum() == pytest.approx(2.0 * np.pi * 0.2 * 13.0)
-    parent, lateral = tube([0.0, 0.0, -30.0], [0.0, 0.0, 30.0], 3.0), tube([0.0, 0.0, 0.0], [13.0, 0.0, 0.0], 0.1)
+    parent, lateral = tube([0.0, 0.0, -30.0], [0.0, 0.0, 30.0], 6.0), tube([0.0, 0.0, 0.0], [13.0, 0.0, 0.0], 0.2)
     pieces = stations([parent, lateral])
     area = exposed_area_mm2(pieces)
     assert area[pieces.root == 1].sum() == pytest.approx(2.0 * np.pi * 0.1 * 10.0, rel=0.02)  # the pieces' length is the error
     assert area[pieces.root == 0].sum() == pytest.approx(2.0 * np.pi * 3.0 * 60.0, rel=1e-3)
-    same = stations([tube([0.0, 0.0, 0.0], [0.0, 0.0, -10.0], radius) for radius in (0.2, 0.3)])
+    same = stations([tube([0.0, 0.0, 0.0], [0.0, 0.0, -10.0], mm) for mm in (0.4, 0.6)])
     assert exposed_area_mm2(same).sum() == pytest.approx(2.0 * np.pi * 0.3 * 10.0)  # in one place only the larger is outside

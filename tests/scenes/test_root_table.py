@@ -9,12 +9,7 @@ import pytest
 from rhizotwin.scenes import root_table
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import measure_traits
-
-
-def line(start, end, *, diameters=(0.4, 0.4), order=0, parent=-1, tip_seen=True) -> Root:
-    points = np.linspace(start, end, 11)
-    return Root(points_mm=points, diameters_mm=np.linspace(*diameters, 11), order=order, parent=parent, tip_seen=tip_seen)
-
+from tests.roots import straight
 
 BENT = Root(
     points_mm=np.array([[0.0, 0.0, -30.0], [6.0, 0.0, -30.0], [6.0, 0.0, -38.0]]),
@@ -23,11 +18,11 @@ BENT = Root(
     parent=0,
 )
 ROOTS = (
-    line((0, 0, -10), (0, 0, -60), diameters=(2.0, 1.0)),
+    straight((0, 0, -10), (0, 0, -60), (2.0, 1.0)),
     BENT,
-    line((0, 0, -50), (20, 0, -50), order=1, parent=0),
-    line((0, 0, -50), (-10, 0, -60), order=1, parent=0, tip_seen=False),
-    line((6, 0, -34), (6, 8, -34), order=2, parent=1),
+    straight((0, 0, -50), (20, 0, -50), order=1, parent=0),
+    straight((0, 0, -50), (-10, 0, -60), order=1, parent=0, tip_seen=False),
+    straight((6, 0, -34), (6, 8, -34), order=2, parent=1),
 )
 
 

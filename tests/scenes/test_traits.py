@@ -1,6 +1,7 @@
 """Traits of small root systems that can be counted by hand, their tables, and those of plants that share a canister."""
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,16 +12,12 @@ from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen
 from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS
 from rhizotwin.scenes.traits import Traits, measure_traits
+from tests.roots import straight
 
 RNG = np.random.default_rng(0)
 
 
-def line(start, end, diameter_mm, *, order=0, parent=-1, count=41) -> Root:
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    points = np.asarray(start) * (1.0 - share) + np.asarray(end) * share
-    return Root(points_mm=points, diameters_mm=np.full(count, float(diameter_mm)), order=order, parent=parent)
-
-
+line = partial(straight, count=41)
 TAP = line([0.0, 0.0, -10.0], [0.0, 0.0, -50.0], 2.0)
 LEFT = line([0.0, 0.0, -20.0], [-20.0, 0.0, -20.0], 1.0, order=1, parent=0)
 RIGHT = line([0.0, 0.0, -20.0], [15.0, 0.0, -35.0], 0.55, order=1, parent=0)
@@ -93,9 +90,8 @@ def test_every_trait_is_in_the_table_once():
     assert sorted(named) == sorted(field.name for field in fields(Traits))
 
 
-def rod(plant: str, start: tuple[float, float, float], end: tuple[float, float, float], *, diameter_mm: float = 1.0) -> Root:
-    points = np.linspace(start, end, 11)
-    return Root(points_mm=points, diameters_mm=np.full(11, diameter_mm), order=0, parent=-1, plant=plant)
+def rod(plant: str, *ends: tuple[float, float, float], diameter_mm: float = 1.0) -> Root:
+    return straight(*ends, diameter_mm, plant=plant)
 
 
 def test_parallel_rods_are_near_where_they_stand_side_by_side() -> None:

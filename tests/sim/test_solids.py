@@ -9,14 +9,11 @@ import trimesh
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.sim import growth, solids
+from tests.roots import straight
 
 
 def tube(line: np.ndarray, diameters_mm: np.ndarray | float) -> Root:
     return Root(points_mm=line, diameters_mm=np.broadcast_to(diameters_mm, len(line)).astype(float), order=0, parent=-1, label="")
-
-
-def straight(a: tuple[float, float, float], b: tuple[float, float, float], diameter_mm: float) -> Root:
-    return tube(np.linspace(a, b, 11), diameter_mm)
 
 
 def mesh_of(roots: list[Root]) -> trimesh.Trimesh:

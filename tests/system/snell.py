@@ -1,12 +1,15 @@
 """A tiny renderer for tests: rays traced from surface to surface by Snell's law as vectors, roots as capsules, nothing of ours.
 
-It shares no code and no formula with `sim` (Mitsuba) or `recon` (conserved invariants of concentric cylinders).
+It shares no code and no formula with `sim` (Mitsuba) or `recon` (conserved invariants of concentric cylinders); a single step
+of a ray is that of `benchmarks.projection`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from benchmarks.projection import meet, snell
 
 Array = NDArray[np.float64]
 
@@ -66,31 +69,16 @@ def pose(azimuth_deg: float, *, distance_mm: float, height_mm: float, down_deg: 
     return made
 
 
-def refracted(direction: Array, normal: Array, ratio: float) -> Array:
-    """Turn unit directions (N, 3) at surfaces whose normals face them, by n1 / n2 = ratio; NaN where all light is reflected."""
-    cosine = -np.sum(direction * normal, axis=1, keepdims=True)
-    inside = 1.0 - ratio**2 * (1.0 - cosine**2)
-    return ratio * direction + (ratio * cosine - np.sqrt(np.where(inside >= 0.0, inside, np.nan))) * normal
-
-
-def to_cylinder(origin: Array, direction: Array, radius_mm: float, *, far: bool = False) -> Array:
-    """Return the way (N,) of rays to a cylinder about z; NaN for those that miss it."""
-    a = np.sum(direction[:, :2] ** 2, axis=1)
-    b = np.sum(origin[:, :2] * direction[:, :2], axis=1)
-    c = np.sum(origin[:, :2] ** 2, axis=1) - radius_mm**2
-    inside = b**2 - a * c
-    root = np.sqrt(np.where(inside >= 0.0, inside, np.nan))
-    return (-b + (root if far else -root)) / a
-
-
 def into_water(origin: Array, direction: Array, *, n_water: float = N_WATER) -> tuple[Array, Array, Array, Array]:
     """Follow rays (N, 3) from the air into the water; where they begin there, whither, how far, and at what height they hit."""
-    entry = origin + to_cylinder(origin, direction, OUTER_MM)[:, None] * direction
     level = np.array([1.0, 1.0, 0.0])
-    inside = refracted(direction, entry * level / OUTER_MM, 1.0 / N_WALL)
-    wet = entry + to_cylinder(entry, inside, INNER_MM)[:, None] * inside
-    final = refracted(inside, wet * level / INNER_MM, N_WALL / n_water)
-    return wet, final, to_cylinder(wet, final, INNER_MM, far=True), entry[:, 2]
+    with np.errstate(invalid="ignore"):  # rays that miss a wall, or are reflected by it
+        entry = meet(origin, direction, OUTER_MM)
+        inside = snell(direction, entry * level / OUTER_MM, 1.0 / N_WALL)
+        wet = meet(entry, inside, INNER_MM)
+        final = snell(inside, wet * level / INNER_MM, N_WALL / n_water)
+    chord = -2.0 * np.sum(wet[:, :2] * final[:, :2], axis=1) / np.sum(final[:, :2] ** 2, axis=1)
+    return wet, final, chord, entry[:, 2]
 
 
 def picture(

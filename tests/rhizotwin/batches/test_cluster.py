@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.rhizotwin.batches.conftest import dataset, job
-from tests.rhizotwin.browser import wait
+from tests.rhizotwin.browser import until
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -44,7 +44,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes
 
 
 def _awaited(log: Path, pattern: str) -> str:
-    return str(wait(lambda: re.search(pattern, log.read_text(encoding="utf-8")), f"{pattern} in {log}")[1])
+    return str(until(lambda: re.search(pattern, log.read_text(encoding="utf-8")), f"{pattern} in {log}")[1])
 
 
 def test_jobs_of_a_killed_worker_are_done_by_the_other_once(scheduler: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path) -> None:

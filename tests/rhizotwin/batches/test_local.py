@@ -15,7 +15,7 @@ from rhizotwin.batches.run import LOCK, run
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import lock_file
 from tests.rhizotwin.batches.conftest import dataset, job
-from tests.rhizotwin.browser import wait
+from tests.rhizotwin.browser import until
 
 
 def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,7 +38,7 @@ def test_a_damaged_scan_fails_and_a_killed_process_is_replaced(tmp_path: Path) -
 
     def kill() -> None:
         """Kill the first process while it loads."""
-        (process,) = wait(lambda: set(active_children()) - before, "a process")
+        (process,) = until(lambda: set(active_children()) - before, "a process")
         time.sleep(0.5)
         process.kill()
 

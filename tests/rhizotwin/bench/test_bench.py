@@ -19,7 +19,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import load_truth, save_truth
 from rhizotwin.sim import simulate as simulation
 from tests.command import Command
-from tests.rhizotwin.console.conftest import until
+from tests.rhizotwin.browser import until
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "examples" / "methods" / "hull_by_voxels.py"

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -22,18 +21,6 @@ from tests.rhizotwin.timelapse.conftest import small_scene
 ROOT = Path(__file__).resolve().parents[3]
 VIEWS = 4
 TWIN = rigs.TwinPictures(fidelity="sketch", profile="clean", seed=2)
-LONG_S = 600.0
-"""Limit of each wait, s. Waits end with their condition; the limit only ends a test that hangs, even on a busy computer."""
-
-
-def until(found: Callable[[], Any]) -> Any:
-    """Wait for a value that is true."""
-    end = time.monotonic() + LONG_S
-    while time.monotonic() < end:
-        if value := found():
-            return value
-        time.sleep(0.02)
-    raise AssertionError(f"waited {LONG_S:g} s in vain")
 
 
 @contextmanager

@@ -13,7 +13,8 @@ import pytest
 from rhizotwin.console import access, connections
 from rhizotwin.console.client import Console
 from rhizotwin.scenes.errors import UserError
-from tests.rhizotwin.console.conftest import Lab, until
+from tests.rhizotwin.browser import until
+from tests.rhizotwin.console.conftest import Lab
 
 
 def ask(lab: Lab, method: str, path: str, body: str = "", **headers: str) -> tuple[int, dict[str, str], str]:

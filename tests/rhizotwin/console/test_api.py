@@ -24,7 +24,8 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.steps.arguments import SubjectOptions
-from tests.rhizotwin.console.conftest import LONG_S, VIEWS, Lab, until
+from tests.rhizotwin.browser import LONG_S, until
+from tests.rhizotwin.console.conftest import VIEWS, Lab
 
 
 def test_one_client_has_control_and_everyone_sees_who(lab: Lab) -> None:

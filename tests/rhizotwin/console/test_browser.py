@@ -14,7 +14,7 @@ from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.files import load_scene, save_scene
 from rhizotwin.scenes.model import CapturePlan
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.browser import PATIENCE_MS, wait
+from tests.rhizotwin.browser import PATIENCE_MS, until
 from tests.rhizotwin.console.conftest import Lab, console_process
 
 pytestmark = pytest.mark.slow
@@ -106,4 +106,4 @@ def test_a_password_opens_the_page_and_no_report_has_its_cookie(browser: Any, ma
         page.get_by_text("table at 0.000 deg").wait_for()
         with page.expect_popup() as popup:
             page.get_by_role("link", name="Report").click()
-        wait(lambda: popup.value.title() == "cookie apart", "the report without the cookie")
+        until(lambda: popup.value.title() == "cookie apart", "the report without the cookie")

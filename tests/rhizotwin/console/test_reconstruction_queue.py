@@ -16,7 +16,7 @@ from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.scenes import threads
 from rhizotwin.scenes.errors import UserError
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.console.conftest import until
+from tests.rhizotwin.browser import until
 
 
 @pytest.fixture

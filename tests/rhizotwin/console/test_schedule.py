@@ -1,20 +1,17 @@
 """The schedule of an experiment in the console: canisters asked for, wrong ones refused, interruptions continued."""
 
-import threading
-import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from rhizotwin.catalogue import verify
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.console.client import Console
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.timelapse.experiment import Experiment, load_experiment
-from tests.rhizotwin.console.conftest import LONG_S, VIEWS, Lab, console_process, until
+from tests.rhizotwin.browser import LONG_S, until
+from tests.rhizotwin.console.conftest import VIEWS, Lab
 
 EXPERIMENT = """
 name = "two plants"
@@ -110,68 +107,3 @@ def test_nothing_is_written_under_a_wrong_name(scheduled: Lab, experiment: Exper
     assert load_dataset(experiment.scans_folder / name).scene.subject.treatment == "control"
     with Catalogue.open(experiment.catalogue_path, read_only=True) as catalogue:
         assert [scan.plants for scan in catalogue.scans()] == [("P1",)]
-
-
-KILLS_S = (0.0, 0.3, 1.0)
-"""Times between the first picture of each console and its end."""
-SCANS = 6
-
-
-def confirm_all(console: Console, ended: threading.Event) -> bool:
-    """Run the schedule and confirm every canister; return whether it came to its end."""
-    with suppress(UserError):  # killed meanwhile
-        console.take_control("robot")
-        console.start_schedule()
-        while not ended.is_set():
-            state = console.state()
-            if state["activity"] == "":
-                return True
-            if state["question"]:
-                with suppress(UserError):
-                    console.answer("", question=state["question_number"])
-            time.sleep(0.05)
-    return False
-
-
-def pictures_of(experiment: Experiment) -> set[Path]:
-    return set(experiment.scans_folder.glob("*/images/*.png"))
-
-
-def stamps(pictures: Iterable[Path]) -> dict[Path, tuple[int, int]]:
-    return {picture: (picture.stat().st_mtime_ns, picture.stat().st_size) for picture in pictures}
-
-
-@pytest.mark.slow
-def test_kills(scene_file: Path) -> None:
-    """Nothing is lost and nothing is scanned twice if the console is killed at several moments."""
-    path = scene_file.with_name("my.toml")
-    path.write_text(EXPERIMENT.replace("rounds = 1", f"rounds = {SCANS // 2}"))
-    experiment = load_experiment(path)
-    written: dict[Path, tuple[int, int]] = {}
-    for kill_s in KILLS_S:
-        with console_process("--experiment", path, port=8797) as (process, printed):
-            ended = threading.Event()
-            robot = threading.Thread(target=confirm_all, args=(Console(printed[-1]), ended))
-            before = pictures_of(experiment)
-            robot.start()
-            while robot.is_alive() and pictures_of(experiment) == before:
-                time.sleep(0.02)
-            time.sleep(kill_s)
-            process.kill()
-        ended.set()
-        robot.join(LONG_S)
-        assert stamps(written) == written  # a picture that was kept is never taken again
-        datasets = [load_dataset(found.parent) for found in experiment.scans_folder.glob("*/dataset.json")]
-        pictures = [dataset.folder / frame.file for dataset in datasets for frame in dataset.frames[:-1]]
-        written = stamps(picture for picture in pictures if picture.is_file()) | written
-    assert written
-    with console_process("--experiment", path, port=8797) as (_, printed):
-        console = Console(printed[-1])
-        assert confirm_all(console, threading.Event())
-        state = console.state()
-    assert (state["schedule"]["planned"], state["schedule"]["scanned"]) == (SCANS, SCANS)
-    datasets = [load_dataset(experiment.scans_folder / scan["name"]) for scan in state["scans"]]
-    assert [(dataset.origin["complete"], len(dataset.frames)) for dataset in datasets] == [(True, VIEWS)] * SCANS
-    with Catalogue.open(experiment.catalogue_path, read_only=True) as catalogue:
-        assert verify.check(catalogue) == []
-        assert len(catalogue.scans()) == SCANS

@@ -4,7 +4,6 @@ import csv
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rhizotwin.experiment import biomass, growth, model_file
@@ -14,6 +13,7 @@ from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files, stored_traits
+from tests.roots import straight
 
 HEAD = "result,plant,treatment,day,{0} (mm),{0}_low (mm),{0}_high (mm),{0}_verdict,volume (mm3),trusted\n".format("total_length")
 TERM = {"name": "noise", "less_mm3": 5.0, "more_mm3": 5.0, "why": "noise"}
@@ -57,10 +57,7 @@ def test_rates_and_emergence_are_computed_from_reliable_days(ball_result: Callab
         length = {"name": "total_length_mm", "value": 90.0, "interval": [60.0, 120.0], "trusted": day != 5.0, "verdict": "hidden"}
         folder = ball_result(f"day_{day:g}", subject={"plant": "P", "day": day}, volume_budget=[TERM], estimates=[length])
         ends = [(0.0, 0.0, 0.0), (0.0, 0.0, -40.0)], [(0.0, 0.0, -30.0), (0.0, 9.0, -35.0)], [(0.0, 0.0, -20.0), (long_mm, 0.0, -20.0)]
-        roots = [
-            rsml.Root(points_mm=np.linspace(*both, 40), diameters_mm=np.ones(40), order=order, parent=order - 1)
-            for both, order in zip(ends, (0, 1, 1), strict=True)
-        ]
+        roots = [straight(*both, 1.0, count=40, order=order, parent=order - 1) for both, order in zip(ends, (0, 1, 1), strict=True)]
         rsml.write_rsml(folder / "roots.rsml", roots if long_mm else roots[:2])
         folders.append(folder)
     rows = list(csv.DictReader(growth.roots_csv(growth.measure(read_all(folders))).splitlines()))

@@ -13,13 +13,9 @@ from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits, measure_traits
+from tests.roots import straight
 
 EMPTY = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))
-
-
-def rod(plant: str, x: float) -> Root:
-    points = np.linspace((x, 0.0, -10.0), (x, 0.0, -50.0), 11)
-    return Root(points_mm=points, diameters_mm=np.full(11, 2.0), order=0, parent=-1, plant=plant)
 
 
 def of_roots(roots: Sequence[Root]) -> Traits:
@@ -29,7 +25,7 @@ def of_roots(roots: Sequence[Root]) -> Traits:
 
 @pytest.mark.parametrize("trusted", [True, False])
 def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> None:
-    roots, plants = (rod("A", 0.0), rod("B", 9.0)), []
+    roots, plants = [straight((x, 0.0, -10.0), (x, 0.0, -50.0), 2.0, plant=name) for x, name in ((0.0, "A"), (9.0, "B"))], []
     known = {"volume_mm3": 126.0, "volume_interval_mm3": (120.0, 130.0), "open_mm": 0.0}
     for root in roots:
         found = PlantResult(subject=Subject(plant=root.plant), at_mm=(root.points_mm[0, 0], 0.0), traits=of_roots([root]), **known)

@@ -21,6 +21,7 @@ from rhizotwin.scoring import mesh_solid, score_file, score_topology
 from rhizotwin.scoring.foreign_files import read_voxels
 from rhizotwin.sim import solids
 from tests.command import Command
+from tests.roots import straight
 
 RADIUS_MM, CENTRE_MM = 8.0, np.array([18.0, 0.0, -60.0])
 
@@ -29,18 +30,13 @@ def truth_of(made: Path) -> trimesh.Trimesh:
     return trimesh.load(made / "truth" / "specimen.ply")
 
 
-def straight(start: tuple[float, float, float], end: tuple[float, float, float], *, order: int, parent: int) -> Root:
-    points = np.linspace(start, end, 21)
-    return Root(points_mm=points, diameters_mm=np.full(21, 0.8 - 0.2 * order), order=order, parent=parent)
-
-
 def small_system() -> tuple[Root, ...]:
     """Return a taproot with two laterals, one of which has a lateral of its own."""
     return (
-        straight((0.0, 0.0, -20.0), (0.0, 0.0, -60.0), order=0, parent=-1),
-        straight((0.0, 0.0, -30.0), (20.0, 0.0, -35.0), order=1, parent=0),
-        straight((0.0, 0.0, -40.0), (-20.0, 0.0, -45.0), order=1, parent=0),
-        straight((10.0, 0.0, -32.5), (10.0, 15.0, -40.0), order=2, parent=1),
+        straight((0.0, 0.0, -20.0), (0.0, 0.0, -60.0), 0.8),
+        straight((0.0, 0.0, -30.0), (20.0, 0.0, -35.0), 0.6, order=1, parent=0),
+        straight((0.0, 0.0, -40.0), (-20.0, 0.0, -45.0), 0.6, order=1, parent=0),
+        straight((10.0, 0.0, -32.5), (10.0, 15.0, -40.0), 0.4, order=2, parent=1),
     )
 
 

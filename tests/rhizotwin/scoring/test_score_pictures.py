@@ -15,10 +15,10 @@ from rhizotwin.recon.settings import HullSettings, Settings
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import drawn
 from rhizotwin.scoring.score_pictures import compare, gather, score_pictures
 from tests.recon.hull import exact_pictures
+from tests.roots import straight
 
 NOTHING = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))
 TUBE = ((8.0, -6.0, -30.0), (-14.0, 10.0, -80.0), 1.2)
@@ -45,7 +45,7 @@ def tube_mesh() -> Mesh:
 def test_what_is_drawn_is_what_the_water_shows(number: int) -> None:
     """Against silhouettes that follow every line of sight by itself."""
     optics, view = Optics.from_scene(scene()), exact_pictures.views_of(scene())[number]
-    root = Root(points_mm=np.linspace(TUBE[0], TUBE[1], 60), diameters_mm=np.full(60, 2.0 * TUBE[2]), order=0, parent=-1)
+    root = straight(*TUBE[:2], 2.0 * TUBE[2], count=60)
     exact = exact_pictures.drawn(view, optics, (TUBE,), samples=5)
     surface, band = drawn.coverage(view, optics, tube_mesh(), ()), drawn.coverage(view, optics, NOTHING, (root,))
     area = float(exact.coverage[exact.usable].sum())

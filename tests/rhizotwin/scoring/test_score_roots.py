@@ -8,6 +8,7 @@ import pytest
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import score_roots
 from tests.recon.strings import TRUNK
+from tests.roots import straight
 
 
 def test_score_of_equal_and_of_shifted_roots():
@@ -29,7 +30,7 @@ def test_score_of_equal_and_of_shifted_roots():
 
 
 def with_tip(x_mm: float) -> Root:
-    return Root(points_mm=np.linspace((x_mm, 0.0, 0.0), (x_mm, 0.0, -10.0), 21), diameters_mm=np.full(21, 0.4), order=0, parent=-1)
+    return straight((x_mm, 0.0, 0.0), (x_mm, 0.0, -10.0))
 
 
 def test_a_tip_matches_one_tip_only():

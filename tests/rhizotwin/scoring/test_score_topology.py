@@ -1,21 +1,18 @@
 """Measures of the tree on trees made by hand: a main root of 100 mm with three laterals of 30 mm, and one of second order."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring.score_topology import compare_topology
+from tests.roots import straight
 
-
-def line(start, end, *, parent, order=1, mm=0.4):
-    return Root(points_mm=np.linspace(start, end, 121, dtype=float), diameters_mm=np.full(121, mm), order=order, parent=parent)
-
-
-MAIN = line((0, 0, -20), (0, 0, -120), parent=-1, order=0, mm=1.2)
-LATERALS = [line((0, 0, z), (30, 0, z), parent=0) for z in (-40, -60, -80)]
-FINE = line((15, 0, -60), (15, 20, -60), parent=2, order=2, mm=0.2)
+lateral = partial(straight, count=121, order=1, parent=0)
+MAIN = straight((0, 0, -20), (0, 0, -120), 1.2, count=121)
+LATERALS = [lateral((0, 0, z), (30, 0, z)) for z in (-40, -60, -80)]
+FINE = straight((15, 0, -60), (15, 20, -60), 0.2, count=121, parent=2, order=2)
 TRUE = [MAIN, *LATERALS, FINE]
 LENGTH_MM = 100.0 + 3 * 30.0 + 20.0
 
@@ -37,7 +34,7 @@ def test_an_equal_tree_agrees_in_every_measure():
 
 
 def test_a_ghost_counts_by_its_diameter_and_a_copy_as_doubled():
-    ghost, copy = moved(line((40, 0, -20), (40, 0, -60), parent=0, mm=0.3), (0, 0, 0)), moved(MAIN, (0.3, 0, 0))
+    ghost, copy = lateral((40, 0, -20), (40, 0, -60), 0.3), moved(MAIN, (0.3, 0, 0))
     score = compare_topology([*TRUE, ghost, replace(copy, parent=0, order=1)], TRUE)
     assert score.ghosts_mm == pytest.approx(40.0)
     assert score.ghosts_by_diameter_mm == pytest.approx((0.0, 40.0, 0.0, 0.0, 0.0))
@@ -46,7 +43,7 @@ def test_a_ghost_counts_by_its_diameter_and_a_copy_as_doubled():
     assert score.identity == pytest.approx(2 * LENGTH_MM / (2 * LENGTH_MM + 140.0))
     assert score.branch_precision == pytest.approx(4 / 6)
     # beyond 0.5 mm, but inside the true root
-    thick = line((0, 0, -20), (0, 0, -120), parent=-1, order=0, mm=6.0)
+    thick = straight((0, 0, -20), (0, 0, -120), 6.0, count=121)
     assert compare_topology([moved(thick, (2, 0, 0))], [thick]).ghosts_mm == 0.0
 
 
@@ -59,7 +56,7 @@ def test_missing_length_counts_by_its_true_diameter():
 
 def test_exchanged_continuations_reduce_the_identity_only():
     """Two laterals cross at their middles, and continue as the other one."""
-    crossing = [line((0, 0, -40), (30, 0, -60), parent=0), line((0, 0, -60), (30, 0, -40), parent=0)]
+    crossing = [lateral((0, 0, -40), (30, 0, -60)), lateral((0, 0, -60), (30, 0, -40))]
     one, other = crossing
     swapped = [
         replace(one, points_mm=np.concatenate([one.points_mm[:61], other.points_mm[61:]])),

@@ -12,11 +12,11 @@ import trimesh
 from rhizotwin.recon.results.parts import Leaves, shape_npz
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root
 from rhizotwin.stored import plain_ply, result_files, result_names
 from rhizotwin.stored.load import load_result
 from rhizotwin.stored.result_files import read_leaves
 from rhizotwin.stored.save import Result
+from tests.roots import straight
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=7.0)
 PLAIN = bytes(trimesh.exchange.ply.export_ply(BALL))
@@ -42,8 +42,7 @@ def test_plain_triangles_are_read_and_other_files_left(tmp_path: Path) -> None:
 
 def test_a_results_plants_are_compared(ball_result: Callable[..., Path]) -> None:
     folder = ball_result("together")
-    lines = {"A": np.linspace((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), 11), "B": np.linspace((5.0, 0.0, 0.0), (5.0, 0.0, -30.0), 11)}
-    roots = [Root(points_mm=line, diameters_mm=np.full(11, 1.0), order=0, parent=-1, plant=plant) for plant, line in lines.items()]
+    roots = [straight((x, 0.0, 0.0), (x, 0.0, -30.0), 1.0, plant=plant) for plant, x in (("A", 0.0), ("B", 5.0))]
     rsml.write_rsml(folder / "roots.rsml", roots)
     (pair,) = result_files.read_neighbours(folder)
     assert pair.plants == ("A", "B")

@@ -16,7 +16,7 @@ from rhizotwin.corrections.session import Session
 from rhizotwin.viewer import capture
 from rhizotwin.viewer.app import Viewer, screen_of
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.browser import PATIENCE_MS, wait
+from tests.rhizotwin.browser import PATIENCE_MS, until
 from tests.rhizotwin.viewer.conftest import started
 
 pytestmark = pytest.mark.slow
@@ -48,7 +48,7 @@ def opened(browser: Any, viewer: Viewer) -> tuple[Any, list[str]]:
     page.set_default_timeout(PATIENCE_MS)
     known = set(viewer.served.server.get_clients())
     page.goto(viewer.served.address)
-    wait(lambda: set(viewer.served.server.get_clients()) - known, "the browser's camera")
+    until(lambda: set(viewer.served.server.get_clients()) - known, "the browser's camera")
     return page, complaints
 
 
@@ -73,21 +73,21 @@ def test_a_person_removes_debris_with_three_clicks_and_saves(browser: Any, viewe
     delete = page.get_by_role("button", name="Delete (Del)")
     assert delete.is_disabled()
     click_root(page, viewer, 4)
-    wait(lambda: viewer.roots == [4], "the click to choose the fibre")
+    until(lambda: viewer.roots == [4], "the click to choose the fibre")
     page.get_by_text("Root 4", exact=True).wait_for()
     delete.click()
-    wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go")
+    until(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go")
     expected = float(plants.painted(plants.roots()).occupancy.sum(dtype=float)) * plants.VOXEL_MM**3
     assert viewer.shown.session.measure().volume_mm3 == pytest.approx(expected, rel=5e-3)
     page.get_by_text("1 correction", exact=True).wait_for()
     page.get_by_text("delete roots (4)").first.wait_for()
     page.get_by_role("button", name="Undo (Ctrl+Z)").click()
-    wait(lambda: 4 in viewer.shown.session.state.lines, "the fibre to come back")
+    until(lambda: 4 in viewer.shown.session.state.lines, "the fibre to come back")
     page.get_by_role("button", name="Redo (Ctrl+Y)").click()
-    wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go again")
+    until(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go again")
     page.get_by_role("button", name="Save corrections (Ctrl+S)").click()
     folder = viewer.shown.session.folder
-    wait((folder / log.LOG_NAME).is_file, "the log")
+    until((folder / log.LOG_NAME).is_file, "the log")
     summary = corrected.write(Session(folder), tmp_path / "corrected")
     assert summary["volume_mm3"] == pytest.approx(viewer.shown.session.measure().volume_mm3, rel=1e-9)
     assert not complaints
@@ -104,11 +104,11 @@ def test_the_picture_shows_roots_in_every_browser(browser: Any, viewer: Viewer):
         blue, green, red = (shot[..., k].astype(int) for k in range(3))
         return float(((blue - red > 60) & (green > 40)).mean())  # laterals are blue
 
-    with_roots = wait(lambda: blue() if blue() > 1e-3 else 0.0, "roots in the picture")
+    with_roots = until(lambda: blue() if blue() > 1e-3 else 0.0, "roots in the picture")
     page.get_by_role("tab", name="View").click()
     page.get_by_role("combobox", name="Colour by").click(timeout=60_000)
     page.get_by_role("option", name="uncertainty").click(timeout=60_000)
-    wait(lambda: viewer.look.colour == "uncertainty", "other colours")
+    until(lambda: viewer.look.colour == "uncertainty", "other colours")
     page.get_by_text("diameter ±0 %").wait_for()
     viewer.look.colour = "order"
     viewer.refresh()
@@ -118,11 +118,11 @@ def test_the_picture_shows_roots_in_every_browser(browser: Any, viewer: Viewer):
     other.get_by_role("tab", name="View").click()
     other.get_by_label("Centre lines", exact=True).click()
     other.get_by_label("Surface", exact=True).click()
-    wait(lambda: not viewer.look.layers & {"surface", "centre lines"}, "roots to be switched off")
+    until(lambda: not viewer.look.layers & {"surface", "centre lines"}, "roots to be switched off")
     other.close()
     page.bring_to_front()  # a page behind another one is not drawn
-    wait(lambda: not page.get_by_label("Surface", exact=True).is_checked(), "the first browser to follow")
-    wait(lambda: blue() < 0.3 * with_roots, "the picture to follow")
+    until(lambda: not page.get_by_label("Surface", exact=True).is_checked(), "the first browser to follow")
+    until(lambda: blue() < 0.3 * with_roots, "the picture to follow")
     page.close()
 
 
@@ -132,7 +132,7 @@ def test_views_screenshot_and_movie(browser: Any, viewer: Viewer):
     viewer.wait()
     page.get_by_text("Front", exact=True).click()
     front = viewer.scene.camera_position("Front", aspect=client.camera.aspect)
-    wait(lambda: np.allclose(client.camera.position, front, atol=0.1), "the view from the front")
+    until(lambda: np.allclose(client.camera.position, front, atol=0.1), "the view from the front")
     with page.expect_download(timeout=PATIENCE_MS) as waiting:
         page.get_by_role("button", name="Save screenshot (PNG)").click()
     shot = Image.open(waiting.value.path())

@@ -14,7 +14,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import capture
 from rhizotwin.viewer.app import Viewer
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.console.conftest import until
+from tests.rhizotwin.browser import until
 from tests.rhizotwin.viewer.conftest import started
 
 

@@ -9,6 +9,7 @@ from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_exchange import ANSWER_S, BUSY_S, LONGEST_S
 from rhizotwin.rig.table.marlin_lines import POSITION, Kind, encode_line, read_line
+from tests.rig.fake_time import Time
 from tests.rig.table.marlin_script import GREETING, POSITION_LINE, Script, Talk
 
 M110, M400 = "N0 M110 N0", "N8 M400"
@@ -123,21 +124,21 @@ def test_after_ctrl_c_the_answers_still_to_come_are_waited_for(talk: Talk) -> No
     assert talk.since_s() == pytest.approx(24.0)
 
 
-def test_start_on_a_board_that_runs_whatever_its_line_number(talk: Talk, make_board: Any) -> None:
+def test_start_on_a_board_that_runs_whatever_its_line_number(talk: Talk) -> None:
     assert talk.link.ready
     assert talk.link.firmware == "Marlin 2.1.3 (Oct 23 2023 10:00:00)"
     assert talk.link.sessions == 1
     refusal = ("Error:checksum mismatch, Last Line: 57", "Resend: 58", "ok")
-    MarlinLink(Script(make_board().clock, (GREETING[0][0], refusal), *GREETING)).start()
+    MarlinLink(Script(Time(), (GREETING[0][0], refusal), *GREETING)).start()
 
 
-def test_a_late_greeting_begins_anew_but_not_for_ever(make_board: Any) -> None:
-    link = MarlinLink(Script(make_board().clock, (GREETING[0][0], (1.0, "start", "Marlin 2.1.3", "echo: x")), *GREETING))
+def test_a_late_greeting_begins_anew_but_not_for_ever() -> None:
+    link = MarlinLink(Script(Time(), (GREETING[0][0], (1.0, "start", "Marlin 2.1.3", "echo: x")), *GREETING))
     link.start()
     assert link.ready
     assert link.sessions == 1
     with pytest.raises(LostError, match="was reset"):
-        MarlinLink(Script(make_board().clock, *[(GREETING[0][0], (0.1, "start"))] * 3)).start()
+        MarlinLink(Script(Time(), *[(GREETING[0][0], (0.1, "start"))] * 3)).start()
 
 
 def reply(name: str, ok: str = "ok") -> list[tuple[str, tuple[str, ...]]]:
@@ -160,8 +161,8 @@ FOREIGN: dict[str, list[tuple[str, tuple[str, ...]]]] = {
 
 
 @pytest.mark.parametrize(("name", "steps"), FOREIGN.items(), ids=FOREIGN)
-def test_another_firmware_is_named_at_once(name: str, steps: list[Any], make_board: Any) -> None:
-    script = Script(make_board().clock, *steps)
+def test_another_firmware_is_named_at_once(name: str, steps: list[Any]) -> None:
+    script = Script(Time(), *steps)
     link = MarlinLink(script)
     with pytest.raises(RigError, match=f"^turntable on fake: the board runs {name}; Marlin 2.1 is required"):
         link.start()

@@ -29,7 +29,7 @@ def on(board: Any, part: TurntablePart = PART, *, at_deg: float | None = None) -
 
 def test_after_power_up_the_angle_is_unknown_until_declared(board: Any) -> None:
     table = on(board)
-    assert board.energised
+    assert board.motor.energised
     assert not table.knows_zero()
     with pytest.raises(LostError, match="the table's angle is unknown"):
         table.move_to(9.0)
@@ -41,7 +41,7 @@ def test_after_power_up_the_angle_is_unknown_until_declared(board: Any) -> None:
 
 
 def test_preparing_keeps_the_motor_on_for_good_and_moves_nothing(make_board: Any) -> None:
-    board = make_board(x_deg=405.0)
+    board = make_board(start_deg=405.0)
     table = on(board)
     assert table.knows_zero()
     assert table.position_deg() == 45.0
@@ -75,7 +75,7 @@ def test_the_table_arrives_from_below(
     table = on(board, replace(PART, approach_deg=approach_deg), at_deg=start_deg)
     for angle in angles:
         assert table.move_to(angle) == pytest.approx(angle, abs=0.0051)
-        assert board.at_rest
+        assert not board.motor.moving
     assert board.moves == pytest.approx([360.0 + goal for goal in goes])
 
 
@@ -104,7 +104,7 @@ def damaged(digits: bytes) -> Callable[[bytes], list[tuple[float, bytes]]]:
 
 
 def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
-    board = make_board(x_deg=405.0)
+    board = make_board(start_deg=405.0)
     table = on(board)
     board.reply_faults = {board.printed: damaged(b"005.00"), board.printed + 4: damaged(b"415.00")}
     assert table.knows_zero()
@@ -115,8 +115,8 @@ def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
 
 def test_a_move_not_made_is_noticed(board: Any) -> None:
     """As a firmware whose software endstops stay on would do."""
-    table, carry_out = on(board, at_deg=0.0), board.carry_out
-    board.carry_out = lambda text, ok: carry_out(text.replace("X450", "X400"), ok)
+    table, command = on(board, at_deg=0.0), board.command
+    board.command = lambda line, now_s: command(line.replace("X450", "X400"), now_s)
     with pytest.raises(LostError, match=r"reports 40.00 deg after a move to 90.00 deg"):
         table.move_to(90.0)
 
@@ -154,9 +154,9 @@ def test_release_works_even_on_a_board_that_was_reset(board: Any) -> None:
     board.reset("start\n")
     with pytest.raises(LostError):
         table.move_to(18.0)
-    board.energised = True
+    board.motor.energised = True
     table.release()
-    assert not board.energised
+    assert not board.motor.energised
 
 
 LAMPS = LightsPart(panel_strip=1, front_strip=0, panel_rgb=(255, 250, 240), front_rgb=(10, 20, 30), settle_s=0.5)
@@ -278,11 +278,11 @@ def test_no_wrong_angle_is_ever_believed_and_nothing_hangs(
         for angle in angles:
             begin_s = board.clock.now_s()
             assert table.move_to(angle) == angle == board.x_deg - 360.0
-            assert board.at_rest
+            assert not board.motor.moving
             assert board.clock.now_s() - begin_s < 200.0
         assert table.position_deg() == angles[-1]
         table.release()
-        assert not board.energised
+        assert not board.motor.energised
         assert not table.knows_zero()
     except RigError:
         pass
