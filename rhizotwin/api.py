@@ -152,7 +152,7 @@ def growth(results: Paths, output: str | Path) -> dict[str, Any]:
     Parameters
     ----------
     results : path or sequence of path
-        Results, folders of results, trait tables (.csv), or tables of weighed masses (.csv).
+        Results, folders of results, trait tables (.csv), or tables of masses or of the nutrient solution (.csv).
     output : path
         New or empty folder for the tables, the figures and the page ``growth.html``.
 

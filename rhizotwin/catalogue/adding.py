@@ -1,4 +1,4 @@
-"""Import of datasets, results and mass tables into a catalogue."""
+"""Import of datasets, results, and tables of masses and of the nutrient solution into a catalogue."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,8 @@ from typing import Any
 from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.store import Catalogue, now_utc
 from rhizotwin.experiment import drift, measured
-from rhizotwin.experiment.masses import BALANCE_G, has_masses, read_masses
+from rhizotwin.experiment.masses import BALANCE_G, Weighed, has_masses, read_masses
+from rhizotwin.experiment.readings import Reading, has_readings, merge, read_readings, unit_of
 from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
@@ -32,7 +33,7 @@ class Added:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Datasets, results and mass tables that were found in folders."""
+    """Datasets, results, and tables of masses or of the nutrient solution that were found in folders."""
 
     scans: tuple[Path, ...]
     results: tuple[Path, ...]
@@ -40,7 +41,7 @@ class Found:
 
 
 def find_all(sources: Sequence[Path]) -> Found:
-    """Find datasets, results and mass tables (.csv). Folders are searched with all their subfolders.
+    """Find datasets, results and tables (.csv). Folders are searched with all their subfolders.
 
     Raises
     ------
@@ -79,14 +80,14 @@ def find_unlisted(catalogue: Catalogue, *folders: Path) -> Found:
 
 
 def add_all(catalogue: Catalogue, found: Found) -> Added:
-    """Add datasets, results and mass tables to a catalogue.
+    """Add datasets, results and tables to a catalogue.
 
     Entries that already exist are updated. A damaged file does not prevent other files from being added. Datasets are
     added before results, because the brightness of the panel in a scan is stored with the result.
     """
     done: list[list[Path]] = [[], [], []]
     failed = []
-    for number, (add, paths) in enumerate(((add_scan, found.scans), (add_result, found.results), (add_masses, found.tables))):
+    for number, (add, paths) in enumerate(((add_scan, found.scans), (add_result, found.results), (add_table, found.tables))):
         for path in paths:
             try:
                 add(catalogue, path)
@@ -148,34 +149,62 @@ def add_result(catalogue: Catalogue, folder: Path) -> None:
             connection.execute("INSERT INTO edits (result, path, sha256) VALUES (?, ?, ?)", edits)
 
 
-def add_masses(catalogue: Catalogue, table: Path) -> None:
-    """Add a mass table, or replace the masses that were imported earlier from the same table.
+def add_table(catalogue: Catalogue, table: Path) -> None:
+    """Add a table of masses or of the nutrient solution, or replace the values that were imported earlier from it.
 
     Raises
     ------
     UserError
-        If the table is damaged, or another table contains the same mass.
+        If the table is damaged, or another table contains the same value.
     """
-    weighed = read_masses(table, balance_g=BALANCE_G)
+    head = read_table(table)[0].cells
+    if not _is_table(table):
+        raise UserError(f"{table} contains neither masses nor readings of a nutrient solution; add a column such as root_fresh_g or pH")
+    weighed = read_masses(table, balance_g=BALANCE_G) if has_masses(head) else []
+    readings = merge(read_readings(table)) if has_readings(head) else []
     with catalogue.writing() as connection:
         path = catalogue.stored_path(table)
         connection.execute("DELETE FROM tables WHERE path = ?", (path,))
         source = connection.execute("INSERT INTO tables (path, sha256) VALUES (?, ?)", (path, file_sha256(table))).lastrowid
-        for one in weighed:
+        entries: list[Weighed | Reading] = [*weighed, *readings]
+        for one in entries:
             _add_subject(catalogue, one.subject)
             plant = _plant_id(catalogue, one.subject.plant)
-            for kind, grams in one.grams.items():
-                before = catalogue.rows(
-                    "SELECT t.path FROM masses m JOIN tables t ON t.id = m.source"
-                    " WHERE m.plant = ? AND coalesce(m.day, -1.0) = coalesce(?, -1.0) AND m.kind = ?",
-                    (plant, one.subject.day, kind),
-                )
-                if before:
-                    raise UserError(
-                        f"{one.where}: the mass {kind} of plant {one.subject.plant} is also in {before[0][0]}; remove it from one table"
-                    )
-                values = (plant, one.subject.day, kind, grams, source)
-                connection.execute("INSERT INTO masses (plant, day, kind, grams, source) VALUES (?, ?, ?, ?, ?)", values)
+            if isinstance(one, Weighed):
+                _insert_masses(catalogue, one, plant, source)
+            else:
+                _insert_reading(catalogue, one, plant, source)
+
+
+def _insert_masses(catalogue: Catalogue, one: Weighed, plant: int, source: int | None) -> None:
+    for kind, grams in one.grams.items():
+        before = catalogue.rows(
+            "SELECT t.path FROM masses m JOIN tables t ON t.id = m.source"
+            " WHERE m.plant = ? AND coalesce(m.day, -1.0) = coalesce(?, -1.0) AND m.kind = ?",
+            (plant, one.subject.day, kind),
+        )
+        _refuse_second(before, one, f"mass {kind}")
+        values = (plant, one.subject.day, kind, grams, source)
+        catalogue.connection.execute("INSERT INTO masses (plant, day, kind, grams, source) VALUES (?, ?, ?, ?, ?)", values)
+
+
+def _insert_reading(catalogue: Catalogue, one: Reading, plant: int, source: int | None) -> None:
+    for quantity, value in one.values.items():
+        key = (plant, one.subject.day, one.renewed, quantity)
+        before = catalogue.rows(
+            "SELECT t.path FROM readings r JOIN tables t ON t.id = r.source WHERE (plant, day, renewed, quantity) = (?, ?, ?, ?)", key
+        )
+        _refuse_second(before, one, quantity)
+        catalogue.connection.execute(
+            "INSERT INTO readings (plant, day, renewed, quantity, unit, value, sd, source) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (*key, unit_of(quantity), value, one.sds.get(quantity), source),
+        )
+
+
+def _refuse_second(before: Sequence[Any], one: Weighed | Reading, what: str) -> None:
+    """Raise an error if a value is already in another table."""
+    if before:
+        raise UserError(f"{one.where}: the {what} of plant {one.subject.plant} is also in {before[0][0]}; remove it from one table")
 
 
 def set_tags(catalogue: Catalogue) -> list[str]:
@@ -219,17 +248,19 @@ def is_sketch(origin: Mapping[str, Any]) -> bool:
 
 
 def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
-    """Find the datasets, results and mass tables at a path and in all its subfolders."""
+    """Find the datasets, results and tables at a path and in all its subfolders."""
     if source.suffix.lower() == ".csv":
         return [], [], [source]
     if not source.is_dir():
         raise UserError(f"{source}: the folder or table (.csv) does not exist; check the path")
     heads = sorted(path for name in ("dataset.json", "result.json") for path in source.rglob(name) if not _is_hidden(path, source))
-    tables = sorted(path for path in source.rglob("*.csv") if not _is_hidden(path, source) and _is_of_masses(path))
+    tables = sorted(path for path in source.rglob("*.csv") if not _is_hidden(path, source) and _is_table(path))
     scans = [path.parent for path in heads if path.name == "dataset.json"]
     results = [path.parent for path in heads if path.name == "result.json"]
     if not (scans or results or tables):
-        raise UserError(f"{source}: the folder contains no dataset, no result and no mass table; check the path")
+        raise UserError(
+            f"{source}: the folder contains no dataset, no result and no table of masses or of the nutrient solution; check the path"
+        )
     return scans, results, tables
 
 
@@ -237,9 +268,10 @@ def _is_hidden(path: Path, source: Path) -> bool:
     return any(part.startswith(".") for part in path.relative_to(source).parts)
 
 
-def _is_of_masses(path: Path) -> bool:
+def _is_table(path: Path) -> bool:
     try:
-        return has_masses(read_table(path)[0].cells)
+        head = read_table(path)[0].cells
+        return has_masses(head) or has_readings(head)
     except UserError:
         return False
 

@@ -30,6 +30,8 @@ VIEWS = {
     " ORDER BY x.day, x.path, n.name",
     "masses": "SELECT p.name AS plant, m.day, m.kind, m.grams, t.path AS source FROM masses m JOIN plants p ON p.id = m.plant"
     " JOIN tables t ON t.id = m.source ORDER BY p.name, m.day, m.kind",
+    "readings": "SELECT p.name AS plant, r.day, r.renewed, r.quantity, r.value, r.sd, r.unit, t.path AS source FROM readings r"
+    " JOIN plants p ON p.id = r.plant JOIN tables t ON t.id = r.source ORDER BY p.name, r.day, r.renewed, r.id",
     "visits": "SELECT p.name AS plant, v.due_utc, v.state, v.began_utc, v.ended_utc, coalesce(s.path, '') AS scan, v.note"
     " FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan ORDER BY v.due_utc, v.id",
 }

@@ -223,7 +223,7 @@ def _ordered(drawn: Mapping[str, Chart]) -> list[tuple[str, Chart]]:
 
 
 def _counts(catalogue: Catalogue) -> str:
-    counts = {name: len(export.table(catalogue, name).rows) for name in ("plants", "scans", "results", "masses")}
+    counts = {name: len(export.table(catalogue, name).rows) for name in ("plants", "scans", "results", "masses", "readings")}
     return ", ".join(f"{count} {name}" for name, count in counts.items())
 
 

@@ -119,6 +119,18 @@ CREATE TABLE masses (
     source INTEGER NOT NULL REFERENCES tables (id) ON DELETE CASCADE
 ) STRICT;
 CREATE UNIQUE INDEX masses_of_plant ON masses (plant, coalesce(day, -1.0), kind);
+CREATE TABLE readings (
+    id INTEGER PRIMARY KEY,
+    plant INTEGER NOT NULL REFERENCES plants (id),
+    day REAL NOT NULL,
+    renewed INTEGER NOT NULL CHECK (renewed IN (0, 1)),
+    quantity TEXT NOT NULL,
+    unit TEXT NOT NULL,
+    value REAL NOT NULL CHECK (value >= 0.0),
+    sd REAL CHECK (sd >= 0.0),
+    source INTEGER NOT NULL REFERENCES tables (id) ON DELETE CASCADE,
+    UNIQUE (plant, day, renewed, quantity)
+) STRICT;
 CREATE TABLE visits (
     id INTEGER PRIMARY KEY,
     plant INTEGER NOT NULL REFERENCES plants (id),
@@ -134,8 +146,8 @@ CREATE TABLE visits (
 """SQL definition of the tables, version 1.
 
 A path below the folder of the catalogue is stored relative to this folder with forward slashes, and any other path as
-an absolute path. Times are UTC (ISO 8601). The table ``tables`` lists the CSV files of masses, and ``visits`` the
-planned scans of a time-lapse experiment.
+an absolute path. Times are UTC (ISO 8601). The table ``tables`` lists the CSV files of masses and of readings of
+the nutrient solution, and ``visits`` the planned scans of a time-lapse experiment.
 """
 _STATEMENTS = [statement for statement in TABLES.split(";") if statement.strip()]
 

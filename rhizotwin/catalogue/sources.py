@@ -1,4 +1,4 @@
-"""Replacement of catalogues among the arguments of a command by the datasets, results or mass tables that they list."""
+"""Replacement of catalogues among the arguments of a command by the datasets, results or tables that they list."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,22 +39,22 @@ def expand_scans(sources: Sequence[str]) -> list[str]:
     return found
 
 
-def expand_results(sources: Sequence[Path], *, masses: bool = False, phantoms: bool = True) -> list[Path]:
+def expand_results(sources: Sequence[Path], *, tables: bool = False, phantoms: bool = True) -> list[Path]:
     """Replace each catalogue among the sources by the results that it lists.
 
     Parameters
     ----------
     sources : sequence of Path
         Results, folders of results, tables and catalogues.
-    masses : bool
-        Include the mass tables of catalogues.
+    tables : bool
+        Include the tables of masses and of the nutrient solution of catalogues.
     phantoms : bool
         Include the results of phantoms.
 
     Raises
     ------
     UserError
-        If a catalogue has neither results nor requested mass tables.
+        If a catalogue has neither results nor requested tables.
     """
     found: list[Path] = []
     for source in sources:
@@ -64,10 +64,10 @@ def expand_results(sources: Sequence[Path], *, masses: bool = False, phantoms: b
         with Catalogue.open(source, read_only=True) as catalogue:
             hidden = set() if phantoms else {one.name for one in catalogue.plants() if one.phantom}
             own = [one.path for one in catalogue.chosen_results() if not hidden.intersection(one.plants)]
-            own += catalogue.mass_tables() if masses else []
+            own += catalogue.tables() if tables else []
         if not own:
             raise UserError(
-                f"{source}: the catalogue has no results{' and no masses' if masses else ''}; add them with `rhizotwin catalogue add`"
+                f"{source}: the catalogue has no results{' and no tables' if tables else ''}; add them with `rhizotwin catalogue add`"
             )
         found += own
     return found
@@ -82,7 +82,7 @@ def mass_tables(source: Path) -> list[Path]:
         If the catalogue has no mass table.
     """
     with Catalogue.open(source, read_only=True) as catalogue:
-        found = catalogue.mass_tables()
+        found = catalogue.tables(masses=True)
     if not found:
         raise UserError(f"{source}: the catalogue has no masses; add a mass table with `rhizotwin catalogue add`")
     return found

@@ -301,9 +301,10 @@ class Catalogue:
         )
         return [Mass(plant=name, day=day, kind=kind, grams=grams, source=self.full_path(path)) for name, day, kind, grams, path in found]
 
-    def mass_tables(self) -> list[Path]:
-        """Return the paths of the CSV tables from which the masses were read."""
-        return [self.full_path(row["path"]) for row in self.rows("SELECT path FROM tables ORDER BY path")]
+    def tables(self, *, masses: bool = False) -> list[Path]:
+        """Return the paths of the CSV tables of masses and readings, or only of those with masses."""
+        found = self.rows("SELECT path FROM tables WHERE NOT ?1 OR id IN (SELECT source FROM masses) ORDER BY path", (masses,))
+        return [self.full_path(row["path"]) for row in found]
 
     # row numbers
 

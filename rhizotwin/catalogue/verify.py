@@ -63,7 +63,7 @@ def _scans(catalogue: Catalogue, *, pictures: bool) -> Iterator[Problem]:
 
 
 def _files(catalogue: Catalogue) -> Iterator[Problem]:
-    """Yield each result, log of corrections and mass table that is missing or has been changed."""
+    """Yield each result, log of corrections and table that is missing or has been changed."""
     listed = [
         *((catalogue.full_path(path) / "result.json", digest) for path, digest in catalogue.rows("SELECT path, sha256 FROM results")),
         *((catalogue.full_path(path), digest) for path, digest in catalogue.rows("SELECT path, sha256 FROM edits")),

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 CatalogueFile = Annotated[Path, with_metavar("CATALOGUE")]
 Sources = Annotated[list[Path], with_metavar("FOLDERS")]
-Name = Literal["plants", "scans", "results", "traits", "rig_numbers", "masses", "visits"]
+Name = Literal["plants", "scans", "results", "traits", "rig_numbers", "masses", "readings", "visits"]
 WIDEST = 48
 """Maximum number of characters of a table cell printed on the terminal."""
 
@@ -67,7 +67,7 @@ class PlantOptions:
 
 
 def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
-    """Add datasets, results and tables of weighed masses to a catalogue.
+    """Add datasets, results, and tables of masses or of the nutrient solution to a catalogue.
 
     The catalogue is created if it does not exist. Folders are searched with all their subfolders. Files are not moved;
     the catalogue stores their paths and checksums. Plants and treatments are read from the datasets. Existing entries
@@ -78,11 +78,12 @@ def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
     catalogue : Path
         Catalogue file (.rhizotwin).
     folders : list of Path
-        Datasets, results, mass tables (.csv), or folders that contain any of these.
+        Datasets, results, tables of masses or of the nutrient solution (.csv), or folders that contain any of these.
 
     Examples
     --------
     rhizotwin catalogue add my.rhizotwin my_scans my_results my_masses.csv
+    rhizotwin catalogue add my.rhizotwin my_solution.csv
     """
     from rhizotwin.catalogue.adding import add_all, find_all
     from rhizotwin.catalogue.store import Catalogue
@@ -142,7 +143,7 @@ def plant(
 
 
 def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
-    """Create a lost catalogue again from its datasets, results and mass tables.
+    """Create a lost catalogue again from its datasets, results and tables.
 
     Plants that were never scanned, and scans that were planned or missed, cannot be recovered from these files; the
     next 'rhizotwin timelapse run' adds them. A marker strip that was used for a single plant is assigned to this plant.
@@ -152,7 +153,7 @@ def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
     catalogue : Path
         Catalogue file to create (.rhizotwin); must not exist yet.
     folders : list of Path
-        Datasets, results, mass tables (.csv), or folders that contain any of these.
+        Datasets, results, tables of masses or of the nutrient solution (.csv), or folders that contain any of these.
 
     Examples
     --------
@@ -184,8 +185,9 @@ def list_(
     catalogue : Path
         Catalogue file (.rhizotwin).
     table : str, optional
-        Table to print: plants, scans, results, traits, rig_numbers (measured parameters of the rig), masses, or visits
-        (planned scans of a time-lapse experiment); default: number of entries in each table.
+        Table to print: plants, scans, results, traits, rig_numbers (measured parameters of the rig), masses, readings
+        (of the nutrient solution), or visits (planned scans of a time-lapse experiment); default: number of entries in
+        each table.
     plant : str, optional
         Name of a plant, to which the rows are restricted.
     csv : Path, optional
@@ -195,6 +197,7 @@ def list_(
     --------
     rhizotwin catalogue list my.rhizotwin
     rhizotwin catalogue list my.rhizotwin plants
+    rhizotwin catalogue list my.rhizotwin readings --plant P3
     rhizotwin catalogue list my.rhizotwin traits --plant P3 -o p3.csv
     """
     from rhizotwin.catalogue import export as exported
@@ -261,7 +264,7 @@ def check(catalogue: CatalogueFile, /, *, quick: Flag = False) -> int:
 
     with Catalogue.open(catalogue, read_only=True) as opened:
         problems = compare(opened, pictures=not quick)
-        entries = len(opened.scans()) + len(opened.results()) + len(opened.mass_tables())
+        entries = len(opened.scans()) + len(opened.results()) + len(opened.tables())
     for one in problems:
         print(f"{one.kind:<10} {one.path}: {one.text}")
     print(
@@ -337,7 +340,7 @@ def _report(catalogue: Path, made: "Added") -> None:
     for sentence in made.failed:
         print(f"not added: {sentence}")
     scans, results, tables = len(made.scans), len(made.results), len(made.tables)
-    print(f"{catalogue}: added {count(scans, 'dataset')}, {count(results, 'result')} and {count(tables, 'mass table')}")
+    print(f"{catalogue}: added {count(scans, 'dataset')}, {count(results, 'result')} and {count(tables, 'table')}")
     if made.failed:
         raise UserError(f"{count(len(made.failed), 'entry', 'entries')} could not be added to {catalogue}, for the reasons printed above")
 

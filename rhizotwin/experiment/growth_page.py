@@ -84,17 +84,19 @@ def draw_responses(growth: Growth) -> bytes:
     return png(drawn, dpi=110)
 
 
-def page(growth: Growth | None, masses: bytes | None = None, notes: Sequence[str] = ()) -> str:
+def page(growth: Growth | None, masses: bytes | None = None, solution: bytes | None = None, notes: Sequence[str] = ()) -> str:
     """Return the HTML page with growth curves, comparisons, tracked roots and excluded values.
 
     Parameters
     ----------
     growth : Growth or None
-        Measured growth. None if the page only shows masses.
+        Measured growth. None if the page only shows masses or the nutrient solution.
     masses : bytes, optional
         Figure of masses as PNG, see `mass_curves.draw`.
+    solution : bytes, optional
+        Figure of the nutrient solution as PNG, see `uptake.draw`.
     notes : sequence of str
-        Sentences about masses that are excluded or extrapolated.
+        Sentences about masses and about the uptake of nutrients.
     """
     parts = []
     if growth is not None:
@@ -112,6 +114,9 @@ def page(growth: Growth | None, masses: bytes | None = None, notes: Sequence[str
     if masses is not None:
         caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
         parts.append("<h1>Masses</h1>" + _figure("mass curves", masses, caption))
+    if solution is not None:
+        caption = "Readings of each plant's solution, and net uptake per root length between readings, with their 90 % intervals."
+        parts.append("<h1>Nutrient solution</h1>" + _figure("nutrient solution", solution, caption))
     if notes:
         parts.append(html_page.items(notes))
     return html_page.document("Growth", *parts)

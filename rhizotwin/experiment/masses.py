@@ -22,7 +22,8 @@ BALANCE_G = 1e-4
 """Readability of the laboratory balance of the thesis, g."""
 GRAMS = {"g": 1.0, "mg": 1e-3, "kg": 1e3}
 """Supported units of mass, with their sizes in g."""
-_COLUMN = re.compile(rf"({'|'.join(ORGANS)})_(fresh|dry|foil_scraped|foil)_(\w+)")
+COLUMN = re.compile(rf"({'|'.join(ORGANS)})_(fresh|dry|foil_scraped|foil)_(\w+)")
+"""Name of a column with masses: organ, kind of mass, and unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class Weighed:
 
 def has_masses(head: Collection[str]) -> bool:
     """Return whether the column names belong to a table of masses."""
-    return any((match := _COLUMN.fullmatch(column)) is not None and f"{match[1]}_{match[2]}" in KINDS for column in head)
+    return any((match := COLUMN.fullmatch(column)) is not None and f"{match[1]}_{match[2]}" in KINDS for column in head)
 
 
 def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
@@ -77,7 +78,7 @@ def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
         raise UserError(f"{path}: the column 'plant' is missing; add it with the plant names used in the datasets")
     found: dict[str, tuple[str, float]] = {}
     for column in head:
-        match = _COLUMN.fullmatch(column)
+        match = COLUMN.fullmatch(column)
         if match is None:
             continue
         if match[3] not in GRAMS:

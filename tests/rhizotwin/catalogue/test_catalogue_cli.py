@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from rhizotwin.catalogue import sources
+from rhizotwin.catalogue import export, sources
 from rhizotwin.catalogue.records import Plant
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.scenes.dataset import load_dataset
@@ -23,10 +23,12 @@ def test_commands_of_a_catalogue_and_those_that_accept_one(tmp_path: Path, comma
             sha256 = make_dataset(f"{plant}_{day:g}", **whose).sha256
             changes = {"volume_mm3": volume + 10.0 * day}
             make_result(f"{plant}_{day:g}", sha256=sha256, focal=1.0 + 0.001 * day, changes=changes, **whose)
-    files = (tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
+    files = (tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv", tmp_path / "solution.csv")
     files[2].write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
+    readings = "P1,5,,5.8,1400,5.4,0.1\nP1,6,no,6.1,1380,5.3,0.1\nP1,6,yes,5.8,1400,5.4,0.1\n"
+    files[3].write_text(f"plant,day,renewed,pH,volume_ml,K_mmol_per_l,K_sd_mmol_per_l\n{readings}")
     file = tmp_path / "my.rhizotwin"
-    assert "added 4 datasets, 4 results and 1 mass table" in command.works("catalogue", "add", file, *files).out
+    assert "added 4 datasets, 4 results and 2 tables" in command.works("catalogue", "add", file, *files).out
     assert "low N" in command.works("catalogue", "list", file, "plants").out
     assert "2 rows" in command.works("catalogue", "list", file, "scans", "--plant", "P2").out
     assert command.works("catalogue", "list", file, "--plant", "P2").out.split()[:6] == ["plants", "1", "scans", "2", "results", "2"]
@@ -35,16 +37,28 @@ def test_commands_of_a_catalogue_and_those_that_accept_one(tmp_path: Path, comma
     assert "no difference" in command.works("catalogue", "check", file).out
     command.works("catalogue", "export", file, "-o", tmp_path / "tables")
     assert (tmp_path / "tables" / "masses.csv").read_text().startswith("plant,day,kind,grams,source\nP1,6,root_fresh,0.9,masses.csv\n")
+    lines = (tmp_path / "tables" / "readings.csv").read_text().splitlines()
+    assert lines[:2] == ["plant,day,renewed,quantity,value,sd,unit,source", "P1,5,0,pH,5.8,,,solution.csv"]
+    assert "P1,6,1,K,5.4,0.1,mmol/l,solution.csv" in lines
+    command.works("catalogue", "add", file, files[3])
+    assert "9 rows" in command.works("catalogue", "list", file, "readings", "--plant", "P1").out, "a table that is added again is replaced"
+    other = tmp_path / "other.csv"
+    other.write_text("plant,day,pH\nP1,5,5.9\n")
+    assert "the pH of plant P1 is also in solution.csv" in command("catalogue", "add", file, other).out
+    other.write_text("plant,day,colour\nP1,5,green\n")
+    assert "contains neither masses nor readings" in command("catalogue", "add", file, other).out
     assert "report: " in command.works("catalogue", "report", file, "-o", tmp_path / "report").out
     assert (tmp_path / "report" / "catalogue.html").stat().st_size > 5000
     rebuilt = tmp_path / "new.rhizotwin"
     command.works("catalogue", "rebuild", rebuilt, *files)
     with Catalogue.open(file) as old, Catalogue.open(rebuilt) as new:
         assert [new.scans(), new.results(), new.masses()] == [old.scans(), old.results(), old.masses()]
+        assert export.table(new, "readings") == export.table(old, "readings")
     command.fails("catalogue", "rebuild", rebuilt, tmp_path / "scans", named=["already exists"])
     assert "P1" in command.works("traits", file).out
     command.works("growth", file, "-o", tmp_path / "growth")
     assert (tmp_path / "growth" / "masses.csv").is_file()
+    assert "P1,control,K,5,6," in (tmp_path / "growth" / "uptake.csv").read_text()
     command.fails("biomass", "fit", file, "-o", tmp_path / "model.json", named=["plants"])  # two are too few, but both were found
     with Catalogue.open(file) as opened:  # phantoms are left out of growth
         opened.add_plant(Plant(name="P2", phantom=True))
