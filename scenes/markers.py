@@ -12,9 +12,9 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import MarkerStrip
 
 LARGE_DICTIONARY = "APRILTAG_36h10"
-"""Dictionary of the strips of canisters for which the dictionary of a scene is too small. It is the largest of OpenCV
-(2320 markers), with at least 10 different cells between two markers. After the correction of 2 (3) wrong cells by
-OpenCV, no flawless marker of it is read as one of APRILTAG_36h11, or vice versa, because they differ by 4 or more."""
+"""Dictionary of the strips of canisters for which the dictionary of a scene is too small. It is the largest of OpenCV,
+with 2320 markers that differ by 10 or more cells. From those of APRILTAG_36h11 they differ by 4 or more. No flawless
+marker is read as one of the other dictionary, because OpenCV corrects at most 3 wrong cells."""
 MOST_COMMON = 2
 """Maximum number of markers that the strips of two canisters have in common. Any four markers of a strip thus include
 two or more that are not on a given other strip."""
@@ -97,7 +97,7 @@ def marker_ids(dictionary: str, first_id: int, markers: int) -> NDArray[np.int64
     """
     size, count = len(get_dictionary(dictionary).bytesList), strip_count(dictionary, first_id, markers)
     number, rest = divmod(first_id, max(markers, 1))
-    if number >= count:
+    if not 0 <= number < count:
         raise UserError(
             f"the marker dictionary {dictionary} has {size} markers, enough for {count} strips of {markers} markers, but not for the strip "
             f"with first_id = {first_id}; use a smaller first_id, fewer columns or a larger dictionary, such as {LARGE_DICTIONARY}"

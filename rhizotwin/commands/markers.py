@@ -43,13 +43,14 @@ def markers(
         Thickness of the paper in mm. The length of the strip is chosen such that the outer radius of the glued paper is
         net_pot.outer_radius_mm of the scene.
     labels : int, optional
-        Write the strips of the canisters 1 to N. Each strip has different marker numbers, by which a scan identifies
-        the canister ('rhizotwin timelapse', 'rhizotwin scan --catalogue').
+        Write the strips of the canisters 1 to N. Each strip has different markers, by which a scan identifies the
+        canister ('rhizotwin timelapse', 'rhizotwin scan --catalogue'). The dictionary and first_id of each strip are
+        printed, for [strip] in the scene of a canister.
 
     Examples
     --------
     rhizotwin markers printed_8ml -o strip.pdf
-    rhizotwin markers my_scene.toml -o strips.pdf --labels 6
+    rhizotwin markers my_scene.toml -o strips.pdf --labels 18
     rhizotwin markers my_scene.toml -o strip.svg --page a3 --landscape
     rhizotwin markers my_scene.toml -o strip.pdf --printed-ruler-mm 99.6x99.8
     """

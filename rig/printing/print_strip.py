@@ -146,9 +146,9 @@ def _wrapping_notes(flat: FlatStrip) -> list[str]:
     across_mm = 2.0 * flat.net_pot.outer_radius_mm
     return [
         "Cut along the grey lines. Glue each piece's left edge on the line where the",
-        "white tab of the previous piece begins; the last tab goes under the first",
-        f"piece, which closes at the seam: {flat.length_mm:.1f} mm round, for paper {flat.paper_mm:g} mm thick.",
-        "Arrows point up. Use pieces of the same strip only. After wrapping, measure across the pot over",
+        "white tab of the previous piece of the same strip begins; the last tab goes under",
+        f"the first piece, closing at the seam: {flat.length_mm:.1f} mm round, for paper {flat.paper_mm:g} mm thick.",
+        "Arrows point up. After wrapping, measure the diameter of the pot over",
         f"the paper: it must be {across_mm:.1f} mm. If not, enter half of the measured value in",
         "the scene as net_pot.outer_radius_mm, and print the strip again.",
     ]
@@ -194,7 +194,7 @@ def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list
         _arrow(left_mm + 3.0, top_mm - 2.0),
         Text(at_mm=(left_mm + 5.5, top_mm - 3.5), text=f"up; strip {number}, piece {piece.number + 1}", height_mm=1.8),
     ]
-    tab = f"tab: glue under piece {1 if last_of_all else piece.number + 2} of strip {number}"
+    tab = f"glue under piece {1 if last_of_all else piece.number + 2} of strip {number}"
     parts += [Text(at_mm=(end_mm + TAB_MM / 2.0 + 0.8, bottom_mm - 1.5), text=tab, height_mm=1.5, grey=0.4, turned=True)]
     if piece.first == 0:
         parts += [Shape(points_mm=np.array([[left_mm, top_mm], [left_mm + 1.0, top_mm], [left_mm, top_mm + 1.6]]))]
@@ -240,7 +240,7 @@ def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> lis
         text = " ".join(map(str, ids[:, column]))
         parts.append(Text(at_mm=(middle_mm, baseline_mm), text=text, height_mm=LABEL_MM, grey=0.3, align="center"))
         if fits and column == piece.first:
-            parts.append(_arrow(middle_mm - 0.4 * strip.marker_mm, baseline_mm, high_mm=LABEL_MM))
+            parts.append(_arrow(middle_mm - 0.5 * strip.marker_mm, baseline_mm, high_mm=LABEL_MM))
     return parts
 
 

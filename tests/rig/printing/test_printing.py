@@ -17,6 +17,7 @@ from rhizotwin.rig.printing.print_page import PAGES_MM, Line, Page, Paper
 from rhizotwin.rig.printing.print_strip import strip_pages
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.markers import get_dictionary, strip_ids
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 DPI = 300
@@ -39,12 +40,11 @@ def edge_mm(row: NDArray[np.float64], *, rising: bool) -> float:
     return (k + 1.0 + (middle - row[k]) / (row[k + 1] - row[k]) - 0.5) / PX_PER_MM
 
 
-def found_markers(picture: NDArray[np.uint8]) -> dict[int, NDArray[np.float64]]:
-    """Return the markers of the strip's dictionary by id, corners (4, 2) in mm from the page's top left corner."""
+def found_markers(picture: NDArray[np.uint8], dictionary: str = "APRILTAG_36h11") -> dict[int, NDArray[np.float64]]:
+    """Return the markers of a dictionary by id, corners (4, 2) in mm from the page's top left corner."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # returns corners with the pixel's edge at integers
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture)
+    corners, ids, _ = cv2.aruco.ArucoDetector(get_dictionary(dictionary), parameters).detectMarkers(picture)
     assert ids is not None
     assert len(set(np.ravel(ids).tolist())) == len(np.ravel(ids)), "a marker was found twice"
     return {int(k): np.asarray(c, np.float64).reshape(4, 2) / PX_PER_MM for k, c in zip(np.ravel(ids), corners, strict=True)}
@@ -85,10 +85,11 @@ def test_thick_paper_is_drawn_shorter_by_what_bending_stretches() -> None:
 
 
 def test_pieces_of_several_pages_hold_every_column_once() -> None:
-    pages = strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0)), paper_mm=0.0)
+    strip = MarkerStrip(dictionary="APRILTAG_36h10", first_id=199 * 62)  # of canister 200, which is coded
+    pages = strip_pages(replace(SCENE, strip=strip), paper=Paper(size_mm=(200.0, 140.0)), paper_mm=0.0)
     assert len(pages) > 2
-    ids = [k for page in pages for k in found_markers(drawn(page, dpi=150))]
-    assert sorted(ids) == list(range(62))
+    ids = [k for page in pages for k in found_markers(drawn(page, dpi=150), strip.dictionary)]
+    assert sorted(ids) == sorted(strip_ids(strip).ravel())
 
 
 def test_the_ruler_and_the_square_come_out_right() -> None:
