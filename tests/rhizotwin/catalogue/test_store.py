@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
-import numpy as np
 import pytest
 
 from rhizotwin.catalogue import adding, export, report, schema, sources
@@ -15,9 +14,10 @@ from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import MarkerStrip
-from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.scenes.rsml import write_rsml
 from rhizotwin.scenes.solution import Solution
 from tests.rhizotwin.catalogue.conftest import SCENE
+from tests.roots import straight
 
 TAG = Tag(dictionary="APRILTAG_36h11", first_id=62, markers=62)
 
@@ -68,7 +68,7 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
         assert [(one.plant, one.kind, one.grams) for one in catalogue.masses()] == [("P1", "root_fresh", 0.4)]
     assert check(catalogue) == []
     assert sources.expand_scans([str(catalogue.path)]) == [str(dataset.folder)]
-    assert sources.expand_results([catalogue.path], masses=True) == [result, masses]
+    assert sources.expand_results([catalogue.path], tables=True) == [result, masses]
     assert "P1,control" in export.table(catalogue, "traits").csv()
 
 
@@ -82,8 +82,7 @@ def test_one_result_is_chosen_for_a_scan_that_is_not_listed(catalogue: Catalogue
 
 
 def test_wires_are_charted_at_their_dates_where_enough_was_found(catalogue: Catalogue, make_result):
-    line = np.linspace((0.0, 0.0, 0.0), (0.0, 0.0, -60.0), 5)
-    wire = Root(points_mm=line, diameters_mm=np.full(5, 0.4), order=0, parent=-1)
+    wire = straight((0.0, 0.0, 0.0), (0.0, 0.0, -60.0))
     for day in ("2026-12-01", "2026-12-08"):
         folder = make_result(day, plant="wires", date=day)
         write_rsml(folder / "roots.rsml", [wire])
