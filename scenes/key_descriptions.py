@@ -96,7 +96,7 @@ def to_commented_toml(plain: Mapping[str, Any]) -> str:
                 kind = next(kinds)
             if table.startswith("specimen."):
                 table = table.replace("specimen.", f"specimen.{kind}.", 1)
-            if why := said.get(header[1]):  # the table has free keys
+            if why := said.get(header[1] if line.startswith("[[") else table.removesuffix(".")):  # the table has free keys
                 lines += _comment(why)
         elif (key := re.match(r"(\w+) = ", line)) and (why := said.get(table + key[1])):
             lines += _comment(why)
