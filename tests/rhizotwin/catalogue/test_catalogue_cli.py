@@ -82,18 +82,18 @@ def test_wrong_folders_and_damaged_entries_are_reported(tmp_path: Path, command:
 
 
 def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
-    file, scene, canister_2 = tmp_path / "my.rhizotwin", tmp_path / "scene.toml", tmp_path / "canister_2.toml"
+    file, scene, coded = tmp_path / "my.rhizotwin", tmp_path / "scene.toml", tmp_path / "canister_120.toml"
     save_scene(SCENE, scene)
-    save_scene(replace(SCENE, strip=replace(SCENE.strip, first_id=22)), canister_2)
-    for number, treatment in ((1, "control"), (2, "low N")):
+    save_scene(replace(SCENE, strip=replace(SCENE.strip, first_id=119 * 22)), coded)
+    for number, treatment in ((1, "control"), (120, "low N")):
         words = ("catalogue", "plant", file, f"P{number}", "--canister", number, "--scene", scene)
         command.works(*words, "--treatment", treatment, "--sown", "2026-11-20")
-    scan = ("scan", "--scene", canister_2, *SKETCH, "--catalogue", file, "--date", "2026-12-01", "-o")
-    assert "plant: P2, treatment low N, day 11" in command.works(*scan, tmp_path / "d").out
-    assert load_dataset(tmp_path / "d").scene.subject.plant == "P2"
+    scan = ("scan", "--scene", coded, *SKETCH, "--catalogue", file, "--date", "2026-12-01", "-o")
+    assert "plant: P120, treatment low N, day 11" in command.works(*scan, tmp_path / "d").out
+    assert load_dataset(tmp_path / "d").scene.subject.plant == "P120"
     with Catalogue.open(file) as opened:
-        assert [(one.plants, one.day) for one in opened.scans()] == [(("P2",), 11.0)]
-    command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is P2 instead of P1; put P1 on the turntable"])
+        assert [(one.plants, one.day) for one in opened.scans()] == [(("P120",), 11.0)]
+    command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is P120 instead of P1; put P1 on the turntable"])
     assert not list(tmp_path.glob("e/images/*"))
 
 

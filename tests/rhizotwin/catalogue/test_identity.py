@@ -1,6 +1,7 @@
 """Identity of a canister: the code of its strip, simulated detections with misread markers, and pictures of strips.
 
-With 10,000 instead of `PICTURES` simulated detections, no identity was wrong, and 13 were rejected; 0 and 488 with 20 % of misread markers.
+With 10,000 simulated detections instead of `PICTURES`, no identity was wrong, and 13 pictures were rejected. With 20 % of
+misread markers, none was wrong, and 488 were rejected.
 """
 
 from dataclasses import replace
