@@ -163,7 +163,7 @@ class _Scan:
             self._coverage[key],
             finest_mm=finest_mm,
             slack_px=0.0,
-            ignore_blindness=assumed.blind_carves,
+            min_votes=len(cameras.order) if assumed.blind_carves else None,
             monitor=Monitor(),
         )
 
@@ -306,7 +306,7 @@ def _timed(carved: CarvedHull, assumed: Assumptions) -> tuple[Carved, int]:
     def seconds(lattices: Sequence[Grid]) -> float:
         began = time.process_time()
         for lattice in lattices:
-            carve.carve(carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, ignore_blindness=assumed.blind_carves)
+            carve.carve(carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, min_votes=carved.bank.count if assumed.blind_carves else None)
         return time.process_time() - began
 
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)

@@ -58,7 +58,7 @@ def carve_hull(
     finest_mm: float,
     slack_px: float,
     monitor: Monitor,
-    ignore_blindness: bool = False,
+    min_votes: int | None = None,
 ) -> CarvedHull:
     """Carve the visual hull of the silhouettes.
 
@@ -68,7 +68,7 @@ def carve_hull(
     ----------
     finest_mm : float
         Edge length of the finest octree nodes, mm.
-    slack_px, ignore_blindness : float, bool
+    slack_px, min_votes : float, int
         See `carve.carve`.
 
     Raises
@@ -87,7 +87,7 @@ def carve_hull(
         water = water_space(dataset.scene, cameras)
         grid = water.grid(finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
-            hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
+            hull = carve.carve(bank, maps, grid, water, min_votes=min_votes, slack_px=slack_px, progress=step)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
             f"{dataset.folder}: the silhouettes have no volume in common, so no shape can be reconstructed. "

@@ -5,7 +5,7 @@ The stages are called in this order: Dataset -> Cameras -> Coverage -> hull -> r
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.roots import crown, plants, rooting
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
-from rhizotwin.recon.settings import Settings, TrustSettings
+from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, picture_checks, root_uncertainty, root_width, scattered_light, shape_checks
@@ -85,37 +85,96 @@ def reconstruct(
     Cancelled
         If `Monitor.cancel` was called.
     """
-    dataset, settings = dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings or Settings()
-    stages, monitor = StageFolder.begin(keep_stages), _start_monitor(monitor)
-    pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
-    cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
-    cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
-    cameras, coverage = cameras.leave_out({}, unread=pictures.left_out), stages.keep("coverage", coverage)
-    pictures = replace(pictures, images=(), measured={})  # they take as much memory as all later stages
-    (hull, tree), roots = _hull_and_tree(pictures, cameras, coverage, settings, stages, monitor), None
-    cameras = hull.cameras
-    of_pictures, scattered = _checks(pictures, cameras, coverage, settings.trust), _scattered_fraction(pictures, cameras, coverage)
-    if tree is not None:
-        cameras, settled = _finish_roots(tree, hull.water.top_mm, monitor)
-        roots = stages.keep("roots", settled, leave=_ON_DEVICE)
-        remeasured = remeasure_coverage(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
-        if remeasured is not coverage or (cameras.roots is not None and cameras.roots.believed):
-            del hull  # later stages use one calibration and one attenuation
-            coverage = remeasured
-            hull = stages.keep("hull_again", carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
-    solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, scattered=scattered, monitor=monitor))
-    checked = checks.name_cause((*of_pictures, *solid.checks, shape_checks.check_forks(solid.roots)))
-    solid, of_plants, plants_said = _divide_plants(_apply_checks(solid, checked), dataset.scene)
-    shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
-    warnings = (*pictures.warnings, *cameras.warnings, *_root_warnings(solid, roots), *plants_said, *shoot_said)
-    found = gather(pictures, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
-    return replace(found, mass_g=mass_g, estimates=_estimates(hull, solid, scattered, monitor), plants=of_plants, shoot=shoot)
+    scan = _measure_scan(dataset, settings or Settings(), StageFolder.begin(keep_stages), _start_monitor(monitor))
+    shape = _find_shape(scan)
+    solid = scan.stages.keep(
+        "solid", shaping.make_solid(shape.hull, shape.roots, shape.coverage, scan.settings, scattered=shape.scattered, monitor=scan.monitor)
+    )
+    checked = checks.name_cause((*shape.checks, *solid.checks, shape_checks.check_forks(solid.roots)))
+    divided, of_plants, of_division = _divide_plants(_apply_checks(solid, checked), scan.dataset.scene)
+    shoot, of_shoot = find_shoot(scan.dataset, settings=scan.settings, monitor=scan.monitor)
+    warnings = (*scan.pictures.warnings, *shape.cameras.warnings, *_root_warnings(divided, shape.roots), *of_division, *of_shoot)
+    result = gather(
+        scan.pictures,
+        shape.cameras,
+        shape.coverage,
+        divided,
+        warnings=warnings,
+        checked=checked,
+        settings=to_plain(scan.settings),
+        monitor=scan.monitor,
+    )
+    estimates = _estimates(shape.hull, divided, shape.scattered, scan.monitor)
+    return replace(result, mass_g=mass_g, estimates=estimates, plants=of_plants, shoot=shoot)
 
 
-def _finish_roots(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
-    """Calibrate the cameras from the roots, and refine the roots. Return the cameras and the refined roots."""
-    tree = rooting.calibrate(tree, monitor=monitor)
-    return tree.cameras, crown.mark_hidden(rooting.finish_tree(tree, monitor=monitor), top_mm)
+@dataclass(frozen=True, kw_only=True)
+class _Scan:
+    """Pictures of a scan, with the cameras that the markers determine, and the coverage."""
+
+    pictures: Pictures
+    """Pictures, without their images."""
+    cameras: Cameras
+    coverage: Coverage
+    settings: Settings
+    stages: StageFolder
+    monitor: Monitor
+
+    @property
+    def dataset(self) -> Dataset:
+        """Dataset of the pictures."""
+        return self.pictures.dataset
+
+    def carve(self, cameras: Cameras, coverage: Coverage | None = None) -> carved_hull.CarvedHull:
+        """Carve the hull with given cameras, and with the coverage of the scan or another one."""
+        return carved_hull.find_hull(self.dataset, cameras, coverage or self.coverage, self.settings, monitor=self.monitor)
+
+
+def _measure_scan(dataset: Dataset | Path | str, settings: Settings, stages: StageFolder, monitor: Monitor) -> _Scan:
+    """Read the pictures, find the cameras, and measure the coverage."""
+    read = read_pictures(dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings=settings.pictures, monitor=monitor)
+    pictures = verify_curve(read, monitor=monitor)
+    marked = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
+    cameras, coverage = measure_coverage(pictures, marked, settings=settings.coverage, monitor=monitor)
+    return _Scan(
+        pictures=replace(pictures, images=(), measured={}),  # they take as much memory as all later stages
+        cameras=cameras.leave_out({}, unread=pictures.left_out),
+        coverage=stages.keep("coverage", coverage),
+        settings=settings,
+        stages=stages,
+        monitor=monitor,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Shape:
+    """Hull and roots, with the cameras and the coverage from which they were reconstructed."""
+
+    hull: carved_hull.CarvedHull
+    roots: RootSystem | None
+    cameras: Cameras
+    coverage: Coverage
+    checks: tuple[Check, ...]
+    """Checks of the pictures."""
+    scattered: float | None
+    """Fraction of light that is scattered around roots; None if the pictures do not show it."""
+
+
+def _find_shape(scan: _Scan) -> _Shape:
+    """Reconstruct hull and roots, with the cameras and the attenuation that the roots determine."""
+    hull, tree = _follow_sway(scan)
+    of_pictures, scattered = _checks(scan, hull.cameras), _scattered_fraction(scan, hull.cameras)
+    if tree is None:
+        return _Shape(hull=hull, roots=None, cameras=hull.cameras, coverage=scan.coverage, checks=of_pictures, scattered=scattered)
+    calibrated = rooting.calibrate(tree, monitor=scan.monitor)
+    cameras, finished = calibrated.cameras, rooting.finish_tree(calibrated, monitor=scan.monitor)
+    roots = scan.stages.keep("roots", crown.mark_hidden(finished, hull.water.top_mm), leave=_ON_DEVICE)
+    mu_per_mm = roots.attenuation.mu_per_mm
+    coverage = remeasure_coverage(scan.coverage, cameras, mu_per_mm, settings=scan.settings.coverage, monitor=scan.monitor)
+    if coverage is not scan.coverage or (cameras.roots is not None and cameras.roots.believed):
+        del hull  # later stages use one calibration and one attenuation
+        hull = scan.stages.keep("hull_again", scan.carve(cameras, coverage), leave=_ON_DEVICE)
+    return _Shape(hull=hull, roots=roots, cameras=cameras, coverage=coverage, checks=of_pictures, scattered=scattered)
 
 
 def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
@@ -178,52 +237,50 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | 
         )
 
 
-def _hull_and_tree(
-    pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
-) -> tuple[carved_hull.CarvedHull, RootTree | None]:
+def _follow_sway(scan: _Scan) -> tuple[carved_hull.CarvedHull, RootTree | None]:
     """Reconstruct the hull and the root tree. Both are reconstructed again if the roots moved between the pictures."""
-    dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
-    tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
+    hull = _first_hull(scan)
+    tree = shaping.find_roots(hull, scan.coverage, scan.dataset.scene, monitor=scan.monitor)
     for _ in range(_SWAYS):
         if tree is None or not rooting.has_swayed(tree, hull.cameras):
             break
         cameras, known = tree.cameras, tree.attenuation
         del hull, tree  # free their memory before they are replaced
-        hull = carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-        tree = shaping.find_roots(hull, coverage, dataset.scene, known=known, monitor=monitor)
-    return stages.keep("hull", hull, leave=_ON_DEVICE), tree
+        hull = scan.carve(cameras)
+        tree = shaping.find_roots(hull, scan.coverage, scan.dataset.scene, known=known, monitor=scan.monitor)
+    return scan.stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
-def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> carved_hull.CarvedHull:
+def _first_hull(scan: _Scan) -> carved_hull.CarvedHull:
     """Carve the hull, and carve it again without the views that contradict all others.
 
     If the hull is empty, the reasons why checks of the pictures failed are appended to the error message, because they
     are usually the cause.
     """
-    dataset = pictures.dataset
     hull: carved_hull.CarvedHull | UserError
     try:
-        hull = carved_hull.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-        if carved_hull.missed_share(hull) <= settings.trust.missed[0]:
+        hull = scan.carve(scan.cameras)
+        if carved_hull.missed_share(hull) <= scan.settings.trust.missed[0]:
             return hull
     except UserError as error:
-        failed = checks.failure_reasons(_checks(pictures, cameras, coverage, settings.trust))
+        failed = checks.failure_reasons(_checks(scan, scan.cameras))
         hull = UserError("; ".join([str(error).removesuffix("."), *failed]) + ".")
-    wrong = carved_hull.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
+    wrong = carved_hull.find_wrong_views(scan.dataset, scan.cameras, scan.coverage, monitor=scan.monitor)
     if wrong:
         del hull
-        return carved_hull.find_hull(dataset, cameras.leave_out(wrong), coverage, settings, monitor=monitor)
+        return scan.carve(scan.cameras.leave_out(wrong))
     if isinstance(hull, UserError):
         raise hull
     return hull
 
 
-def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
-    """Check the quality of the pictures.
+def _checks(scan: _Scan, cameras: Cameras) -> tuple[Check, ...]:
+    """Check the quality of the pictures of some cameras.
 
     Some checks are skipped if the dataset contains masks instead of pictures, or if it specifies the cameras.
     """
-    dataset, found, order = pictures.dataset, cameras.markers, sorted(cameras.order)
+    pictures, coverage, trust = scan.pictures, scan.coverage, scan.settings.trust
+    dataset, found, order = scan.dataset, cameras.markers, sorted(cameras.order)
     drawn = [coverage.silhouettes[k] for k in order]
     azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
     width_px = root_width.thin_width_px(drawn[:: max(1, len(drawn) // _WIDTH_VIEWS)])
@@ -245,10 +302,11 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
     return tuple(made)
 
 
-def _scattered_fraction(pictures: Pictures, cameras: Cameras, coverage: Coverage) -> float | None:
+def _scattered_fraction(scan: _Scan, cameras: Cameras) -> float | None:
     """Return the fraction of light that is scattered around roots; None if the pictures do not show it."""
     order = sorted(cameras.order)
-    return scattered_light.scattered_fraction([coverage.silhouettes[k] for k in order], [pictures.frames[k].station for k in order])
+    stations = [scan.pictures.frames[k].station for k in order]
+    return scattered_light.scattered_fraction([scan.coverage.silhouettes[k] for k in order], stations)
 
 
 def gather(

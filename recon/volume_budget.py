@@ -138,10 +138,10 @@ def _solid_terms(carved: CarvedHull, shape: UnitedShape, settings: Settings, mis
 
 
 def _merged_term(carved: CarvedHull, roots: Sequence[Root], volume_mm3: float) -> Term:
-    """Return the term of roots that may be merged into thicker ones."""
-    share = root_uncertainty.merged_share(roots, carved.bank, carved.silhouettes[0].coverage.shape)
-    why = "many roots overlap in few views, so that some may be merged into thicker ones"
-    return Term(name="merged roots", less_mm3=share * volume_mm3, more_mm3=0.0, why=why)
+    """Return the term of roots that may be merged into thicker ones, or lost among others."""
+    less, more = root_uncertainty.merged_volume(roots, carved.bank, carved.silhouettes[0].coverage.shape)
+    why = "many roots overlap, so that some may be merged into thicker ones, or lost if they are thinner than half a pixel"
+    return Term(name="merged roots", less_mm3=less * volume_mm3, more_mm3=more * volume_mm3, why=why)
 
 
 def _hidden_top(carved: CarvedHull, roots: Sequence[Root]) -> HiddenTop | None:

@@ -214,6 +214,7 @@ def export(
     dataset: Dataset | str | Path | None = None,
     roots: Literal["order", "diameter"] | None = None,
     undistorted: bool = False,
+    rays: bool = False,
     monitor: Progress = None,
 ) -> list[Path]:
     """Write a result in a file format of other programs.
@@ -233,6 +234,8 @@ def export(
         Mesh formats only: write the roots as tubes, coloured by this property.
     undistorted : bool
         Write the pictures with refraction removed, and their cameras, to the folder ``output``.
+    rays : bool
+        Write the line of sight in the water of each pixel to the folder ``output``.
     monitor : Monitor, tqdm class, callable or None
         Receiver of the progress.
 
@@ -244,8 +247,9 @@ def export(
     from rhizotwin.exporter import exports
 
     pictures = dataset_folder(dataset)
+    refraction = exports.choose(undistorted=undistorted, rays=rays)
     with watch(monitor, {"pictures": 1.0}) as bar, result_folder(result) as source:
-        return exports.export(source, Path(output), dataset_folder=pictures, roots=roots, undistorted=undistorted, monitor=bar)
+        return exports.export(source, Path(output), dataset_folder=pictures, roots=roots, refraction=refraction, monitor=bar)
 
 
 def scan(

@@ -4,8 +4,9 @@ The unit of a field is part of its name. Inclusive limits are stored as ``limits
 enforced by `scenes.schema`.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+import textwrap
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.disturbances import Disturbances
@@ -18,6 +19,9 @@ from rhizotwin.scenes.subject import Subject
 
 if TYPE_CHECKING:
     from rhizotwin.scenes.frames import Array
+
+_REPR_WIDTH = 120
+"""Maximum width of the line of a part of a scene in its text, in characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,6 +337,17 @@ class Scene:
     """Shoot above the net pot. It is None if there is no shoot, or if the shoot is unknown."""
     disturbances: Disturbances = field(default_factory=Disturbances)
 
+    def __repr__(self) -> str:
+        """Return name, description, and one line for each part that differs from the default scene."""
+        default = Scene()
+        lines = [f"Scene {self.name!r}: {self.description}".removesuffix(": ")]
+        for part in fields(self)[2:]:
+            value, usual = getattr(self, part.name), getattr(default, part.name)
+            if value != usual:
+                changed = _changed_fields(value, usual) if is_dataclass(value) and is_dataclass(usual) else repr(value)
+                lines.append(textwrap.shorten(f"{part.name}: {changed}", _REPR_WIDTH, placeholder=" ..."))
+        return "\n  ".join(lines)
+
     def lights_in(self, band: str) -> Lights:
         """Return the lights in a band of the camera. If the name is empty, the lights of the scene are returned."""
         lights = self.lights
@@ -355,3 +370,9 @@ class Scene:
     def is_planted(self) -> bool:
         """Whether it is known what is in the canister."""
         return self.specimen is not None or any(plant.specimen is not None for plant in self.plants)
+
+
+def _changed_fields(value: Any, usual: Any) -> str:
+    """Return the fields of a part of a scene that differ from those of another one."""
+    pairs = [(part.name, getattr(value, part.name), getattr(usual, part.name)) for part in fields(value)]
+    return ", ".join(f"{name} = {one!r}" for name, one, other in pairs if one != other)

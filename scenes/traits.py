@@ -81,7 +81,7 @@ class Traits:
     roots: int | None
     tips: int | None
     branch_points: int | None
-    """Number of points at which laterals emerge. Several laterals at the same point count once."""
+    """Number of points at which laterals emerge, one for each lateral."""
     length_by_order_mm: tuple[float, ...]
     """Total length of the roots of each order, mm. The first order is that of the taproots."""
     length_by_depth_mm: tuple[float, ...]
@@ -164,7 +164,7 @@ def measure_traits(
         lower_length_share=_below(pieces, top_mm - UPPER_SHARE * (top_mm - bottom_mm)) / total_mm if known else None,
         roots=len(roots) if known else None,
         tips=sum(root.tip_seen for root in roots) if known else None,
-        branch_points=_branch_points(roots) if known else None,
+        branch_points=sum(root.parent >= 0 for root in roots) if known else None,
         length_by_order_mm=_bin_lengths(pieces.order, pieces.length) if known else (),
         length_by_depth_mm=_by_depth(pieces, top_mm) if known else (),
         length_by_diameter_mm=_bin_lengths(by_diameter, pieces.length) if known else (),
@@ -188,11 +188,11 @@ def _branching(roots: Sequence[Root]) -> dict[str, float | None]:
     for root, position in zip(roots, branch_positions_mm(roots), strict=True):
         if position is not None:
             places.setdefault(root.parent, []).append(position)
-    zones = [(max(found) - min(found), len(set(found)) - 1, len(found)) for found in places.values() if len(set(found)) > 1]
-    zone_mm = sum(length for length, _, _ in zones)
+    zones = [(max(found) - min(found), len(found)) for found in places.values() if max(found) > min(found)]
+    zone_mm = sum(length for length, _ in zones)
     return {
-        "branch_distance_mm": zone_mm / sum(gaps for _, gaps, _ in zones) if zones else None,
-        "lateral_density_per_cm": 10.0 * sum(laterals for _, _, laterals in zones) / zone_mm if zones else None,
+        "branch_distance_mm": zone_mm / sum(laterals - 1 for _, laterals in zones) if zones else None,
+        "lateral_density_per_cm": 10.0 * sum(laterals for _, laterals in zones) / zone_mm if zones else None,
     }
 
 
@@ -276,11 +276,6 @@ def _root_counts(pieces: _Segments) -> tuple[float, float]:
     count = np.cumsum(change)[:planes]
     met = count[count > 0]
     return (float(np.percentile(met, MOST_PERCENT)), float(np.median(met))) if len(met) else (1.0, 1.0)
-
-
-def _branch_points(roots: Sequence[Root]) -> int:
-    places = {(root.parent, *np.round(root.points_mm[0], 3).tolist()) for root in roots if root.parent >= 0}
-    return len(places)
 
 
 def branch_positions_mm(roots: Sequence[Root]) -> list[float | None]:

@@ -84,7 +84,6 @@ def carve(
     *,
     min_votes: int | None = None,
     slack_px: float = 0.3,  # same default as in `HullSettings`
-    ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
 ) -> Hull:
     """Carve the visual hull of the silhouettes out of the water.
@@ -99,15 +98,13 @@ def carve(
     slack_px : float
         Uncertainty of the outlines, px. `Hull.moved_in_mm3` and ``moved_out_mm3`` are the volumes for outlines moved by
         this distance.
-    ignore_blindness : bool
-        Whether a view that does not show a node carves it, as in the thesis.
     progress : callable, optional
         Function called after each level of the octree.
     """
     passes.add("carvings")
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
     votes = least_votes(bank.count) if min_votes is None else min_votes
-    carving, nodes = _Carving(bank, maps, grid, water, votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
+    carving, nodes = _Carving(bank, maps, grid, water, votes, slack_px), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
     done = [_Classified(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
     for level in range(grid.levels + 1):
         by_parent = level > 0 and grid.edge_mm(level) <= BY_PARENT_MM
@@ -159,7 +156,6 @@ class _Carving:
     water: Water
     min_votes: int
     slack_px: float
-    ignore_blindness: bool
 
     def classify(self, part: list[Int32], level: int, *, by_parent: bool) -> _Classified | None:
         """Classify the nodes of one level, or return None if all of them lie outside the water.
@@ -178,7 +174,7 @@ class _Carving:
                 return None
         about = _centres(grid, part, 2.0 * edge_mm if by_parent else edge_mm)
         parts = marks.corners(half_mm) if by_parent else [mi.Vector3f(dr.opaque(mi.Float, 0.0))]
-        marked = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
+        marked = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px))
         part = _split(part) if by_parent else part
         point = _centres(grid, part, edge_mm)
         empty, partial, votes, depth, scale = marked.empty, marked.partial, marked.votes, marked.depth, marked.scale

@@ -82,9 +82,7 @@ class Marks:
         return self.votes | dr.select(self.empty, mi.UInt32(_EMPTY), zero) | dr.select(self.partial, mi.UInt32(_PARTIAL), zero)
 
 
-def mark_nodes(
-    bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float, ignore_blindness: bool
-) -> Marks:
+def mark_nodes(bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float) -> Marks:
     """Classify nodes in all views. A node is not tested further after the first view in which it is empty.
 
     Only ``point`` is projected with refraction at the canister. Nodes around it are located with the Jacobian of that
@@ -113,8 +111,6 @@ def mark_nodes(
             px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
             distance, usable = distance_maps.read(maps, view, px, p.visible & ~mark.empty)
             mark.add_view(distance, usable, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
-            if ignore_blindness:
-                mark.empty |= ~usable
         return view + 1, marks
 
     def undecided(view: UInt32, marks: list[Marks]) -> Bool:

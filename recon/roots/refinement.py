@@ -41,7 +41,7 @@ class TreeRefinement:
         tree = self.fit(tree).tubes
         tree = tips.place_tips(self.whole, tree, self.px_a_mm)
         proved = node_support.compute_support(Rendering.draw(self.evidence, tree))
-        gone = ghosts.find_ghosts(tree, proved, self.thick(tree), self.px_a_mm) | self.find_duplicates(tree)
+        gone = ghosts.find_ghosts(tree, proved, self.thick(tree), self.px_a_mm) | self.find_overlapping(tree)
         tree = tree.cut_detours(gone)
         return link_pieces(tree.keep(tree.prune_mask(gone)))
 
@@ -69,7 +69,7 @@ class TreeRefinement:
         fit = self.fit(tree)
         gone = ghosts.find_unsupported_starts(
             fit.tubes, node_support.compute_support(fit.rendering), self.thick(fit.tubes)
-        ) | self.find_duplicates(fit.tubes)
+        ) | self.find_overlapping(fit.tubes)
         tree = fit.tubes.cut_detours(gone)
         stays = tree.prune_mask(gone)
         return fit if stays.all() else self.fit(tree.keep(stays))
@@ -79,7 +79,7 @@ class TreeRefinement:
         drawn = Rendering.draw(self.evidence, tree)
         visible = tube_profiles.profiles(drawn).residual_gradient().visible
         tree, _ = linking.link(tree, ghosts.find_uncertain_ends(tree, visible, node_support.compute_support(drawn), self.thick(tree)))
-        return link_pieces(tree.keep(tree.prune_mask(self.find_duplicates(tree))))
+        return link_pieces(tree.keep(tree.prune_mask(self.find_overlapping(tree))))
 
     def fit(self, tree: Tubes) -> Fit:
         """Fit the tubes of a tree to the measured coverage."""
@@ -89,10 +89,9 @@ class TreeRefinement:
         """Return the mask (N,) of the nodes of thick roots."""
         return organs.is_thick(tree, self.px_a_mm)
 
-    def find_duplicates(self, tree: Tubes) -> Mask:
+    def find_overlapping(self, tree: Tubes) -> Mask:
         """Return the mask (N,) of nodes inside other tubes."""
-        flank_mm = ghosts.FLANK_PX / self.px_a_mm
-        return ghosts.find_duplicates(tree, self.thick(tree), flank_mm) | ghosts.find_enclosed(tree, flank_mm)
+        return ghosts.find_overlapping(tree, self.thick(tree), self.px_a_mm)
 
 
 def link_pieces(tree: Tubes) -> Tubes:

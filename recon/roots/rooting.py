@@ -201,7 +201,7 @@ def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, steps=steps, light=light)
         proved = node_support.compute_support(fit.rendering)
         gone = ghosts.find_ghosts(fit.tubes, proved, tree.thick, tree.px_a_mm)
-        gone |= ghosts.find_enclosed(fit.tubes, ghosts.FLANK_PX / tree.px_a_mm)
+        gone |= ghosts.find_overlapping(fit.tubes, tree.thick, tree.px_a_mm)
         found = fit.tubes.cut_detours(gone)
         stays = found.prune_mask(gone)
         found = found.keep(stays)

@@ -203,9 +203,10 @@ class Places:
         at = at[((at >= 0) & (at < usable.shape[::-1])).all(axis=1)]
         return at[usable[at[:, 1], at[:, 0]]]
 
-    def thin_share(self, limit_px: float) -> float:
-        """Return the fraction of the length that is thinner than a limit, px."""
-        return float(self.step_mm[2.0 * self.radius_mm * self.px_a_mm < limit_px].sum()) / max(float(self.step_mm.sum()), 1e-9)
+    def thin_share(self, limit_px: float, *, power: int = 0) -> float:
+        """Return the fraction of the length that is thinner than a limit, px; with a power of 2, of the volume."""
+        amount = self.step_mm * self.radius_mm**power
+        return float(amount[2.0 * self.radius_mm * self.px_a_mm < limit_px].sum()) / max(float(amount.sum()), 1e-9)
 
     def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed, Fixed, Fixed]:
         """Return segments of tubes from nodes (M,) to the next of their root, in OpenCV's drawing coordinates.

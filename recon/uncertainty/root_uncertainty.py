@@ -149,15 +149,27 @@ def _thin_objections(thin: float) -> tuple[str, ...]:
     return (f"{100.0 * thin:.0f} % of the length is thinner than half a pixel, and more may be missing (use a higher resolution)",)
 
 
-def merged_share(roots: Sequence[Root], bank: ViewBank, shape: tuple[int, ...]) -> float:
-    """Return the fraction of the roots that may be merged into thicker ones, for pictures of a shape (H, W)."""
+def merged_volume(roots: Sequence[Root], bank: ViewBank, shape: tuple[int, ...]) -> tuple[float, float]:
+    """Return the fractions of the volume that may be surplus and missing where roots are merged.
+
+    Roots that are merged into a thicker one cover the same area, and have less volume. Roots that are thinner than half
+    a pixel are not merged but lost: the coverage of several in a pixel does not show how many there are. As much of
+    their volume may be missing as of the length.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape (H, W) of the pictures.
+    """
     if not roots:
-        return 0.0
-    return _merged(root_residual.Places.project(roots, bank.select(range(min(VIEWS, bank.count)))), shape, bank.count)
+        return 0.0, 0.0
+    places = root_residual.Places.project(roots, bank.select(range(min(VIEWS, bank.count))))
+    less, lost = _merged(places, shape, bank.count), _merged_length(places, shape, bank.count)
+    return less, lost * places.thin_share(_THIN_PX, power=2)
 
 
 def _merged(places: root_residual.Places, shape: tuple[int, ...], views: int) -> float:
-    """Return `merged_share`, given the projections of the nodes into some of the views."""
+    """Return the fraction of the roots that may be merged into thicker ones because many overlap in few views."""
     overlap = _mean_of([places.overlap(view, shape) for view in range(len(places.px))])
     return _CROWDED * max(0.0, overlap / views - _SEPARABLE)
 

@@ -30,6 +30,7 @@ def export(
     dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     roots: Literal["order", "diameter"] | None = None,
     undistorted: Flag = False,
+    rays: Flag = False,
     publication: Publication = Publication(),
     progress: Progress = Progress(),
 ) -> None:
@@ -44,8 +45,7 @@ def export(
       .json                      cameras in nerfstudio's transforms.json format, mm
       no suffix                  folder with the cameras in COLMAP's text format, mm
 
-    With --roots, the roots are written as a mesh of tubes, coloured by order or diameter (STL has no colours). The
-    exported cameras are in air. Programs that assume straight rays cannot reconstruct roots in water with these
+    The exported cameras are in air. Programs that assume straight rays cannot reconstruct roots in water with these
     cameras; for such programs, --undistorted removes the refraction from the pictures.
 
     Parameters
@@ -57,9 +57,11 @@ def export(
     dataset : Path, optional
         Dataset of the result; required for the export of cameras.
     roots : str, optional
-        Write the roots as a mesh of tubes, coloured by order (main roots, laterals, ...) or diameter.
+        Write the roots as a mesh of tubes, coloured by order or diameter (STL has no colours).
     undistorted : bool
         Write pictures with the refraction removed to a folder, with cameras for nerfstudio and COLMAP.
+    rays : bool
+        Write the line of sight of each pixel in the water to a folder, for programs that accept rays.
     publication : Publication
         Publication in a data repository.
     progress : Progress
@@ -67,27 +69,26 @@ def export(
 
     Examples
     --------
-    rhizotwin export my_result -o root.stl
     rhizotwin export my_result --roots diameter -o roots.glb
-    rhizotwin export my_result --dataset my_dataset -o transforms.json
     rhizotwin export my_result --dataset my_dataset --undistorted -o my_undistorted
+    rhizotwin export my_result --dataset my_dataset --rays -o my_rays
     rhizotwin export my_scans my_results --publish my_data --study my_study.toml
     """
     if publication.publish is not None:
-        if output is not None or dataset is not None or roots is not None or undistorted:
-            raise UserError("--publish cannot be used with -o, --dataset, --roots or --undistorted; remove these options")
+        if any((output, dataset, roots, undistorted, rays)):
+            raise UserError("--publish cannot be used with -o, --dataset, --roots, --undistorted or --rays; remove these options")
         _publish(sources, publication.publish, publication.study, progress)
     elif output is None or len(sources) != 1:
         raise UserError("the export needs one result and -o FILE, or for a publication --publish FOLDER with results and datasets")
     else:
-        _export(sources[0], output, dataset, roots, undistorted, progress)
+        _export(sources[0], output, dataset, roots, {"undistorted": undistorted, "rays": rays}, progress)
 
 
-def _export(result: Path, output: Path, dataset: Path | None, roots: str | None, undistorted: bool, progress: Progress) -> None:
+def _export(result: Path, output: Path, dataset: Path | None, roots: str | None, chosen: dict[str, bool], progress: Progress) -> None:
     from rhizotwin.exporter import exports
 
     with progress.bar(pictures=1.0) as bar:
-        written = exports.export(result, output, dataset_folder=dataset, roots=roots, undistorted=undistorted, monitor=bar)
+        written = exports.export(result, output, dataset_folder=dataset, roots=roots, refraction=exports.choose(**chosen), monitor=bar)
     print(exports.describe(written))
 
 

@@ -136,7 +136,7 @@ def score(
     with progress.bar(**shares) as bar:
         if foreign.given or foreign.registered:
             kind, file = foreign.one(dataset, truth, volume_ml, pictures)
-            found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, progress=bar)
+            found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, monitor=bar)
         else:
-            found = front_door.score(result, dataset, truth=truth, volume_ml=volume_ml, pictures=pictures, progress=bar)
+            found = front_door.score(result, dataset, truth=truth, volume_ml=volume_ml, pictures=pictures, monitor=bar)
     shown.show(found)

@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import trimesh
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rhizotwin.drawing import root_mesh, surface_mesh
-from rhizotwin.exporter import mesh_files, voxel_files
+from rhizotwin.exporter import mesh_files, rays, voxel_files
 from rhizotwin.exporter.undistorted import VirtualCamera, best_distance_mm
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
@@ -43,6 +44,9 @@ Posed = Sequence[tuple[str, NDArray[np.float64]]]
 _SAME_PLACE_MM = 5.0
 """Interval by which the distances and heights of cameras are rounded, in mm. The pinhole distance is computed once for
 all cameras that have the same rounded distance and height."""
+Refraction = Literal["undistorted", "rays"]
+"""Treatment of refraction: pictures with refraction removed, and the pinhole cameras in water that correspond to them,
+or the line of sight in the water of each pixel, and the cameras in air."""
 MOST_POINTS = 50_000
 """Maximum number of points of the surface that are written to a COLMAP model. Splatting starts with a Gaussian at each
 point, and structure from motion of a whole scene finds 10,000 to 200,000 points."""
@@ -54,7 +58,7 @@ def export(
     *,
     dataset_folder: Path | None = None,
     roots: str | None = None,
-    undistorted: bool = False,
+    refraction: Refraction | None = None,
     monitor: Monitor | None = None,
 ) -> list[Path]:
     """Write a result in the file format that the suffix of the output selects.
@@ -69,10 +73,10 @@ def export(
         Folder of the dataset; required for the export of cameras.
     roots : {"order", "diameter"} or None
         Mesh formats only: write the roots as tubes, coloured by this property, instead of the surface.
-    undistorted : bool
-        Write pictures with refraction removed, and the pinhole cameras in water that correspond to them.
+    refraction : Refraction or None
+        What a folder receives instead of the cameras in air.
     monitor : Monitor or None
-        Receiver of the progress of ``undistorted``.
+        Receiver of the progress of ``refraction``.
 
     Returns
     -------
@@ -91,8 +95,8 @@ def export(
         raise UserError(f"{output}: the format {suffix} is unknown; use {known}, .json (nerfstudio cameras) or a folder (COLMAP cameras)")
     if roots is not None and suffix not in mesh_files.SUFFIXES:
         raise UserError(f"{output}: --roots applies to meshes only; use {', '.join(mesh_files.SUFFIXES)}, or remove --roots")
-    if undistorted and suffix:
-        raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
+    if refraction and suffix:
+        raise UserError(f"{output}: --{refraction} writes a folder; give a name without a suffix")
     if output.exists() and (suffix or not output.is_dir()):  # `new_folder` checks and recovers folders
         raise UserError(f"{output} already exists; choose another name")
     summary = result_files.read_summary(result_folder)
@@ -105,9 +109,16 @@ def export(
     cameras = Cameras.of(dataset, summary)
     if not cameras.views:
         raise UserError(f"{output}: the result contains no calibrated picture, so there are no cameras to export; choose another result")
-    if undistorted:
+    if refraction == "undistorted":
         return _undistorted(output, dataset, cameras, result_folder, monitor or Monitor())
-    return _cameras(output, dataset, cameras)
+    return _rays(output, dataset, cameras, monitor or Monitor()) if refraction else _cameras(output, dataset, cameras)
+
+
+def choose(*, undistorted: bool, rays: bool) -> Refraction | None:
+    """Return the treatment of refraction that one of two options selects; None if there is none."""
+    if undistorted and rays:
+        raise UserError("undistorted pictures and rays are different folders; export one after the other")
+    return "undistorted" if undistorted else "rays" if rays else None
 
 
 def suffix_of(output: Path) -> str:
@@ -325,6 +336,29 @@ def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, result_folder
         about = [{"pinhole_distance_mm": distance_mm, "off_plane_rms_px": left_px} for distance_mm, left_px in places.values()]
         atomic.write_json(building / "undistorted.json", {"exact_on": "the vertical plane through the axis", "camera_places": about})
     return [output / "images", output / "transforms.json", output / "colmap", output / "undistorted.json"]
+
+
+def _rays(output: Path, dataset: Dataset, cameras: Cameras, monitor: Monitor) -> list[Path]:
+    """Write the line of sight in the water of each pixel, the program that reads them, and the cameras in air."""
+    if cameras.optics.straight:
+        raise UserError(
+            f"{output}: the rays of this scan are straight, so that cameras describe them; export a .json file or a COLMAP folder"
+        )
+    stems, lens = [Path(file).stem for file in cameras.files], cameras.views[0].camera
+    if len(set(stems)) < len(stems):
+        raise UserError(f"{output}: two pictures differ only in their folder or suffix; rename one of them, and import again")
+    posed = [(file, view.cam_from_canister) for file, view in zip(cameras.files, cameras.views, strict=True)]
+    with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(stems), "picture") as step:
+        (building / "rays").mkdir()
+        for stem, view in zip(stems, cameras.views, strict=True):
+            rays.trace(view, cameras.optics, dataset.scene).write(building / "rays" / f"{stem}.npz")
+            step()
+        listed = [{"file": file, "rays": f"rays/{stem}.npz"} for file, stem in zip(cameras.files, stems, strict=True)]
+        atomic.write_json(building / "rays.json", {"note": rays.NOTE, "image_wh": lens.image_wh, "pictures": listed})
+        atomic.write_text(building / "load_rays.py", rays.LOADER)
+        write_nerfstudio(building / "transforms.json", lens, posed)
+        write_colmap(building / "colmap", lens, posed)
+    return [output / name for name in ("rays", "rays.json", "load_rays.py", "transforms.json", "colmap")]
 
 
 def describe(written: list[Path]) -> str:

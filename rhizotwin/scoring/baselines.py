@@ -130,8 +130,9 @@ def _carve_strictly(
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=outline)
     cameras = cameras.leave_out({}, unread=pictures.left_out)
+    everyone = len(cameras.order)  # a view that does not show a cell removes it
     carved = carved_hull.carve_hull(
-        pictures.dataset, cameras, coverage, finest_mm=settings.voxel_mm, slack_px=slack_px, ignore_blindness=True, monitor=monitor
+        pictures.dataset, cameras, coverage, finest_mm=settings.voxel_mm, slack_px=slack_px, min_votes=everyone, monitor=monitor
     )
     return pictures, carved, coverage
 

@@ -249,7 +249,7 @@ def score(
     truth: str | Path | None = None,
     volume_ml: float | None = None,
     pictures: Dataset | str | Path | None = None,
-    progress: Progress = None,
+    monitor: Progress = None,
 ) -> Score | SolidScore | VolumeScore | PictureScore:
     """Compute the errors of a result with respect to a dataset, a mesh, a volume or other pictures.
 
@@ -265,7 +265,7 @@ def score(
         Volume of the specimen, measured by displacement or weight, ml.
     pictures : Dataset or path, optional
         Dataset with other pictures of the same plant on the same rig.
-    progress : Monitor, tqdm class, callable or None
+    monitor : Monitor, tqdm class, callable or None
         Receiver of the progress.
 
     Returns
@@ -287,9 +287,9 @@ def score(
         _choose("auto")
         from rhizotwin.scoring.score_pictures import score_pictures
 
-        with watch(progress, {"score": 1.0}) as bar:
+        with watch(monitor, {"score": 1.0}) as bar:
             return score_pictures(result, pictures, monitor=bar)
-    with watch(progress, {"score": 1.0}) as bar, bar.stage("score"):
+    with watch(monitor, {"score": 1.0}) as bar, bar.stage("score"):
         if dataset is not None:
             from rhizotwin.scoring.score import score as compare
 
@@ -307,7 +307,7 @@ def score_file(
     *,
     kind: FileKind,
     registered: bool = False,
-    progress: Progress = None,
+    monitor: Progress = None,
 ) -> FileScore:
     """Compute the errors of another program's output file with respect to the ground truth of a simulated dataset.
 
@@ -321,7 +321,7 @@ def score_file(
         Type of the file's content.
     registered : bool
         Rotate and translate a mesh to fit the ground truth before the comparison.
-    progress : Monitor, tqdm class, callable or None
+    monitor : Monitor, tqdm class, callable or None
         Receiver of the progress.
 
     Returns
@@ -338,7 +338,7 @@ def score_file(
 
     if registered and kind != "mesh":
         raise UserError(f"--registered can be used with meshes only, but the type of {file} is {kind}; remove --registered")
-    with watch(progress, {"score": 1.0}) as bar, bar.stage("score"):
+    with watch(monitor, {"score": 1.0}) as bar, bar.stage("score"):
         if kind == "mesh":
             return of.score_mesh(file, dataset, registered=registered)
         return {"voxels": of.score_voxels, "points": of.score_points, "rsml": of.score_rsml, "traits": of.score_traits}[kind](file, dataset)

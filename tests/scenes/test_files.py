@@ -1,6 +1,7 @@
 """Scene and profile files, their subject and descriptions, and the library: round trips, one clear sentence for each mistake."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import library, load_scene
-from rhizotwin.scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene, Water
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.versioned_json import read_versioned_json
@@ -216,3 +217,12 @@ def test_a_written_scene_explains_every_line_and_reads_back(name: str, tmp_path:
 def test_page_and_figure_in_the_documents_are_of_the_program():
     assert (DOCS / "scene-keys.md").read_text(encoding="utf-8") == key_descriptions.page()
     assert (DOCS / "pictures" / "rig.svg").read_text(encoding="utf-8") == rig_figure.svg(Scene(name="the default rig")) + "\n"
+
+
+def test_a_scene_prints_what_differs_from_the_default() -> None:
+    scene = replace(load_scene("sphere_20mm"), water=Water(n_water=1.34))
+    first, *changed = repr(scene).splitlines()
+    assert first == f"Scene 'sphere_20mm': {scene.description}"
+    assert [line.split(":")[0].strip() for line in changed] == ["water", "specimen"]
+    assert changed[0] == "  water: n_water = 1.34"
+    assert repr(Scene()) == "Scene 'scene'"

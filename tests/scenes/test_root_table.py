@@ -43,7 +43,7 @@ def test_traits_of_the_whole_system() -> None:
     found = measure_traits(ROOTS, np.concatenate([root.points_mm for root in ROOTS]), volume_mm3=1.0, surface_mm2=1.0)
     lengths, direct = 50.0 + 14.0 + 20.0 + 200.0**0.5 + 8.0, 50.0 + 10.0 + 20.0 + 200.0**0.5 + 8.0
     assert found.tortuosity == pytest.approx(lengths / direct)
-    assert (found.branch_distance_mm, found.lateral_density_per_cm) == (20.0, pytest.approx(1.5))
+    assert (found.branch_distance_mm, found.lateral_density_per_cm) == (10.0, pytest.approx(1.5))
     alone = measure_traits(ROOTS[:1], ROOTS[0].points_mm, volume_mm3=1.0, surface_mm2=1.0)
     assert (alone.tortuosity, alone.branch_distance_mm, alone.lateral_density_per_cm) == (1.0, None, None)
 

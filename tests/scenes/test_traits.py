@@ -31,7 +31,7 @@ def test_a_tree_of_three_roots():
     assert found.total_length_mm == pytest.approx(total)
     assert found.mean_diameter_mm == pytest.approx((40.0 * 2.0 + 20.0 + slanted * 0.55) / total)
     assert (found.median_diameter_mm, found.max_diameter_mm) == pytest.approx((1.0, 2.0))
-    assert (found.roots, found.tips, found.branch_points) == (3, 3, 1)
+    assert (found.roots, found.tips, found.branch_points) == (3, 3, 2)
     assert found.depth_mm == pytest.approx(40.0)
     assert found.width_mm == pytest.approx(np.hypot(35.0, 2.0))
     assert found.convex_hull_mm3 == pytest.approx(35.0 * 2.0 * 40.0)

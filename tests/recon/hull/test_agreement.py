@@ -70,7 +70,7 @@ def mended(silhouettes: Sequence[Silhouette]) -> tuple[Leaves, Leaves]:
     """Return a carved shape, and the same regularised."""
     bank, _, water = scan()
     maps = DistanceMaps.compute(silhouettes, "outlines", Monitor.of(None))
-    hull = carve(bank, maps, water.grid(SIZE_MM), water, slack_px=2.0, ignore_blindness=True)
+    hull = carve(bank, maps, water.grid(SIZE_MM), water, slack_px=2.0, min_votes=bank.count)
     return hull.leaves.select(hull.leaves.occupancy >= 0.5), regularise(bank, silhouettes, hull)
 
 

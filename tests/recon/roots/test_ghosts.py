@@ -55,6 +55,27 @@ def test_a_thin_branch_inside_a_thick_root_is_its_outline(radius_mm: float, x: f
     np.testing.assert_array_equal(ghosts.find_enclosed(found, 0.1), (found.owner == 1) & enclosed)
 
 
+@pytest.mark.parametrize(
+    ("radius_mm", "corner", "end", "folded_mm"),
+    [
+        (1.0, (0.5, 0.0, -50.0), (0.5, 0.0, -48.0), 2.0),
+        (1.0, (0.0, 0.0, -50.0), (2.5, 0.0, -50.0), 2.5),
+        (0.2, (0.5, 0.0, -50.0), (0.5, 0.0, -48.0), 0.0),
+        (1.0, (0.0, 0.0, -50.0), (1.2, 0.0, -52.0), 0.0),
+        (1.0, (0.0, 0.0, -50.0), (12.0, 0.0, -50.0), 0.0),
+    ],
+    ids=["turns back", "winds around the end", "too thin to be resolved", "slight bend", "another root"],
+)
+def test_an_end_that_turns_back_into_its_root_is_folded(
+    radius_mm: float, corner: tuple[float, float, float], end: tuple[float, float, float], folded_mm: float
+):
+    found = strung(line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0), corner, end), radius_mm=radius_mm)
+    folded = ghosts.find_folded(found)
+    np.testing.assert_array_equal(np.sort(folded), folded)  # the last nodes
+    assert folded.sum() * tubes.SPACING_MM == pytest.approx(folded_mm, abs=2.0 * tubes.SPACING_MM)
+    assert folded.any() == (folded_mm > 0.0)
+
+
 @pytest.mark.parametrize(("tail_mm", "base_mm", "ghost"), [(0.02, 1.5, True), (0.1, 1.5, False), (0.02, 0.05, False)])
 def test_the_invisible_rest_of_a_thick_root_is_a_ghost(tail_mm: float, base_mm: float, *, ghost: bool):
     """A root that narrows and stays visible, and one that is as thin everywhere, are kept."""
@@ -63,6 +84,15 @@ def test_the_invisible_rest_of_a_thick_root_is_a_ghost(tail_mm: float, base_mm: 
     found = tubes.with_geometry(found, found.centre_mm, np.where(tail, tail_mm, base_mm))
     shown = node_support.Support(*[np.full(len(tail), value) for value in (9.0, 0.0, 9.0)])
     np.testing.assert_array_equal(ghosts.find_ghosts(found, shown, np.zeros(len(tail), bool), 4.0), tail & ghost)
+
+
+def test_a_branch_that_is_mostly_invisible_is_a_ghost() -> None:
+    """Nothing leads to its visible end, such as a spot that no tube explains."""
+    found = strung(TRUNK)
+    end = found.centre_mm[:, 2] < -46.0
+    found = tubes.with_geometry(found, found.centre_mm, np.where(end, 0.3, 0.02))
+    shown = node_support.Support(*[np.full(len(end), value) for value in (9.0, 0.0, 9.0)])
+    assert ghosts.find_ghosts(found, shown, np.zeros(len(end), bool), 4.0).all()
 
 
 def test_a_branch_that_no_picture_shows_is_removed_in_the_end() -> None:

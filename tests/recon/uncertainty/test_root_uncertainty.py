@@ -98,3 +98,14 @@ def test_the_length_of_roots_that_are_not_resolved_may_be_larger(taken) -> None:
     assert root_uncertainty._merged_length(projected, pictures[0].coverage.shape, 1000) > 0.25  # so many views do not help
     assert not found.trusted
     assert "may be merged" in found.verdict
+
+
+@pytest.mark.parametrize(("diameter_mm", "lost"), [(0.5, False), (0.1, True)], ids=["a pixel wide", "a fifth of a pixel"])
+def test_crowded_roots_below_half_a_pixel_may_have_more_volume(taken, diameter_mm: float, *, lost: bool) -> None:
+    bank, pictures = taken
+    places = np.random.default_rng(3).uniform(-1.0, 1.0, (20, 2, 2))
+    bundle = [line((*top, -20.0), (*low, -70.0), diameter_mm=diameter_mm, parent=-1) for top, low in places]
+    less, more = root_uncertainty.merged_volume(bundle, bank, pictures[0].coverage.shape)
+    assert less > 0.0  # six views
+    assert (more > 0.2) == lost
+    assert root_uncertainty.merged_volume([], bank, pictures[0].coverage.shape) == (0.0, 0.0)

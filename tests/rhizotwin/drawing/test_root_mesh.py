@@ -136,7 +136,7 @@ def test_names_with_spaces_are_no_names_for_colmap(tmp_path: Path) -> None:
         exports.export(made.result, tmp_path / "colmap", dataset_folder=made.dataset)
     assert not (tmp_path / "colmap").exists()
     exports.export(made.result, tmp_path / "cameras.json", dataset_folder=made.dataset)
-    exports.export(made.result, tmp_path / "undistorted", dataset_folder=made.dataset, undistorted=True)
+    exports.export(made.result, tmp_path / "undistorted", dataset_folder=made.dataset, refraction="undistorted")
     cameras = json.loads((tmp_path / "undistorted" / "transforms.json").read_text())
     assert len(cameras["frames"]) == len(list((tmp_path / "undistorted" / "images").iterdir())) == plants.VIEWS
     assert "in water" in cameras["note"]
