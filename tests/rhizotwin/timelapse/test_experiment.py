@@ -40,7 +40,7 @@ def test_phantom_is_scanned_every_week_until_the_last_round(make_experiment, rou
     [
         ("canister = 2", "canister = 1", r"\[plants 2\] canister = 1: is already the canister of plant P1"),
         ('"P2"', '"P1"', r"is too similar to the name 'P1'"),
-        ("canister = 2", "canister = 27", "enough for 26 strips of 22"),
+        ("canister = 2", "canister = 501", "must be between 1 and 500"),
         ("2026-12-01T09:00:00", "noon", "must be a date and time"),
         ("canister = 2", 'canister = 2\nsown = "2027-01-01"', "must not be later than the first scan"),
         ("canister = 2", 'canister = 2\nsown = "0001-01-01"', "must not be more than 36500 days before the last scan"),
