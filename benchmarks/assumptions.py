@@ -306,7 +306,9 @@ def _timed(carved: CarvedHull, assumed: Assumptions) -> tuple[Carved, int]:
     def seconds(lattices: Sequence[Grid]) -> float:
         began = time.process_time()
         for lattice in lattices:
-            carve.carve(carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, min_votes=carved.bank.count if assumed.blind_carves else None)
+            carve.carve(
+                carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, min_votes=carved.bank.count if assumed.blind_carves else None
+            )
         return time.process_time() - began
 
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)

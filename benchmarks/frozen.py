@@ -14,6 +14,7 @@ meaning, through the result folder, because the fields of the stages change with
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import adopt, commits, datasets, masks_in_air, reconstructions, worker
+from benchmarks import commits, datasets, masks_in_air, reconstructions, worker
 from benchmarks.accuracy import percent
 from benchmarks.cases import DEFAULT_VOXEL_MM, Case, Pictures
 from benchmarks.run import Say
@@ -132,10 +133,18 @@ def _freeze_one(name: str, goal: Path, *, device: str) -> None:
     else:
         kept = reconstructions.make(Case(pictures=pictures), device=device, stages=True)
         for part, source in (("dataset", datasets.place(pictures)), ("result", kept / "result"), ("stages", kept / "stages")):
-            shutil.copytree(source, goal / part, copy_function=adopt.link)
+            shutil.copytree(source, goal / part, copy_function=_link)
         shutil.copy(kept / "cost.json", goal)
     found = worker.start(["score", str(goal / "result"), str(goal / "dataset"), "none"], device=device)
     atomic.write_json(goal / "score.json", found["score"])
+
+
+def _link(source: str, target: str) -> None:
+    """Create a hard link to a file, or copy it if that is not possible. Pictures are replaced, never modified."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
 def _write_in_air(goal: Path) -> None:
