@@ -42,11 +42,12 @@ _INSIDE = 0.9
 _WIDE_NODES = 3
 """Number of nodes, up to the one where a branch bends, of which the largest radius is used: behind a bend, a branch
 becomes thinner."""
-_THIN, _ENCLOSED, _OUTLINE_PX = 0.35, 0.6, 1.7
-"""Maximum ratio of the radius of a branch to that of another root, minimum fraction of its nodes inside thicker roots
-or within a distance of them, px, for the branch to be an artefact of an outline. At this distance, a blur of 0.85 px
-has decayed (two standard deviations). In 20 reconstructions, a ghost of 22 mm has a fraction of 0.94; of the others, 40
-had no true tip within 1 mm, and 13 had one."""
+_THIN, _THINNEST, _ENCLOSED = 0.5, 0.35, 0.6
+"""Maximum ratio of the radius of a branch to that of another root, and minimum fraction of its nodes inside thicker
+roots, for the branch to be an artefact of an outline. In 20 reconstructions, a ghost of 22 mm has a fraction of 0.94.
+Of branches below the second ratio, nodes within `_OUTLINE_PX` count: of 34, 30 had no true tip within 1 mm."""
+_OUTLINE_PX = 1.7
+"""Distance from an outline at which a blur of 0.85 px has decayed (two standard deviations), px."""
 _SHARED = 0.3
 """Minimum fraction of its squared coverage that the beginning of a branch must explain in addition to all other tubes.
 With a lower fraction, it is a duplicate of a root or a ghost among roots."""
@@ -115,7 +116,9 @@ def find_overlapping(tubes: Tubes, organ: Mask, px_a_mm: float) -> Mask:
     px_a_mm : float
         Image scale at the centre of the water, px/mm.
     """
-    return find_duplicates(tubes, organ, FLANK_PX / px_a_mm) | find_enclosed(tubes, _OUTLINE_PX / px_a_mm) | find_folded(tubes)
+    flank_mm, outline_mm = FLANK_PX / px_a_mm, _OUTLINE_PX / px_a_mm
+    enclosed = find_enclosed(tubes, flank_mm) | find_enclosed(tubes, outline_mm, thin=_THINNEST)
+    return find_duplicates(tubes, organ, flank_mm) | enclosed | find_folded(tubes)
 
 
 def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
@@ -136,7 +139,7 @@ def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
     return inside
 
 
-def find_enclosed(tubes: Tubes, flank_mm: float) -> Mask:
+def find_enclosed(tubes: Tubes, flank_mm: float, *, thin: float = _THIN) -> Mask:
     """Return the mask (N,) of branches whose centre lines lie inside much thicker roots.
 
     Two roots cannot occupy the same place. Such a branch compensates for an error in the outline of the thick root.
@@ -144,12 +147,14 @@ def find_enclosed(tubes: Tubes, flank_mm: float) -> Mask:
     Parameters
     ----------
     flank_mm : float
-        Margin `_OUTLINE_PX` converted to mm.
+        Margin around the thick roots, mm.
+    thin : float
+        Maximum ratio of the radius of the branch to that of a thick root.
     """
     owner, enclosed = tubes.owner, np.zeros(len(tubes.radius_mm), bool)
     radius = np.array([np.median(tubes.radius_mm[tubes.own(k)]) for k in range(len(tubes.branches))])[owner]
     node, host = _nodes_within(tubes, tubes.radius_mm + flank_mm)
-    enclosed[node[(radius[node] < _THIN * tubes.radius_mm[host]) & (owner[host] != owner[node]) & (owner[node] > 0)]] = True
+    enclosed[node[(radius[node] < thin * tubes.radius_mm[host]) & (owner[host] != owner[node]) & (owner[node] > 0)]] = True
     return np.asarray((np.bincount(owner, enclosed) >= _ENCLOSED * np.bincount(owner))[owner])
 
 
@@ -157,7 +162,8 @@ def find_folded(tubes: Tubes) -> Mask:
     """Return the mask (N,) of nodes at the ends of branches beyond a bend that no tube can have.
 
     No tube has a centre line with a radius of curvature below its own radius, since it would overlap itself. Where a
-    branch extends beyond the tip of its root, it turns back into the root, or winds around its end.
+    branch extends beyond the tip of its root, it turns back into the root, winds around its end, or continues as a thin
+    line.
     """
     folded = np.zeros(len(tubes.radius_mm), bool)
     for line in tubes.branches:
@@ -167,8 +173,9 @@ def find_folded(tubes: Tubes) -> Mask:
         after = polyline.interpolate(points, way, way + wide) - points
         straight = np.sum(polyline.unit_vectors(before) * polyline.unit_vectors(after), axis=1)
         resolved = (wide > SPACING_MM) & (way > radius[0] + wide) & (way < way[-1])
-        bent = resolved & (straight < np.cos(1.0)) & (way[-1] - way < 2.0 * np.pi * wide)
-        folded[line[int(np.argmax(np.append(bent, True))) + 1 :]] = True
+        bent = np.flatnonzero(resolved & (straight < np.cos(1.0)))
+        ends = [way[-1] - way[k] < 2.0 * np.pi * wide[k] or np.median(radius[k + 1 :]) < _THIN * wide[k] for k in bent]
+        folded[line[int(np.append(bent[ends], len(line))[0]) + 1 :]] = True
     return folded
 
 

@@ -76,6 +76,15 @@ def test_an_end_that_turns_back_into_its_root_is_folded(
     assert folded.any() == (folded_mm > 0.0)
 
 
+def test_a_thin_line_beyond_a_fold_is_no_root() -> None:
+    found = strung(line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0), (2.0, 0.0, -50.0), (2.0, 0.0, -25.0)))
+    beyond = found.centre_mm[:, 0] > 0.5
+    found = tubes.with_geometry(found, found.centre_mm, np.where(beyond, 0.1, 1.0))
+    folded = ghosts.find_folded(found)
+    assert folded[found.centre_mm[:, 0] > 1.5].all()
+    assert not folded[found.centre_mm[:, 0] < 0.1].any()
+
+
 @pytest.mark.parametrize(("tail_mm", "base_mm", "ghost"), [(0.02, 1.5, True), (0.1, 1.5, False), (0.02, 0.05, False)])
 def test_the_invisible_rest_of_a_thick_root_is_a_ghost(tail_mm: float, base_mm: float, *, ghost: bool):
     """A root that narrows and stays visible, and one that is as thin everywhere, are kept."""
