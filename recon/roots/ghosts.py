@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from rhizotwin.recon.roots.node_support import Support
 from rhizotwin.recon.tubes.branch_graph import Index
@@ -162,8 +163,8 @@ def find_folded(tubes: Tubes) -> Mask:
     """Return the mask (N,) of nodes at the ends of branches beyond a bend that no tube can have.
 
     No tube has a centre line with a radius of curvature below its own radius, since it would overlap itself. Where a
-    branch extends beyond the tip of its root, it turns back into the root, winds around its end, or continues as a thin
-    line.
+    branch extends beyond the tip of its root, it turns back into the root, or winds around its end. Thin roots that
+    leave a bulb bend as well, but protrude from it.
     """
     folded = np.zeros(len(tubes.radius_mm), bool)
     for line in tubes.branches:
@@ -173,9 +174,12 @@ def find_folded(tubes: Tubes) -> Mask:
         after = polyline.interpolate(points, way, way + wide) - points
         straight = np.sum(polyline.unit_vectors(before) * polyline.unit_vectors(after), axis=1)
         resolved = (wide > SPACING_MM) & (way > radius[0] + wide) & (way < way[-1])
-        bent = np.flatnonzero(resolved & (straight < np.cos(1.0)))
-        ends = [way[-1] - way[k] < 2.0 * np.pi * wide[k] or np.median(radius[k + 1 :]) < _THIN * wide[k] for k in bent]
-        folded[line[int(np.append(bent[ends], len(line))[0]) + 1 :]] = True
+        for bend in np.flatnonzero(resolved & (straight < np.cos(1.0))).tolist():
+            once_round = bend + 1 + np.flatnonzero(way[bend + 1 :] - way[bend] < 2.0 * np.pi * wide[bend])
+            outside_mm = cdist(points[once_round], points[: bend + 1]) - radius[: bend + 1]
+            if outside_mm.min(axis=1).max() < _SHORT_MM:
+                folded[line[bend + 1 :]] = True
+                break
     return folded
 
 

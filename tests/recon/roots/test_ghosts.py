@@ -59,7 +59,7 @@ def test_a_thin_branch_inside_a_thick_root_is_its_outline(radius_mm: float, x: f
     ("radius_mm", "corner", "end", "folded_mm"),
     [
         (1.0, (0.5, 0.0, -50.0), (0.5, 0.0, -48.0), 2.0),
-        (1.0, (0.0, 0.0, -50.0), (2.5, 0.0, -50.0), 2.5),
+        (1.0, (0.0, 0.0, -50.0), (2.2, 0.0, -50.0), 2.2),
         (0.2, (0.5, 0.0, -50.0), (0.5, 0.0, -48.0), 0.0),
         (1.0, (0.0, 0.0, -50.0), (1.2, 0.0, -52.0), 0.0),
         (1.0, (0.0, 0.0, -50.0), (12.0, 0.0, -50.0), 0.0),
@@ -76,12 +76,13 @@ def test_an_end_that_turns_back_into_its_root_is_folded(
     assert folded.any() == (folded_mm > 0.0)
 
 
-def test_a_thin_line_beyond_a_fold_is_no_root() -> None:
-    found = strung(line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0), (2.0, 0.0, -50.0), (2.0, 0.0, -25.0)))
-    beyond = found.centre_mm[:, 0] > 0.5
-    found = tubes.with_geometry(found, found.centre_mm, np.where(beyond, 0.1, 1.0))
+@pytest.mark.parametrize(("radius_mm", "away_mm", "is_root"), [(1.0, 0.8, False), (4.0, 20.0, True)], ids=["line", "root of a bulb"])
+def test_a_thin_line_that_returns_is_no_root(radius_mm: float, away_mm: float, *, is_root: bool) -> None:
+    found = strung(line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0), (away_mm, 0.0, -50.0), (away_mm, 0.0, -25.0)))
+    beyond = found.centre_mm[:, 0] > 0.3
+    found = tubes.with_geometry(found, found.centre_mm, np.where(beyond, 0.1, radius_mm))
     folded = ghosts.find_folded(found)
-    assert folded[found.centre_mm[:, 0] > 1.5].all()
+    assert folded[found.centre_mm[:, 0] > 0.5 * away_mm].all() != is_root
     assert not folded[found.centre_mm[:, 0] < 0.1].any()
 
 
