@@ -232,6 +232,7 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | 
             carved.silhouettes,
             mu_per_mm=solid.mu_per_mm,
             lost=_volume_objections(solid),
+            flat=sum(term.less_mm3 for term in solid.volume.terms if term.name == "flat roots") / max(solid.volume.mm3, 1e-9),
             scattered=scattered,
             calibration=solid.volume.calibration,
         )

@@ -109,3 +109,16 @@ def test_crowded_roots_below_half_a_pixel_may_have_more_volume(taken, diameter_m
     assert less > 0.0  # six views
     assert (more > 0.2) == lost
     assert root_uncertainty.merged_volume([], bank, pictures[0].coverage.shape) == (0.0, 0.0)
+
+
+def test_flat_roots_may_hide_length_beside_others(taken) -> None:
+    bank, pictures = taken
+    found = [
+        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), flat=flat)}
+        for flat in (0.0, 0.02, 0.04)
+    ]
+    high = [one["total_length_mm"].interval[1] / length_mm(TRUE) for one in found]
+    assert high[1] == pytest.approx(1.0 + 8.0 * 0.02, abs=0.02)
+    assert high[0] < high[1] < high[2]
+    assert "appear flat" in found[2]["total_length_mm"].verdict
+    assert found[0]["tips"] == found[2]["tips"]
