@@ -50,6 +50,8 @@ if __name__ == "__main__":
 _SUPPORTS = 0.25, 0.75
 """Two places on a ray, relative to its length, through which it is drawn if the roots moved: then it is slightly curved
 in the reconstructed shape."""
+_AT_ONCE = 250_000
+"""Approximate number of pixels that are traced at once, to limit memory. One takes about 400 bytes."""
 _SWAY_STEPS = 3
 """Iterations of the inverse of the roots' motion in a picture. Each reduces the error by the motion per depth, which is
 a few hundredths at most."""
@@ -96,7 +98,17 @@ def trace(view: View, optics: Optics, scene: Scene) -> Rays:
         Scene with the opaque parts, such as the net pot.
     """
     width, height = view.camera.image_wh
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    shown = background.water_mask(view, optics, scene)
+    rows = max(1, _AT_ONCE // width)
+    bands = [_trace_band(view, optics, shown[first : first + rows], first) for first in range(0, height, rows)]
+    origin, direction, length, single = (np.concatenate(part) for part in zip(*bands, strict=True))
+    return Rays(origin_mm=origin, direction=direction, length_mm=length[..., 0], single_mm=single)
+
+
+def _trace_band(view: View, optics: Optics, shown: NDArray[np.bool_], first: int) -> list[NDArray[np.float32]]:
+    """Return the fields of `Rays`, each with three axes, for the rows of a mask ``shown`` (h, W) from a first row."""
+    height, width = shown.shape
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(first, first + height, dtype=np.float64))
     line, enters = cameras.water_lines(view, optics, np.stack([u.ravel(), v.ravel()], axis=1))
     with np.errstate(invalid="ignore"):
         half_mm, single_mm = (np.sqrt(np.maximum(r**2 - line.b_mm**2, 0.0)) for r in (optics.inner_radius_mm, single_radius_mm(optics)))
@@ -105,19 +117,16 @@ def trace(view: View, optics: Optics, scene: Scene) -> Rays:
     climb = np.column_stack([line.t, line.slope])
     begin = np.column_stack([line.b_mm[:, None] * line.nu - half_mm[:, None] * line.t, line.entry_z_mm])
     straight = [begin + (share * level_mm)[:, None] * climb for share in (0.0, *_SUPPORTS)]
-    origin, first, last = (_without_sway(view, optics, frames.apply(frames.invert(view.azimuth_from_canister), end)) for end in straight)
+    origin, near, far = (_without_sway(view, optics, frames.apply(frames.invert(view.azimuth_from_canister), end)) for end in straight)
     steep = np.linalg.norm(climb, axis=1)[:, None]
-    shown = enters & background.water_mask(view, optics, scene).ravel()
-    found = [
-        np.where(shown[:, None], values, np.nan).astype(np.float32).reshape(height, width, -1)
-        for values in (
-            origin,
-            polyline.unit_vectors(last - first),
-            steep * level_mm[:, None],
-            steep * np.clip(np.column_stack([half_mm - single_mm, half_mm + single_mm]), 0.0, level_mm[:, None]),
-        )
-    ]
-    return Rays(origin_mm=found[0], direction=found[1], length_mm=found[2][..., 0], single_mm=found[3])
+    traced = (
+        origin,
+        polyline.unit_vectors(far - near),
+        steep * level_mm[:, None],
+        steep * np.clip(np.column_stack([half_mm - single_mm, half_mm + single_mm]), 0.0, level_mm[:, None]),
+    )
+    known = (enters & shown.ravel())[:, None]
+    return [np.where(known, values, np.nan).astype(np.float32).reshape(height, width, -1) for values in traced]
 
 
 def _without_sway(view: View, optics: Optics, points_mm: Array) -> Array:

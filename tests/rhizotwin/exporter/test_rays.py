@@ -90,3 +90,12 @@ def test_the_written_program_reads_the_rays(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read[name], getattr(traced, name))
     shown = subprocess.run([sys.executable, tmp_path / "load_rays.py"], capture_output=True, text=True, check=True).stdout
     assert shown == f"images/a.png {np.isfinite(traced.length_mm).sum()} rays\n"
+
+
+def test_bands_of_rows_give_the_same_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    view, optics = seen(STEEP), Optics.from_scene(SCENE)
+    whole = rays.trace(view, optics, SCENE)
+    monkeypatch.setattr(rays, "_AT_ONCE", 7 * 200)  # 150 rows are no multiple of 7
+    banded = rays.trace(view, optics, SCENE)
+    for name in ("origin_mm", "direction", "length_mm", "single_mm"):
+        np.testing.assert_array_equal(getattr(banded, name), getattr(whole, name))
