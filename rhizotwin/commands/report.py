@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.figures import FigureFormat
 from rhizotwin.scenes.folders import recover
 from rhizotwin.steps.arguments import Flag, Progress, output, with_metavar
 
@@ -14,35 +15,35 @@ def report(
     *,
     page: Annotated[Path | None, output("FILE")] = None,
     figures: Flag = False,
+    figure_format: FigureFormat = "png",
     dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     progress: Progress = Progress(),
 ) -> None:
     """Write the report of a result again, or one report for several results.
 
     The report is a single HTML file that can be opened without an internet connection. It contains the volume with its
-    90 % interval and reliability, recommendations, the shape in 3D, the pictures with the outline of the
-    reconstruction, the traits, and a description of the method. By default it is written to report.html in the result
-    folder.
+    90 % interval and reliability, the shape in 3D, pictures with the outline of the reconstruction, the traits, and a
+    description of the method. By default it is written to report.html in the result folder.
 
     Parameters
     ----------
     results : list of Path
         Result folders, or folders that contain results, such as the output of 'rhizotwin batch'.
     page : Path, optional
-        HTML file to write; required for more than one result.
+        HTML file to write; required for several results.
     figures : bool
-        Also draw figures for documents as PNG files in the folder pictures of the result: centre lines by diameter and
-        order, pictures above their silhouettes, and for a simulated dataset the comparison with the true roots. The
-        report contains them, too.
+        Also draw figures for documents, 7 inches wide, in the folder pictures of the result and in the report: centre
+        lines, pictures above their silhouettes, and the comparison with the true roots of a simulated dataset.
+    figure_format : str
+        File format of these figures: png, svg or pdf.
     dataset : Path, optional
-        Dataset of the result; needed only if its folder was moved. Can be used with one result only.
+        Dataset of one result; needed only if its folder was moved.
     progress : Progress
         Progress output.
 
     Examples
     --------
-    rhizotwin report my_result
-    rhizotwin report my_result --figures
+    rhizotwin report my_result --figures --figure-format pdf
     rhizotwin report day_1 day_2 day_3 -o plant.html
     """
     if page is None or figures:
@@ -63,7 +64,7 @@ def report(
         if len(results) == 1:
             found = ReportData.read(results[0], dataset)
             if figures:
-                write_pictures(found, figures=True)
+                write_pictures(found, figures=figure_format)
             written = pages.write(found, output=page)
         elif page is not None:
             written = pages.write_many(results, page)

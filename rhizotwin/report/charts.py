@@ -60,13 +60,24 @@ def bars(heights: Sequence[float], width: float, *, name: str, across: str, up: 
     return _svg(total_wide, total_high, parts, name)
 
 
-def interval(less: float, more: float, reach: float) -> Markup:
-    """Draw a bar from ``-less`` to ``more`` about a line at 0, on a scale from ``-reach`` to ``reach``."""
-    start, stop = 50.0 * (1.0 - less / reach), 50.0 * (1.0 + more / reach)
-    return Markup(
-        f'<svg class="chart interval" viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">'
-        f'<rect x="{start:.1f}" width="{stop - start:.1f}" height="10"/><path d="M50 0V10"/></svg>'
-    )
+def intervals(ends: Sequence[tuple[float, float]]) -> tuple[list[Markup], Markup]:
+    """Draw a bar for each interval that contains 0, on a common scale, and the numbers of the scale."""
+    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+    marks = ticks(low, high, most=6)
+    low, high = min(low, marks[0]), max(high, marks[-1])
+
+    def at(value: float) -> float:
+        return 100.0 * (value - low) / (high - low)
+
+    grid = "".join(f'<path class="{"" if value else "zero"}" d="M{at(value):.1f} 0V10"/>' for value in marks)
+    drawn = [
+        Markup(
+            f'<svg class="chart interval" viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">'
+            f'<rect x="{at(start):.1f}" y="1.5" width="{at(stop) - at(start):.1f}" height="7"/>{grid}</svg>'
+        )
+        for start, stop in ends
+    ]
+    return drawn, Markup("".join(f'<span style="left:{at(value):.1f}%">{value:.3g}</span>' for value in marks))
 
 
 def sides(renderings: Sequence[Rendering]) -> str:

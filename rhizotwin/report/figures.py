@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Lines, as_lines
@@ -28,19 +30,31 @@ from rhizotwin.stored.load import read_silhouette
 Floats = NDArray[np.float64]
 TRUTH_RGB = (0.42, 0.62, 0.80)
 """Colour of the true shape: blue, which colour-blind people can distinguish from ochre."""
-UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
-"""Colour that is blended with the silhouette in unusable pixels: red."""
+UNUSED_GREY = 0.8
+"""Brightness of pixels without information about the roots. Roots are black, and water is white."""
 _VIEWS_SHOWN = 4
 """Number of views that are shown side by side."""
+PAGE_IN, TEXT_PT = 7.0, 8.0
+"""Width of a figure, inches, and size of its text, points. Journals print figures over two columns with a width of 7
+inches, and ask for text of 5 to 8 pt."""
 _SIDES = (shading.FRONT, shading.SIDE)
 _DISTANCE_PX = 2 * SHRINK
 """Edge of the square blocks of rendered pixels for which a single distance is computed, px."""
 
 
+def for_print(drawn: Figure) -> Figure:
+    """Set all text of a figure to the size for print, and return the figure."""
+    for text in drawn.findobj(Text):
+        cast("Text", text).set_fontsize(TEXT_PT)
+    for axes in drawn.axes:
+        axes.tick_params(labelsize=TEXT_PT)
+    return drawn
+
+
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:
     """Draw pictures from directions spread over the scan, with their silhouettes below.
 
-    Unusable pixels of the silhouettes are red. The figure is None if the result has no silhouettes.
+    Roots are black in silhouettes, and unusable pixels are grey. The figure is None if the result has no silhouettes.
     """
     pictures = Pictures.of(dataset, summary)
     stored = [place for place, file in enumerate(pictures.files) if picture_path(result_folder / "silhouettes", file).is_file()]
@@ -48,24 +62,25 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
         return None
     chosen = [stored[i] for i in np.unique(np.linspace(0, len(stored), min(_VIEWS_SHOWN, len(stored)), endpoint=False).astype(int))]
     width, height = dataset.scene.camera.image_wh
-    drawn = figure(3.6 * len(chosen), 7.2 * height / width + 0.9)
+    wide = PAGE_IN / _VIEWS_SHOWN * len(chosen)
+    drawn = figure(wide, 2.0 * wide / len(chosen) * height / width + 0.45)
+    turned = {view["file"]: view.get("table_deg") for view in summary["views"]}
     for place, (above, below) in zip(chosen, drawn.subplots(2, len(chosen), squeeze=False).T, strict=True):
         file = pictures.files[place]
         found = read_silhouette(result_folder, file)
-        silhouette = np.repeat(found.coverage[..., None].astype(np.float64), 3, axis=2)
-        silhouette[~found.usable] = 0.55 * silhouette[~found.usable] + 0.45 * UNSEEN_RGB
+        silhouette = np.where(found.usable, 1.0 - found.coverage, UNUSED_GREY)
         try:
             above.imshow(pictures.picture(place), interpolation="antialiased")
         except UserError as error:
             logging.getLogger(__name__).warning("%s; the figure is drawn without this picture", printable(str(error)))
-        below.imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
-        above.set_title(Path(file).name, fontsize=9, parse_math=False)
-        below.set_title("silhouette", fontsize=9)
+        below.imshow(silhouette, interpolation="antialiased", cmap="gray", vmin=0.0, vmax=1.0)
+        angle = turned.get(file)
+        above.set_title("" if angle is None else f"table at {round(angle)}\N{DEGREE SIGN}")
         for axes in (above, below):
             axes.set_xticks([])
             axes.set_yticks([])
-    drawn.supxlabel("white: roots; red: pixels without information about the roots", fontsize=9)
-    return drawn
+    drawn.supxlabel("silhouettes: roots are black, pixels without information about the roots are grey")
+    return for_print(drawn)
 
 
 def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order") -> Figure:
@@ -87,7 +102,7 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
     """
     lines = as_lines(roots)
     colour, key = root_colours.colour_roots(by, lines)
-    drawn = figure(7.0, 3.8)
+    drawn = figure(PAGE_IN, 3.8)
     both = drawn.subplots(1, 2)
     for axes, side, box in zip(both, _SIDES, boxes(shape.vertices_mm, _SIDES), strict=True):
         seen, px_mm = raster(shape, side, box)
@@ -96,11 +111,11 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
         _show_rendering(axes, side, box, picture)
     if lines and key.swatches:
         handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
-        drawn.legend(handles=handles, loc="outside right center", fontsize=8, frameon=False)
+        drawn.legend(handles=handles, loc="outside right center", frameon=False)
     elif lines and key.ends is not None:
         bar = drawn.colorbar(ScalarMappable(norm=Normalize(0.0, 1.0), cmap="viridis"), ax=list(both), shrink=0.7)
-        bar.set_ticks([0.0, 1.0], labels=list(key.ends), fontsize=8)
-    return drawn
+        bar.set_ticks([0.0, 1.0], labels=list(key.ends))
+    return for_print(drawn)
 
 
 def _colours_of_pixels(
@@ -142,8 +157,8 @@ def shape_and_truth(shape: Mesh, truth: Mesh, *, title: str) -> Figure:
     most = float(np.percentile(shown, 98.0)) if len(shown) else 0.0
     scale = ScalarMappable(norm=Normalize(0.0, max(0.05, most)), cmap="viridis")
     tall = (around[0][3] - around[0][2]) / (around[0][1] - around[0][0])
-    drawn = figure(14.5, 0.9 + 8.8 * tall)
-    grid = drawn.subplots(2, 3, squeeze=False)
+    drawn = figure(PAGE_IN, 0.8 + 0.58 * PAGE_IN * tall)
+    grid = drawn.subplots(2, 3, squeeze=False, sharex="row", sharey=True)
     for row, side, box, (found, px_mm), distance in zip(grid, _SIDES, around, seen, apart, strict=True):
         true, _ = raster(truth, side, box)
         by_distance = np.asarray(scale.to_rgba(distance), np.float32)[..., :3]
@@ -154,12 +169,14 @@ def shape_and_truth(shape: Mesh, truth: Mesh, *, title: str) -> Figure:
         )
         for axes, drawing in zip(row, drawings, strict=True):
             _show_rendering(axes, side, box, drawing)
-    for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, distance to the truth"), strict=True):
-        axes.set_title(f"{name}\n{_SIDES[0].name}", fontsize=9)
+        for axes in row[1:]:
+            axes.set_ylabel("")
+    for axes, name in zip(grid[0], ("reconstructed", "truth", "distance to the truth"), strict=True):
+        axes.set_title(f"{name}\n{_SIDES[0].name}")
     bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
     bar.set_label("distance to the true surface (mm)")
-    drawn.suptitle(title, fontsize=11, parse_math=False)
-    return drawn
+    drawn.suptitle(title, parse_math=False)
+    return for_print(drawn)
 
 
 def _surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
@@ -194,6 +211,6 @@ def _surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_m
 
 def _show_rendering(axes: Axes, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
     axes.imshow(picture, extent=box, interpolation="antialiased")
-    axes.set_title(side.name, fontsize=10)
+    axes.set_title(side.name)
     axes.set_xlabel(side.right_label)
     axes.set_ylabel("z (mm)")

@@ -71,7 +71,7 @@
   function show(box, shape) {
     const canvas = box.querySelector("canvas"), choice = box.querySelector("select"), overlay = box.querySelector("input");
     const gl = canvas.getContext("webgl", { antialias: true, alpha: true, preserveDrawingBuffer: true });
-    if (!gl || !gl.getExtension("OES_element_index_uint")) { box.querySelector("p").textContent = "This browser cannot draw 3D graphics (WebGL); see the figures below."; return; }
+    if (!gl || !gl.getExtension("OES_element_index_uint")) { box.querySelector(".below p").textContent = "This browser cannot draw 3D graphics (WebGL); see the figures below."; return; }
     const program = gl.createProgram();
     for (const [type, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
       const shader = gl.createShader(type);

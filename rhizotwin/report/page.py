@@ -6,6 +6,7 @@ import base64
 import gzip
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -36,10 +37,20 @@ MARGIN, SMALLEST_PART, LEAST_WIDE_PX = 1.3, 0.2, 480
 """Parameters for cropping a picture: size of the crop relative to the extent of the roots, minimum size as a fraction
 of the picture, and minimum width, px. Narrower crops are enlarged."""
 CAPTIONS = {
-    "inputs.png": "Pictures (top) and silhouettes (bottom). Red: pixels without information about the roots.",
+    "inputs.png": "Pictures (top) and silhouettes (bottom). Grey: pixels without information about the roots.",
     "shape_and_truth.png": "Reconstructed surface, true surface, and the distance between them, from two sides.",
 }
 """Captions of the figures in a result's folder, keyed by file name. Reports show those that were drawn."""
+SAVED = {
+    "csv": "traits",
+    "rsml": "centre lines",
+    "stl": "closed surface with fewer triangles than shape.ply",
+    "glb": "closed surface with colours, with fewer triangles than shape.ply",
+}
+"""Contents of the files that a report can save, keyed by file type."""
+
+
+_NO_INTERVAL = "The uncertainty of these traits is not estimated. They are computed from the reconstructed shape and centre lines."
 
 
 def write(result: Path | ReportData, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
@@ -62,7 +73,7 @@ def write(result: Path | ReportData, *, dataset: Dataset | Path | None = None, o
     """
     report = result if isinstance(result, ReportData) else ReportData.read(Path(result), dataset)
     path = report.folder / "report.html" if output is None else output
-    name = words.title(report.name)
+    name = words.heading(report.subject, report.name)[0]
     text = html_page.document(f"Roots of {name}", _full_report(report), script=_script())
     atomic.write_bytes(path, text.encode("utf-8", "backslashreplace"), follow=output is not None)
     return path
@@ -106,8 +117,8 @@ def _full_report(report: ReportData) -> str:
         "Front and side": _front_and_side(report),
         "Root length": _lengths(report),
         "Figures": _figures(report.folder),
-        "Methods": f"<p>{escape(method)}</p>" + _rig(report),
-        "Details": tables.details(report.summary),
+        "Methods": f"<p>{escape(method)}</p>",
+        "Details": tables.details(report.summary, rig=_rig(report)),
     }
     rest = "".join(f'<section class="{name.split()[0].lower()}"><h2>{name}</h2>{text}</section>' for name, text in sections.items() if text)
     return f"<main data-result>{_head(report)}{_shape(report)}{rest}</main>"
@@ -122,13 +133,14 @@ def _head(report: ReportData) -> str:
     """Return the heading of a report as HTML: name, subject, and the verdict with recommendations."""
     scan = "Simulated scan" if words.is_simulated(report.dataset) else "Scan"
     described = "" if report.dataset is None else ": ".join(filter(None, [scan, report.dataset.scene.description]))
-    whose = "; ".join(filter(None, [str(report.subject), report.solution and f"nutrient solution {report.solution}"]))
+    name, whose = words.heading(report.subject, report.name)
+    plants = "; ".join(filter(None, [whose, report.solution and f"nutrient solution {report.solution}"]))
     edits = result_traits.describe_edits(report.summary)
-    below = [whose, described, edits and f"Edited by hand: {edits}."]
+    below = [plants, described, edits and f"Edited by hand: {edits}."]
     volume, beside = words.verdict(report.summary)
     state, meaning, advice = words.traffic_light(report.summary)
-    more = f"<p><strong>{escape(meaning)}</strong></p>{items(advice)}" if advice else ""
-    heading = f"<h1>{escape(words.title(report.name))}</h1>" + "".join(f"<p class=soft>{escape(text)}</p>" for text in below if text)
+    more = f"<details{' open' * (state == 'bad')}><summary>{escape(meaning)}</summary>{items(advice)}</details>" if advice else ""
+    heading = f"<h1>{escape(name)}</h1>" + "".join(f"<p class=soft>{escape(text)}</p>" for text in below if text)
     text = f"<p class=volume>{volume}</p><p>{beside}</p>{more}"
     return f'{heading}<div class="light {state}"><b role="img" aria-label="{state}"></b><div>{text}</div></div>'
 
@@ -143,25 +155,27 @@ def _shape(report: ReportData) -> str:
     }
     if report.roots:
         data["rsml"] = base64.b64encode(gzip.compress((report.folder / "roots.rsml").read_bytes(), mtime=0)).decode()
-    options = "".join(f"<option value={by}>colour by {by}</option>" for by in packed["keys"]) + "<option value=plain>one colour</option>"
-    saved = ["csv", "stl", "glb", *(["rsml"] if report.roots else [])]
-    labels = {"csv": "Traits (CSV)", "stl": "Surface (STL)", "glb": "Surface with colours (GLB)", "rsml": "Centre lines (RSML)"}
-    buttons = "".join(f"<button type=button data-file={name}>{labels[name]}</button>" for name in saved)
+    options = "".join(f"<option value={by}>{by}</option>" for by in packed["keys"]) + "<option value=plain>one colour</option>"
     mean_mm = report.traits.mean_diameter_mm
     checked = " checked" if mean_mm is not None and mean_mm < THIN_MM else ""  # because the surface of thin roots has gaps
     overlay = f"<label><input type=checkbox{checked}> centre lines</label>" if report.roots else ""
+    saved = "".join(
+        f'<button type=button data-file={kind} aria-label="save {what} ({kind.upper()})" title="{what}">{kind.upper()}</button>'
+        for kind, what in SAVED.items()
+        if kind != "rsml" or report.roots
+    )
     return (
-        f'<div class=solid><canvas aria-label="3D view of the shape"></canvas><div class=controls><div><select aria-label="colour">'
-        f"{options}</select>{overlay}<button type=button>reset view</button></div><div class=key></div></div>"
-        "<div class=below><p>Drag to rotate, scroll or pinch to zoom, Shift and drag to pan.</p><div class=bar></div></div></div>"
-        f"<p class=downloads>{buttons}<span class=soft>STL and GLB: closed surface with fewer triangles; the original is "
-        f"<code>shape.ply</code> in the result's folder.</span></p>{html_page.json_element(data)}"
+        f"<div class=solid><div class=controls><label>colour <select>{options}</select></label>{overlay}"
+        f"<button type=button>reset view</button><span class=saved>save {saved}</span></div>"
+        '<div class=stage><canvas aria-label="3D view of the shape"></canvas><div class=key></div>'
+        "<div class=below><p>Drag to rotate, scroll or pinch to zoom, Shift and drag to pan.</p><div class=bar></div></div></div></div>"
+        f"{html_page.json_element(data)}"
     )
 
 
 def _front_and_side(report: ReportData) -> str:
     """Return renderings of the shape and pictures with its outline, from the front and from the side, as HTML."""
-    drawn = figure(charts.sides(report.renderings), "Reconstructed surface.") if report.renderings else ""
+    drawn = figure(charts.sides(report.renderings), "Reconstructed surface, at the same scale.") if report.renderings else ""
     if report.dataset is None:
         return drawn + "<p class=soft>The dataset was not found when this report was written.</p>"
     return drawn + _pictures(report, report.dataset)
@@ -174,35 +188,42 @@ def _pictures(report: ReportData, dataset: Dataset) -> str:
         return ""
     lines = as_lines(report.roots)
     around = np.concatenate([report.surface.vertices_mm[::64], *(root.points_mm for root in report.roots)])
-    shown, used = [], set[int]()
-    for name, angle in AZIMUTHS_DEG.items():
-        place = pictures.nearest(angle)
-        if place in used:
-            continue
-        used.add(place)
-        try:
+    places = {pictures.nearest(angle): name for name, angle in reversed(AZIMUTHS_DEG.items())}
+    drawn: list[tuple[str, NDArray[np.uint8], NDArray[np.float64]]] = []
+    for place, name in reversed(places.items()):
+        with suppress(UserError):  # a picture that cannot be read is omitted from the report
             image = pictures.draw_outline(place, report.surface, lines)
-        except UserError:  # a picture that cannot be read is omitted from the report
-            continue
-        scale = image.shape[1] / pictures.views[place].camera.image_wh[0]
-        image = _crop(image, scale * (pictures.pixels(place, around) + 0.5) - 0.5)
+            scale = image.shape[1] / pictures.views[place].camera.image_wh[0]
+            drawn.append((name, image, scale * (pictures.pixels(place, around) + 0.5) - 0.5))
+    share = max((_share(image, pixels) for _, image, pixels in drawn), default=1.0)
+    shown = []
+    for name, image, pixels in drawn:
         caption = f"Picture from the {name}, with the outline of the reconstruction."
-        shown.append(figure(html_page.image("jpeg", _jpeg(image), caption), caption))
+        shown.append(figure(html_page.image("jpeg", _jpeg(_crop(image, pixels, share)), caption), caption))
     return f"<div class=pictures>{''.join(shown)}</div>"
 
 
-def _crop(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Crop a picture around projected points (N, 2), in pixels, with a margin.
+def _share(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> float:
+    """Return the fraction of a picture that contains projected points (N, 2), pixels, with a margin."""
+    inside = pixels[np.isfinite(pixels).all(axis=1)]
+    if not len(inside):
+        return 1.0
+    high, wide = image.shape[:2]
+    extent = np.ptp(inside, axis=0) * MARGIN / np.array([wide, high])
+    return min(1.0, max(float(extent.max()), SMALLEST_PART))
 
-    The crop has the aspect ratio of the picture. Small crops are enlarged.
+
+def _crop(image: NDArray[np.uint8], pixels: NDArray[np.float64], share: float) -> NDArray[np.uint8]:
+    """Crop a picture to a fraction of its width and height, around projected points (N, 2), in pixels.
+
+    Small crops are enlarged.
     """
     inside = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(inside):
         return image
     high, wide = image.shape[:2]
-    middle, half = (inside.min(axis=0) + inside.max(axis=0)) / 2.0, np.ptp(inside, axis=0) / 2.0 * MARGIN
-    share = min(1.0, max(2.0 * half[0] / wide, 2.0 * half[1] / high, SMALLEST_PART))
-    size = np.array([share * wide, share * high])
+    middle = (inside.min(axis=0) + inside.max(axis=0)) / 2.0
+    size = share * np.array([wide, high])
     corner = np.clip(middle - size / 2.0, 0.0, np.array([wide, high]) - size).astype(int)
     cut = image[corner[1] : corner[1] + int(size[1]), corner[0] : corner[0] + int(size[0])]
     scale = max(1.0, LEAST_WIDE_PX / cut.shape[1])
@@ -253,7 +274,7 @@ def _traits(report: ReportData) -> str:
     if assessed:
         text += table(assessed, head=("trait", "value", "90 % interval", "definition"), numbers=(1,), kind="traits")
     if others:
-        more = table(others, head=("trait", "value", "definition"), numbers=(1,), kind="traits")
+        more = f"<p class=soft>{_NO_INTERVAL}</p>" + table(others, head=("trait", "value", "definition"), numbers=(1,), kind="traits")
         text += f"<details><summary>Traits without an interval</summary>{more}</details>" if assessed else more
     return text
 
@@ -283,4 +304,5 @@ def _rig(report: ReportData) -> str:
     if report.dataset is None:
         return ""
     cameras = figure(rig_figure.cameras(report.summary, report.dataset.scene), "Cameras from above, as estimated. Red: not used.")
-    return f"<div class=rig>{figure(rig_figure.svg(report.dataset.scene), 'Rig from the side, as planned.')}{cameras}</div>"
+    planned = figure(rig_figure.svg(report.dataset.scene), "Rig from the side, as planned.")
+    return f"<div class=wide><div class=rig>{planned}{cameras}</div></div>"

@@ -6,29 +6,30 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from rhizotwin.report import sides
+from rhizotwin.report import sides, words
 from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes import atomic
+from rhizotwin.scenes.figures import FigureFormat, encode
 from rhizotwin.stored import result_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 130
-"""Resolution of the figures, dots per inch. Characters of 9 pt are 16 pixels high."""
+DPI = 250
+"""Resolution of the figures, dots per inch, at which a figure is as wide as a large screen."""
 
 
-def write_pictures(report: ReportData, *, figures: bool = False) -> list[Path]:
+def write_pictures(report: ReportData, *, figures: FigureFormat | None = None) -> list[Path]:
     """Write the picture of a result's shape to its folder (``pictures/shape.png``), and the figures if requested.
 
     Parameters
     ----------
     report : ReportData
         Result, with its dataset if figures are requested.
-    figures : bool
-        Also write figures for documents: centre lines by diameter and order (``roots.png``), pictures of the dataset
-        above their silhouettes (``inputs.png``), and for simulated data the comparison with the true shape
-        (``shape_and_truth.png``). Pictures of the dataset that cannot be read are left out.
+    figures : {"png", "svg", "pdf"}, optional
+        Also write figures for documents in this format: centre lines by diameter and order (``roots``), pictures of the
+        dataset above their silhouettes (``inputs``), and for simulated data the comparison with the true shape
+        (``shape_and_truth``). Pictures of the dataset that cannot be read are left out.
 
     Returns
     -------
@@ -43,8 +44,8 @@ def write_pictures(report: ReportData, *, figures: bool = False) -> list[Path]:
     drawn = {}
     if report.renderings:
         drawn["shape.png"] = bytes(cv2.imencode(".png", sides.overview(report.renderings)[..., ::-1])[1])
-    if figures:
-        drawn |= _figures(report)
+    if figures is not None:
+        drawn |= {f"{name}.{figures}": encode(one, figures, dpi=DPI) for name, one in _figures(report).items() if one is not None}
     folder = report.folder / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in drawn.items():
@@ -52,22 +53,16 @@ def write_pictures(report: ReportData, *, figures: bool = False) -> list[Path]:
     return [folder / name for name in drawn]
 
 
-def _figures(report: ReportData) -> dict[str, bytes]:
-    """Draw the figures for documents as PNG files, keyed by name."""
+def _figures(report: ReportData) -> "Mapping[str, Figure | None]":
+    """Draw the figures for documents, keyed by name."""
     from rhizotwin.report import figures, root_figures  # they load matplotlib
 
-    drawn = {"roots.png": root_figures.draw_roots(report.roots) if report.roots else None}
+    drawn = {"roots": root_figures.draw_roots(report.roots) if report.roots else None}
     if report.dataset is None:
-        return _as_png(drawn)
-    drawn["inputs.png"] = figures.inputs_and_silhouettes(report.summary, report.folder, report.dataset)
+        return drawn
+    drawn["inputs"] = figures.inputs_and_silhouettes(report.summary, report.folder, report.dataset)
     truth_mesh = report.dataset.folder / "truth" / "specimen.ply"
     if truth_mesh.is_file():
         truth = result_files.read_mesh(truth_mesh)
-        drawn["shape_and_truth.png"] = figures.shape_and_truth(report.full_surface, truth, title=str(report.summary["scene"]))
-    return _as_png(drawn)
-
-
-def _as_png(drawn: "Mapping[str, Figure | None]") -> dict[str, bytes]:
-    from rhizotwin.scenes.figures import png  # loads matplotlib
-
-    return {name: png(figure, dpi=DPI) for name, figure in drawn.items() if figure is not None}
+        drawn["shape_and_truth"] = figures.shape_and_truth(report.full_surface, truth, title=words.title(report.name))
+    return drawn

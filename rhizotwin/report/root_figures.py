@@ -13,6 +13,7 @@ from rhizotwin.drawing import root_colours
 from rhizotwin.drawing.root_mesh import THICKEST_PERCENT
 from rhizotwin.drawing.shading import FRONT, SIDE, Side
 from rhizotwin.report import sides
+from rhizotwin.report.figures import PAGE_IN, for_print
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.rsml import Root
 
@@ -20,8 +21,8 @@ ORDERS = np.array(root_colours.ORDERS) / 255.0
 """Colours (K, 3) of the root orders, from 0 to 1. The first is the colour of main roots."""
 LEAST_WIDTH_PT = 0.7
 """Minimum width of a line, points. Thinner lines are hardly visible."""
-PANEL_IN = 4.0
-"""Width of a panel, inches. Four panels fill the width of a screen."""
+PANEL_IN = PAGE_IN / 4.0
+"""Width of a panel, inches. Four panels fill the width of a page."""
 
 
 def draw_roots(roots: Sequence[Root]) -> Figure:
@@ -33,17 +34,19 @@ def draw_roots(roots: Sequence[Root]) -> Figure:
     both = (FRONT, SIDE)
     boxes = sides.boxes(points, both)
     tall = (boxes[0][3] - boxes[0][2]) / (boxes[0][1] - boxes[0][0])
-    drawn = figure(4.0 * PANEL_IN, 1.0 + PANEL_IN * tall)
-    panels = drawn.subplots(1, 4)
+    drawn = figure(PAGE_IN, 1.15 + PANEL_IN * tall)
+    panels = drawn.subplots(1, 4, sharey=True)
     for place, (by, scale) in enumerate((("diameter", thick), ("order", order))):
         for axes, side, box in zip(panels[2 * place : 2 * place + 2], both, boxes, strict=True):
             _draw_lines(axes, roots, side, box, thick if by == "diameter" else None)
-            axes.set_title(f"by {by}, {side.name}", fontsize=9)
+            axes.set_title(f"by {by}\n{side.name}")
         bar = drawn.colorbar(scale, ax=list(panels[2 * place : 2 * place + 2]), location="bottom", shrink=0.6, aspect=40)
         bar.set_label("diameter (mm)" if by == "diameter" else "order (0: main root)")
         if by == "order":
             bar.set_ticks(range(highest + 1))
-    return drawn
+    for axes in panels[1:]:
+        axes.set_ylabel("")
+    return for_print(drawn)
 
 
 def _draw_lines(axes: Axes, roots: Sequence[Root], side: Side, box: sides.Box, scale: ScalarMappable | None) -> None:

@@ -4,9 +4,9 @@ import numpy as np
 
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import charts, words
-from rhizotwin.scenes import frames
+from rhizotwin.scenes import frames, html_page
 from rhizotwin.scenes.formatting import round_digits
-from rhizotwin.scenes.html_page import Markup, escape, table
+from rhizotwin.scenes.html_page import Markup, table
 from rhizotwin.stored import calibration_table
 
 
@@ -21,18 +21,14 @@ def verdict(summary: Json) -> tuple[Markup, Markup]:
 def causes(summary: Json) -> str:
     """Return the causes of the volume's uncertainty as an HTML bar chart, or an empty text if they are unknown."""
     found = words.uncertainty_causes(summary)
-    reach = max((max(cause.less_mm3, cause.more_mm3) for cause in found), default=0.0)
-    if not reach > 0.0:
+    ends = [(-cause.less_mm3 / 1000.0, cause.more_mm3 / 1000.0) for cause in found]
+    if not any(stop > start for start, stop in ends):
         return ""
-    rows = [
-        [
-            Markup(f"{escape(cause.name)}<br><small class=soft>{escape(cause.why)}</small>"),
-            charts.interval(cause.less_mm3, cause.more_mm3, reach),
-            cause.amount,
-        ]
-        for cause in found
-    ]
-    return table(rows, numbers=(2,), kind="causes")
+    bars, scale = charts.intervals(ends)
+    rows = [f"<tr>{html_page.cells((cause.name, bar, cause.amount), numbers=(2,))}</tr>" for cause, bar in zip(found, bars, strict=True)]
+    rows.append(f"<tr class=scale><td></td><td><div>{scale}</div></td><td>ml</td></tr>")
+    why = html_page.items([f"{cause.name}: {cause.why}" for cause in found if cause.why])
+    return f"<table class=causes><tbody>{''.join(rows)}</tbody></table><details><summary>Explanations</summary>{why}</details>"
 
 
 def calibration(summary: Json) -> str:
@@ -98,10 +94,11 @@ def views(summary: Json) -> str:
     return table(rows, head=head, numbers=range(1, 6), marked=marked)
 
 
-def details(summary: Json) -> str:
-    """Return tables of sizes, calibration, views and settings as HTML."""
+def details(summary: Json, *, rig: str) -> str:
+    """Return tables of sizes, calibration, views and settings, and the drawing of the rig, as HTML."""
     parts = {
         "Sizes": table(_sizes(summary), numbers=(1,)),
+        "Rig and cameras": rig,
         "Self-calibration": calibration(summary),
         "Views": views(summary),
         "Settings and versions": table(_provenance(summary)),

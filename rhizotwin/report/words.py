@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any, Literal
 
 from rhizotwin.recon.uncertainty.calibration import Calibration
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset
-from rhizotwin.scenes.formatting import decimals, interval_ml, ml, round_digits
+from rhizotwin.scenes.formatting import count, decimals, interval_ml, ml, round_digits
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.trait_table import DEFINITIONS, Definition
 
 Light = Literal["good", "fair", "bad"]
@@ -50,6 +51,33 @@ IN_ML = ("volume_mm3", "convex_hull_mm3")
 """Field names of the traits that are displayed in ml."""
 UNITS = {"mm2": "mm²", "mm3": "ml", "deg": "degrees"}
 """Units in reports, keyed by the unit in files. Units that are the same in both are omitted."""
+CAUSES = {
+    "area": "Area covered in the pictures",
+    "cameras": "Cameras without markers",
+    "canister": "Shape of the canister",
+    "flat roots": "Roots side by side",
+    "merged roots": "Roots merged into others",
+    "missing roots": "Roots that were not found",
+    "occluded": "Hidden by the net pot",
+    "outlines": "Position of the outlines",
+    "overlapping roots": "Gaps between thick roots",
+    "radii, blur": "Blur of the pictures",
+    "radii, hidden": "Diameters of hidden roots",
+    "radii, residual gradient": "Smoothing of diameters",
+    "radii, view against view": "Diameters in different views",
+    "scale": "Scale",
+    "scattered light": "Scattered light",
+    "sections": "Roots that are not round",
+    "taproot extrapolated": "Extrapolated taproot",
+    "translucency": "Translucency of the roots",
+    "trimmed away": "Trimming of the hull",
+    "uncertain ends": "Ends that may not be roots",
+    "untrimmed hull": "Hull that was not trimmed",
+    "views disagree": "Disagreement between views",
+    "wall_contact": "Contact with the wall",
+    "water": "Refractive index of the water",
+}
+"""Labels of the causes of a volume's uncertainty, keyed by their names in ``result.json``."""
 _PICTURES = (
     "{made} of roots in a round canister of nutrient solution in front of a diffuse backlight: {pictures} images around one rotation."
 )
@@ -93,19 +121,15 @@ def verdict(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
-    """Return the state of the traffic light (good, fair or bad), a sentence with its meaning, and recommendations."""
+    """Return the state of the traffic light (good, fair or bad), and recommendations with a heading."""
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]
     bad = [check for check in checks if check.get("state") == "bad"]
     fair = [check for check in checks if check.get("state") == "fair"]
     advice = [" ".join(filter(None, (_sentence(check.get("found")), _sentence(check.get("advice"))))) for check in (*bad, *fair)]
-    low, high = summary["volume_interval_mm3"]
-    wide = max(high - summary["volume_mm3"], summary["volume_mm3"] - low) / max(summary["volume_mm3"], 1e-9)
     if not summary["volume_trusted"]:
         return "bad", "Do not use this volume.", advice or [_sentence(str(summary["volume_verdict"]))]
-    if fair or summary["warnings"]:
-        advice += [_sentence(str(warning)) for warning in summary["warnings"]]
-        return "fair", f"The volume can be used, within {100.0 * wide:.0f} %. Possible improvements:", advice
-    return "good", f"The volume can be used: with 90 % confidence it is within {100.0 * wide:.0f} %.", advice
+    advice += [_sentence(str(warning)) for warning in summary["warnings"]]
+    return "fair" if advice else "good", count(len(advice), "possible improvement"), advice
 
 
 @dataclass(frozen=True)
@@ -138,7 +162,7 @@ def uncertainty_causes(summary: dict[str, Any]) -> list[Cause]:
     terms = sorted(summary["volume_budget"], key=lambda term: -max(term["less_mm3"], term["more_mm3"]))
     if not terms:
         return []
-    causes = [Cause(title(term["name"]), term["why"], term["less_mm3"], term["more_mm3"]) for term in terms]
+    causes = [Cause(CAUSES.get(term["name"], title(term["name"])), term["why"], term["less_mm3"], term["more_mm3"]) for term in terms]
     least = SMALLEST_SHARE * max(causes[0].less_mm3, causes[0].more_mm3)
     listed = [cause for cause in causes if max(cause.less_mm3, cause.more_mm3) >= least > 0.0]
     if rest := causes[len(listed) :]:
@@ -160,7 +184,20 @@ def main_cause(summary: dict[str, Any]) -> str:
 def title(name: str) -> str:
     """Return a name of a file or a field as words, such as "Printed 8 ml" for ``printed_8ml``."""
     words = re.sub(r"(?<=[a-z]{3})(?=\d)|(?<=\d)(?=(?:ml|mm|cm)\b)", " ", name.replace("_", " ").strip())
+    words = re.sub(r"(?<=[a-z]{3} )0+(?=\d)", "", words)  # day05 is day 5
     return words[:1].upper() + words[1:]
+
+
+def heading(plants: Subject, scene: str) -> tuple[str, str]:
+    """Return the name of a scan, such as "P07, day 12", and what else is known about its plants.
+
+    Scans of unnamed plants have the name of their scene.
+    """
+    if not plants.plant:
+        return title(scene), str(plants)
+    brief = replace(plants, species="", treatment="", replicate=None, notes="", date="" if plants.day is not None else plants.date)
+    rest = replace(plants, plant="", day=None, date=plants.date if plants.day is not None else "")
+    return str(brief), str(rest)
 
 
 def trait_text(definition: Definition, value: float | int | None, assessed: Assessment) -> tuple[str, str, str, str]:

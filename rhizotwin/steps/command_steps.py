@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rhizotwin import engine
+from rhizotwin.scenes.figures import FigureFormat
 from rhizotwin.steps.arguments import Page, Progress
 from rhizotwin.steps.calls import SHARES
 from rhizotwin.steps.front_door import Method, reconstruct
@@ -62,7 +63,7 @@ def reconstruct_whole(
     mass_g: float | None = None,
     keep_stages: bool = False,
     method: Method = "ours",
-    figures: bool = False,
+    figures: FigureFormat | None = None,
     progress: Progress = Progress(),
 ) -> list[Path]:
     """Reconstruct a dataset, and write the result folder with the picture of its shape and its report.
@@ -79,8 +80,8 @@ def reconstruct_whole(
         Save the intermediate results in the subfolder ``stages`` of the result.
     method : str
         Reconstruction method, see `front_door.reconstruct`.
-    figures : bool
-        Also write figures for documents, see `write_pictures`.
+    figures : {"png", "svg", "pdf"}, optional
+        Also write figures for documents in this format, see `write_pictures`.
     progress : Progress
         Progress output.
 

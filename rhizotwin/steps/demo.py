@@ -61,7 +61,7 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
             _remove(dataset)
             simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
     say("2. reconstructing the root from the pictures")
-    pictures = reconstruct_whole(dataset, result, settings=settings_of(None, voxel_mm=VOXEL_MM), figures=True, progress=progress)
+    pictures = reconstruct_whole(dataset, result, settings=settings_of(None, voxel_mm=VOXEL_MM), figures="png", progress=progress)
     say("3. comparing the result with the ground truth")
     with progress.bar(score=1.0) as bar, bar.stage("score"):
         scores = score(result, dataset)

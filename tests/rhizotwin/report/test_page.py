@@ -17,6 +17,7 @@ from rhizotwin.corrections.session import Session
 from rhizotwin.report import page, words
 from rhizotwin.scenes import frames, trait_table
 from rhizotwin.scenes.assessment import NOT_ASSESSED
+from rhizotwin.scenes.subject import Subject
 from tests.command import Command
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
@@ -114,11 +115,12 @@ def test_a_browser_draws_and_saves_the_page(browser: Any, plant: plants.Plant, w
     view = json.loads(data[20 : 20 + size])["bufferViews"][2]
     colours = np.frombuffer(data, np.uint8, view["byteLength"], 28 + size + view["byteOffset"]).reshape(-1, 4)
     assert len(np.unique(colours, axis=0)) == 2  # main root and laterals
-    shown.get_by_label("colour").select_option("uncertainty")
+    shown.get_by_role("combobox").select_option("uncertainty")
     shown.get_by_text("diameter ±0 %").wait_for()
     _wait_until_drawn(shown, 2)
     assert np.abs(_pixels(canvas).astype(int) - turned).mean() > 0.05
     assert complaints == []
+    assert len(re.findall(rb"/Type */Page\b", shown.pdf(format="A4"))) == 1
     context.close()
 
 
@@ -178,8 +180,11 @@ def test_the_volume_has_no_false_precision_and_may_be_refused():
 
 
 def test_names_are_written_as_words():
-    names = {"printed_8ml": "Printed 8 ml", "radish_day15b": "Radish day 15b", "P07 N+": "P07 N+", "": ""}
+    names = {"printed_8ml": "Printed 8 ml", "radish_day15b": "Radish day 15b", "radish_day05b": "Radish day 5b", "P07 N+": "P07 N+", "": ""}
     assert {name: words.title(name) for name in names} == names
+    plant = Subject(plant="P07", species="Raphanus sativus", treatment="low N", day=12.0, date="2026-05-01")
+    assert words.heading(plant, "my_canister") == ("P07, day 12", "Raphanus sativus, treatment low N, 2026-05-01")
+    assert words.heading(Subject(day=5.0), "my_canister") == ("My canister", "day 5")
 
 
 def test_a_definition_does_not_repeat_the_name():

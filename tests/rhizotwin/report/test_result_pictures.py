@@ -39,7 +39,7 @@ def test_a_picture_of_a_ball_has_its_area_depth_and_light():
 
 def test_all_pictures_of_a_result(scan):
     made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,), voxel_mm=1.0)
-    written = result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures=True)
+    written = result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures="png")
     assert [path.name for path in written] == ["shape.png", "inputs.png", "shape_and_truth.png"]
     pictures = [cv2.imread(str(path)) for path in written]
     assert min(min(picture.shape[:2]) for picture in pictures) > 300
@@ -70,7 +70,7 @@ def test_pictures_without_silhouettes_and_truth_repeat_exactly(scan):
     made = scan(voxel_mm=1.0)
     shutil.rmtree(made.result / "silhouettes")
     shutil.rmtree(made.dataset / "truth")
-    first, second = (result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures=True) for _ in range(2))
+    first, second = (result_pictures.write_pictures(ReportData.read(made.result, made.dataset), figures="png") for _ in range(2))
     assert [path.name for path in first] == ["shape.png"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
@@ -81,7 +81,7 @@ def test_a_dataset_that_changes_does_not_spoil_the_report(scan, caplog):
     loaded = load_dataset(made.dataset)
     save_dataset(replace(loaded, frames=loaded.frames[1:]))
     (made.dataset / loaded.frames[0].file).unlink()
-    written = result_pictures.write_pictures(ReportData.read(made.result, loaded), figures=True)
+    written = result_pictures.write_pictures(ReportData.read(made.result, loaded), figures="png")
     assert "inputs.png" in [path.name for path in written]
     assert "view_000.png: the picture is missing" in caplog.text
     assert "drawn without this picture" in caplog.text
