@@ -63,8 +63,8 @@ class Evidence:
     blur_px: float = 0.0
     """Standard deviation of the pictures' blur, px, in addition to the blur by the square pixel."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
-    """Attachment points of the plants, which the net pot hides, in the canister frame, mm. The tuple is empty if there
-    is only one plant."""
+    """Attachment points of the plants, which the net pot hides, in the canister frame, mm. The tuple is empty if they
+    are unknown."""
 
     @staticmethod
     def from_silhouettes(bank: ViewBank, silhouettes: Sequence[Silhouette], window: Window | None = None) -> Evidence:

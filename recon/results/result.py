@@ -78,6 +78,8 @@ class Solid:
     """Part of the volume that was not trimmed, mm3."""
     blind_mm3: float
     """Volume of the water that too few views show, mm3."""
+    hidden_mm: float = 0.0
+    """Maximum length of the roots that the net pot hides, mm (`uncertainty.hidden_top`)."""
     extents_min_mm: Triple
     extents_max_mm: Triple
     mu_per_mm: float | None = None

@@ -1,7 +1,8 @@
-"""Connection of several plants into a single tree by an artificial branch, the crown, behind the net pot.
+"""Connection of several plants, or roots that leave the net pot far apart, into a single tree by an artificial branch.
 
-Tracing and fitting require a single tree. The crown is its first branch. It runs from above the first plant to above
-the last, and every plant is attached to it as a branch. `mark_hidden` excludes the artificial nodes from the result.
+Tracing and fitting require a single tree. The artificial branch, the crown, is its first branch and lies behind the net
+pot. It runs from above the first plant or root to above the last, and each of them is attached to it as a branch.
+`mark_hidden` excludes the artificial nodes from the result.
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ position of a point."""
 
 
 def tops(scene: Scene) -> tuple[Top, ...]:
-    """Return the points at which several plants are attached to the crown.
+    """Return the points at which the plants are attached to the crown.
 
-    They lie halfway between the grid and the top of the opaque net pot. The tuple is empty for a single plant.
+    They lie halfway between the grid and the top of the opaque net pot. A single plant is in the middle.
     """
     z_mm = 0.5 * (scene.net_pot.grid_z_mm + scene.net_pot.top_mm)
-    return tuple((*plant.at_mm, z_mm) for plant in scene.plants) if len(scene.plants) > 1 else ()
+    return tuple((*plant.at_mm, z_mm) for plant in scene.plants) if len(scene.plants) > 1 else ((0.0, 0.0, z_mm),)
 
 
 def reach_mm(at_mm: Array) -> float:
@@ -69,9 +70,9 @@ def find_top_cells(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence
     dense : (N,) bool array
         Mask of the cells that contain roots.
     tops_mm : sequence of tuple of float
-        Attachment points of the plants; empty if they are unknown.
+        Attachment points of the plants. The top of a single plant may be anywhere, so that none is returned.
     """
-    if not tops_mm:
+    if len(tops_mm) < 2:
         return {}
     at_mm = np.array(tops_mm)[:, :2]
     near = reach_mm(at_mm)
@@ -82,14 +83,14 @@ def find_top_cells(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence
 
 
 def attach_paths(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], step_mm: float) -> list[tuple[Array, Array]]:
-    """Attach the traced paths of several plants to a crown.
+    """Attach the traced paths of several plants, or of roots that leave the net pot far apart, to a crown.
 
     Parameters
     ----------
     paths : sequence of tuple
         First cell, points (n, 3) and shadows (n,) of each path. Parents come before children.
     under : mapping
-        Attachment point of each plant, keyed by the cell from which the plant was traced.
+        Attachment point of each plant or root, keyed by the cell from which it was traced.
     step_mm : float
         Spacing of the points along a path, mm.
 
@@ -126,7 +127,7 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
 def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
     """Mark nodes without evidence in the pictures as solid, so that they are not part of any root and add no volume.
 
-    These are the nodes of the crown if there are several plants, or else the hidden nodes at the base of the plant.
+    These are the nodes of the crown if there is one, or else the hidden nodes at the base of the plant.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
         column, row = np.round(np.where(at.visible[view][:, None], at.px[view], 0.0)).astype(np.int64).T
         shown += at.visible[view] & silhouette.usable[row, column]
     hidden = shown < _FEW
-    if not system.evidence.tops_mm:
+    if not system.has_crown:
         base, *others = system.tubes.branches
         forks = np.isin(base, [nodes[0] for nodes in others])  # a root keeps the laterals of its hidden base
         held = np.zeros(len(height_mm), bool)

@@ -61,7 +61,7 @@ class Cells:
     shadow_mm2: NDArray[np.float32]
     """Shadow area of each cell, shape (N,), mm2."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
-    """Attachment points of the plants, if there are several (see `Evidence.tops_mm`)."""
+    """Attachment points of the plants (see `Evidence.tops_mm`)."""
 
     @property
     def centre_mm(self) -> Array:

@@ -37,6 +37,8 @@ class RootTree:
     """Maximum distance of any point of the solids from the points in `solids_mm`, and of thick roots from those in
     `core_mm`, mm."""
     px_a_mm: float
+    has_crown: bool
+    """Whether the first branch is an artificial one, to which plants or roots are attached (`roots.crown`)."""
     attenuation: TubeAttenuation
     """Attenuation of light by the roots."""
     learned_per_mm: float | None = None

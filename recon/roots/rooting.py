@@ -69,6 +69,7 @@ def find_tree(
     if (found := _trace(evidence, water, px_a_mm, margin_mm, monitor=monitor)) is None:
         return None
     cells, core, start = found
+    has_crown = bool(start.centre_mm[start.branches[0][0], 2] > water.top_mm)
     with monitor.stage("tubes"):
         whole = evidence.usable
         evidence, solids, fitted, thick = _separate_solids(evidence, start, core, px_a_mm)
@@ -94,6 +95,7 @@ def find_tree(
         core_mm=core.cells.centre_mm,
         margin_mm=margin_mm,
         px_a_mm=px_a_mm,
+        has_crown=has_crown,
         attenuation=attenuation,
         learned_per_mm=learned_per_mm,
         evidence=evidence,
@@ -214,6 +216,7 @@ def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         core_mm=tree.core_mm,
         margin_mm=tree.margin_mm,
         px_a_mm=tree.px_a_mm,
+        has_crown=tree.has_crown,
         attenuation=tube_attenuation.update_attenuation(tree.attenuation, fit),
         learned_per_mm=tree.learned_per_mm,
         evidence=fit.evidence,

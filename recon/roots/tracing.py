@@ -124,7 +124,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre, density, depth_mm) for top, plant in members.items()}
     found = find_paths(lattice, density, np.array(list(starts.values())))
-    _bridge_net_pot(cells, lattice, density, dense, found, centre[list(starts.values()), 2].min())
+    highest_mm = float(centre[list(starts.values()), 2].min())
+    _bridge_net_pot(cells, lattice, density, dense, found, highest_mm)
+    separate = [_start(root, centre, density, depth_mm) for root in _find_separate(cells, dense, found, highest_mm)]
+    _extend(lattice, density, np.array(separate, np.int64), found)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * size_mm)
     lines = branches(lattice, found, dense, claim / size_mm, _LEAST_MM / size_mm)
     if not lines:
@@ -134,10 +137,11 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     total = np.bincount(nearest, weights=cells.shadow_mm2[some], minlength=sum(len(line) for line in lines)).astype(np.float64)
     shadows = np.split(total, np.cumsum([len(line) for line in lines])[:-1])
     paths = [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
-    if not cells.tops_mm:
-        return paths
-    hung = [(int(line[0]), path.points_mm, path.shadow_mm2) for line, path in zip(lines, paths, strict=True)]
     under = {starts[top]: cells.tops_mm[top] for top in members if top >= 0}
+    if separate:
+        z_mm = cells.tops_mm[0][2]
+        under |= {cell: (*centre[cell, :2].tolist(), z_mm) for cell in (*starts.values(), *separate) if cell not in under}
+    hung = [(int(line[0]), path.points_mm, path.shadow_mm2) for line, path in zip(lines, paths, strict=True)]
     return [Path(*path) for path in crown.attach_paths(hung, under, cells.grid.size_mm)] if under else paths
 
 
@@ -159,6 +163,19 @@ def _bridge_net_pot(cells: Cells, lattice: Lattice, density: Array, dense: NDArr
     paths.before[begin] = head
     paths.cost[begin], paths.length[begin] = paths.cost[head] + way / _BRIDGE, paths.length[head] + way
     lattices.extend_paths(lattice, _resistance(density), begin, paths)
+
+
+def _find_separate(cells: Cells, dense: NDArray[np.bool_], paths: Paths, top_mm: float) -> list[Index]:
+    """Return the dense cells of each root that leaves the net pot far from the plants, so that no path leads to it.
+
+    Such a root is longer than the zone below the net pot in which its top is searched, unlike a bubble or debris.
+    """
+    if not cells.tops_mm:
+        return []
+    height_mm, rest = cells.centre_mm[:, 2], np.flatnonzero(~np.isfinite(paths.cost))
+    part = CellSet.from_cells(cells.index[rest]).components()
+    found = (rest[(part == number) & dense[rest]] for number in np.unique(part[dense[rest]]))
+    return [own for own in found if height_mm[own].max() > top_mm - crown.HIDDEN_MM and np.ptp(height_mm[own]) > crown.HIDDEN_MM]
 
 
 def _start(plant: Index, centre: Array, density: Array, depth_mm: Array) -> int:
@@ -189,9 +206,14 @@ def _resistance(density: Array) -> Array:
 def find_paths(lattice: Lattice, density: Array, starts: Index) -> Paths:
     """Return the shortest paths from the cells ``starts`` (S,) to all cells that are connected to them."""
     paths = Paths.none(len(density))
+    _extend(lattice, density, starts, paths)
+    return paths
+
+
+def _extend(lattice: Lattice, density: Array, starts: Index, paths: Paths) -> None:
+    """Add the shortest paths from the cells ``starts`` (S,) to all cells without a path that are connected to them."""
     paths.cost[starts] = 0.0
     lattices.extend_paths(lattice, _resistance(density), starts, paths)
-    return paths
 
 
 def branches(lattice: Lattice, paths: Paths, tips: NDArray[np.bool_], claim: Array, least: float) -> list[Index]:

@@ -21,6 +21,7 @@ from rhizotwin.recon.uncertainty import bundles, checks, root_residual
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.recon.uncertainty.checks import Estimate
+from rhizotwin.recon.uncertainty.occlusion import ANYWHERE
 from rhizotwin.recon.uncertainty.root_residual import Residual
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
@@ -62,6 +63,19 @@ LEAST_VIEWS = 4
 """Minimum number of pictures that show the roots, to estimate the scatter."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Unseen:
+    """What the volume's budget tells about roots that the comparison with the pictures does not show."""
+
+    flat: float = 0.0
+    """Fraction of the volume by which flat roots may be too large, if they are two roots side by side."""
+    hidden_mm: float = 0.0
+    """Maximum length of the roots that the net pot hides, mm (`hidden_top`)."""
+    scattered: float = 0.0
+    """Fraction of light that is scattered around roots. The cross-sections of thin roots lose this fraction
+    (`scattered_light.scattered_term`), and their diameters half of it."""
+
+
 def estimates(
     roots: Sequence[Root],
     bank: ViewBank,
@@ -69,8 +83,7 @@ def estimates(
     *,
     mu_per_mm: float | None,
     lost: Sequence[str],
-    flat: float = 0.0,
-    scattered: float | None = None,
+    unseen: Unseen | None = None,
     calibration: Calibration = NOT_CALIBRATED,
 ) -> tuple[Estimate, ...]:
     """Compare roots with the pictures.
@@ -85,11 +98,8 @@ def estimates(
         Attenuation of the roots; None for opaque roots.
     lost : sequence of str
         Reasons for which the scan as a whole is not trusted; empty if it is.
-    flat : float
-        Fraction of the volume by which flat roots may be too large, if they are two roots side by side.
-    scattered : float, optional
-        Fraction of light that is scattered around roots; by default, it is unknown. The cross-sections of thin roots
-        lose this fraction (`scattered_light.scattered_term`), and their diameters half of it.
+    unseen : Unseen, optional
+        Roots that the comparison does not show; by default, there are none.
     calibration : Calibration, optional
         Calibration of the scan's intervals.
 
@@ -100,6 +110,7 @@ def estimates(
     """
     if not roots:
         return ()
+    unseen = unseen or Unseen()
     count = min(VIEWS, bank.count)
     places = root_residual.Places.project(roots, bank.select(range(count)))
     drawn = root_residual.render(places, silhouettes[:count], mu_per_mm)
@@ -113,18 +124,18 @@ def estimates(
         f"thick roots hide about {100.0 * hidden:.0f} % of the thin roots in most pictures (add a ring that looks from above)": hidden,
     }
     bundled = bundles.bundled_length_mm(roots, places.px_a_mm) / max(rsml.length_mm(roots), 1e-9)
-    paired = max(0.0, _OF_FLAT * flat - merged - bundled)  # all three are roots that are not separated
+    paired = max(0.0, _OF_FLAT * unseen.flat - merged - bundled)  # all three are roots that are not separated
     unseparated = {
         f"roots spread from common points, where {100.0 * bundled:.0f} % of the length may be hidden (take larger pictures)": bundled,
-        f"roots appear flat, so that {100.0 * _OF_FLAT * flat:.0f} % of the length may be hidden in pairs (take larger pictures)": paired,
+        f"roots appear flat, so that {100.0 * _OF_FLAT * unseen.flat:.0f} % of the length may be hidden in pairs (take larger pictures)": paired,
     }
-    changes = _changes(roots, residuals, lacking=lacking, bundled=unseparated, darker=scattered or 0.0)
+    changes = _changes(roots, residuals, lacking=lacking, bundled=unseparated, unseen=unseen)
     factors = {name: calibration.factor(name) for name in changes}
     return tuple(_estimate(name, change, lost, factor=factors[name]) for name, change in changes.items())
 
 
 def _changes(
-    roots: Sequence[Root], residuals: Sequence[Residual], *, lacking: Mapping[str, float], bundled: Mapping[str, float], darker: float
+    roots: Sequence[Root], residuals: Sequence[Residual], *, lacking: Mapping[str, float], bundled: Mapping[str, float], unseen: Unseen
 ) -> dict[str, _Change]:
     """Return the changes that the pictures suggest, keyed by the name of the trait.
 
@@ -134,20 +145,22 @@ def _changes(
         Differences between the pictures and the rendered roots.
     lacking, bundled : mapping
         Fractions of the roots, and of their length alone, that may be missing, keyed by the cause.
-    darker : float
-        Fraction of light that is scattered around roots.
+    unseen : Unseen
+        Hidden roots, which add to the length, and scattered light.
     """
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
-    along = {**lacking, **bundled}
+    along, darker = {**lacking, **bundled}, unseen.scattered
+    above = {f"the net pot may hide up to {unseen.hidden_mm:.0f} mm": ANYWHERE * unseen.hidden_mm / max(length_mm, 1e-9)}
     missing, missing_length, width = sum(lacking.values()), sum(along.values()), [view.width for view in residuals]
     wider = _mean_of(width)
     less_wide, more_wide = max(0.0, -wider) + missing_length + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)
-    longer, shorter = [_LEVEL * view.missing + missing_length for view in residuals], [_LEVEL * view.surplus + shared for view in residuals]
+    longer = [_LEVEL * view.missing + missing_length + sum(above.values()) for view in residuals]
+    shorter = [_LEVEL * view.surplus + shared for view in residuals]
     tips = float(sum(root.tip_seen for root in roots))
     more_tips, less_tips = [view.missing_tips + missing for view in residuals], [view.surplus_tips for view in residuals]
     return {
-        "total_length_mm": _Change(length_mm, shorter, longer, along),
+        "total_length_mm": _Change(length_mm, shorter, longer, {**along, **above}),
         "tips": _Change(tips, less_tips, more_tips, lacking),
         "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], along, width),
     }

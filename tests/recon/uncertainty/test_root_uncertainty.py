@@ -8,6 +8,7 @@ import pytest
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty import root_residual, root_uncertainty
+from rhizotwin.recon.uncertainty.root_uncertainty import Unseen
 from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.hull.exact_pictures import ring_of
 from tests.recon.strings import blank_of
@@ -111,14 +112,17 @@ def test_crowded_roots_below_half_a_pixel_may_have_more_volume(taken, diameter_m
     assert root_uncertainty.merged_volume([], bank, pictures[0].coverage.shape) == (0.0, 0.0)
 
 
-def test_flat_roots_may_hide_length_beside_others(taken) -> None:
+def test_flat_roots_and_the_net_pot_may_hide_length(taken) -> None:
     bank, pictures = taken
+    hidden = Unseen(hidden_mm=8.0 * 0.02 / 0.9 * length_mm(TRUE))  # the end is anywhere in the hidden length
     found = [
-        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), flat=flat)}
-        for flat in (0.0, 0.02, 0.04)
+        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), unseen=unseen)}
+        for unseen in (Unseen(), Unseen(flat=0.02), Unseen(flat=0.04), hidden)
     ]
     high = [one["total_length_mm"].interval[1] / length_mm(TRUE) for one in found]
     assert high[1] == pytest.approx(1.0 + 8.0 * 0.02, abs=0.02)
+    assert high[3] == pytest.approx(high[1])
     assert high[0] < high[1] < high[2]
     assert "appear flat" in found[2]["total_length_mm"].verdict
+    assert found[0]["mean_diameter_mm"] == found[3]["mean_diameter_mm"]
     assert found[0]["tips"] == found[2]["tips"]
