@@ -210,8 +210,8 @@ def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> 
     notes = [
         f"{title}: assembled rig, scale {_scale_text(scale)}, mm",
         "The cross marks the origin of the rig frame: the turntable axis in the plane of the canister's rim.",
-        "Shown: printed parts, canister, motor, LED board, diffuser and the profiles below the turntable.",
-        "Not shown: the arm, the other profiles and the front lamp.",
+        "Shown: printed parts, canister, motor, panel, front lamp, and the profiles below the turntable and beside the lamp.",
+        "Not shown: the arm and the other profiles.",
     ]
     left = MARGIN_MM + cell[0] + 6.0
     ink += [

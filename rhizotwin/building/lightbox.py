@@ -100,12 +100,12 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
     )
 
 
-def _holder_back_mm(measures: Measures) -> float:
+def back_mm(measures: Measures) -> float:
     """Return the distance from the back of a panel holder to the front face of the diffuser.
 
     The diffuser is assumed to be in the middle of its slot.
     """
-    return _slots(measures)[1][1] - measures.fit_mm / 2.0
+    return slots(measures)[1][1] - measures.fit_mm / 2.0
 
 
 def _bar_x_mm(scene: Scene, measures: Measures) -> float:
@@ -120,7 +120,7 @@ def _bar_beyond_mm(measures: Measures) -> float:
     return HOLDER_WALL_MM + SCREW_ROOM_MM + _clip_screw_mm(measures)
 
 
-def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
+def slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return two intervals (start, end): the slot for the LED board, and the slot for the diffuser.
 
     They are measured from the back of the channel, in mm.
@@ -131,15 +131,15 @@ def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]
     return board, (bright, bright + measures.diffuser_mm + fit)
 
 
-def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
+def channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
     """Return the cross-section of the channel that encloses the edge of the panel.
 
     The floor of the channel is below y = 0. Above it, fins on both sides of each slot guide LED board and diffuser.
     """
     wall = HOLDER_WALL_MM
-    slots = _slots(measures)
-    floor = rectangle((0.0, -wall), (slots[1][1] + wall, 0.0))
-    fins = [rectangle((x, -wall), (x + wall, deep)) for begin, end in slots for x in (begin - wall, end)]
+    grooves = slots(measures)
+    floor = rectangle((0.0, -wall), (grooves[1][1] + wall, 0.0))
+    fins = [rectangle((x, -wall), (x + wall, deep)) for begin, end in grooves for x in (begin - wall, end)]
     return union([floor, *fins])
 
 
@@ -149,9 +149,9 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
     The back of the channel is at x = 0, and the edge of the panel at y = 0.
     """
     wall, deep, screw, bar = HOLDER_WALL_MM, HOLDER_DEEP_MM, _clip_screw_mm(measures), _bar_beyond_mm(measures)
-    board, diffuser = _slots(measures)
+    board, diffuser = slots(measures)
     long = diffuser[1] + wall
-    outline = union([_channel(measures), rectangle((0.0, -bar - screw - SCREW_ROOM_MM), (wall, 0.0))])
+    outline = union([channel(measures), rectangle((0.0, -bar - screw - SCREW_ROOM_MM), (wall, 0.0))])
     middle = HOLDER_LONG_MM / 2.0
     screws = union(teardrop(M3_MM, (-bar + s * screw, middle)) for s in (-1, 1))
     through = screws.extrude(wall + 2.0).transform(np.array([[0.0, 0.0, 1.0, -1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]))
@@ -229,7 +229,7 @@ def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, m
     return Part(
         name=f"lightbox_wall_{number}",
         about="Closes the lightbox between two holders at its upper and lower edge; glue it to the LED board.",
-        solid=raised(_channel(measures), 0.0, cut),
+        solid=raised(channel(measures), 0.0, cut),
         rig_from_part=tuple(places),
         apart_mm=(-40.0, 0.0, 0.0),
         dimensions=(Dimension(name="length", from_mm=(0.0, -HOLDER_WALL_MM, 0.0), to_mm=(0.0, -HOLDER_WALL_MM, cut)),),
@@ -246,8 +246,8 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
     count = int(np.ceil(high / WALL_LONG_MM))
     long = high / count - measures.fit_mm
     clear = HOLDER_DEEP_MM + measures.fit_mm
-    floor = raised(_channel(measures, deep=0.0), 0.0, long)
-    solid = floor + raised(_channel(measures), clear, long - clear)
+    floor = raised(channel(measures, deep=0.0), 0.0, long)
+    solid = floor + raised(channel(measures), clear, long - clear)
     x, low = _panel_x_mm(scene, measures), scene.lights.backlight_z_mm - high / 2.0
     places = []
     for side in (-1.0, 1.0):  # opens towards the centre of the panel
@@ -269,4 +269,4 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
 
 def _panel_x_mm(scene: Scene, measures: Measures) -> float:
     """Return the x coordinate, in the rig frame, of the back of the channels that hold the panel."""
-    return -scene.lights.backlight_distance_mm - _holder_back_mm(measures)
+    return -scene.lights.backlight_distance_mm - back_mm(measures)

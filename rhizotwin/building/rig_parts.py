@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from rhizotwin.building import lightbox, mounts, pot, table, tank
+from rhizotwin.building import lamp, lightbox, mounts, pot, table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part
 from rhizotwin.building.shapes import circle, joined, raised, rectangle, union
@@ -65,6 +65,8 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
         lightbox.lightbox_clip(scene, measures),
         lightbox.panel_holder(scene, measures),
         *lightbox.lightbox_walls(scene, measures),
+        lamp.lamp_holder(scene, measures),
+        lamp.lamp_wall(scene, measures),
         mounts.board_stand(scene, board, measures, floor_mm),
         *tank.parts(scene, measures, floor_mm),
     ]
@@ -87,7 +89,7 @@ def thesis_rig(scene: Scene | None = None) -> RigFile:
 def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
     """Create the solids of all purchased parts at their positions on the rig.
 
-    The parts are the canister, motor, tank, frame profiles, LED board and diffuser.
+    The parts are the canister, motor, tank, some frame profiles, and LED board and diffuser of panel and front lamp.
     """
     can, floor_mm = scene.canister, rig.clearance.floor_z_mm
     under = tank.below(scene)
@@ -120,6 +122,11 @@ def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]
     for name, front, thick in (("diffuser", bright, measures.diffuser_mm), ("LED board", back, measures.panel_board_mm)):
         sheet = Manifold.cube((thick, wide, high)).translate((front - thick, -wide / 2.0, z - high / 2.0))
         things.append(Bought(name=name, solid=sheet))
+    things += [Bought(name=name, solid=sheet, apart_mm=(40.0, 0.0, 60.0)) for name, sheet in lamp.sheets(scene, measures)]
+    for x, y, high_mm in lamp.post_places_mm(scene, measures):
+        long_mm = high_mm + measures.profile_mm - floor_mm
+        upright = _bar(measures, long_mm, (0.0, 0.0, 0.0)).rotate((0.0, 90.0, 0.0)).translate((x, y, floor_mm + long_mm / 2.0))
+        things.append(Bought(name="bar", solid=upright, apart_mm=(40.0, 0.0, -40.0)))
     return things
 
 

@@ -37,6 +37,8 @@ COLOURS = {
     "bar": (0.7, 0.7, 0.72),
     "diffuser": (0.95, 0.95, 0.9),
     "LED board": (0.8, 0.8, 0.75),
+    "lamp diffuser": (0.95, 0.95, 0.9),
+    "lamp LED board": (0.8, 0.8, 0.75),
 }
 PRINTED = (0.95, 0.62, 0.25)
 

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from manifold3d import Error, Manifold
 
-from rhizotwin.building import lightbox, mounts, table, tank
+from rhizotwin.building import lamp, lightbox, mounts, table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.pot import net_pot, net_pot_grid, strip_seat_radius_mm
@@ -24,6 +24,7 @@ from rhizotwin.rig.rig_file import ArmPart, Clearance, RigFile
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, MarkerStrip, NetPot, Scene, Tank
+from rhizotwin.sim.lights import rig_from_front
 
 OVERHANG_DEG = 50.0
 """Surfaces that lean further out over nothing than this, from upright, need support: printers manage 45 to 60."""
@@ -172,6 +173,22 @@ def test_heads_of_the_motors_screws_are_below_the_plate(scene: Scene) -> None:
     screws = [screw.translate((x, y - drive.centres_mm, low_mm)) for x in (-half, half) for y in (-half, half)]
     assert max((placed ^ base).volume() for placed in screws) < 1e-6
     assert all((placed ^ plate).is_empty() for placed in screws)
+
+
+def test_the_lamp_is_where_the_simulator_has_it_and_its_screws_enter_the_posts() -> None:
+    scene = replace(Scene(), lights=replace(Scene().lights, front_xz_mm=(300.0, 150.0)))
+    pose, lit = lamp.rig_from_lamp(scene), rig_from_front(scene.lights)
+    np.testing.assert_allclose(pose[:3, [0, 3]], lit[:3, [2, 3]], atol=1e-9)  # normal and centre
+    diffuser = next(solid for name, solid in lamp.sheets(scene, MEASURES) if name == "lamp diffuser")
+    assert diffuser.volume() == pytest.approx(4.0 * MEASURES.diffuser_mm * np.linalg.norm(lit[:3, 0]) * np.linalg.norm(lit[:3, 1]))
+    bars = [one.solid for one in bought_of(scene, rig=low(scene), measures=MEASURES) if one.name == "bar"]
+    for holder, (x, y, z) in zip(lamp.lamp_holder(scene, MEASURES).placed(), lamp.post_places_mm(scene, MEASURES), strict=True):
+        screw = Manifold.cylinder(40.0, 2.5, 2.5, center=True).rotate((90.0, 0.0, 0.0)).translate((x, y - np.sign(y) * 10.0, z))
+        assert (screw ^ holder).is_empty()
+        assert min(screw.min_gap(bar, 50.0) for bar in bars) == 0.0
+        assert min(holder.min_gap(bar, 50.0) for bar in bars) == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(UserError, match="front lamp"):
+        lamp.lamp_holder(replace(Scene(), lights=replace(Scene().lights, front_wh_mm=(300.0, 20.0))), MEASURES)
 
 
 def test_what_cannot_be_printed_is_refused() -> None:
