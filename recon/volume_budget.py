@@ -124,7 +124,7 @@ def _solid_terms(carved: CarvedHull, shape: UnitedShape, settings: Settings, mis
             binary=carved.is_binary,
         ),
         *(() if shape.system is None else (overlap.overlap_term(shape.system, shape.part, shape.solids.leaves),)),
-        occlusion.occlusion_term(carved.bank, carved.maps, shape.leaves, carved.water),
+        occlusion.occlusion_term(carved.bank, carved.maps, shape.leaves, shape.solids.leaves, shape.roots, carved.water),
         wall_contact.wall_contact(shape.thick, carved.water),
         solid_uncertainty.water_term(volume_mm3),
         *bare_uncertainty.camera_terms(

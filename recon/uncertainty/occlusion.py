@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
@@ -18,7 +19,10 @@ from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES
 from rhizotwin.recon.uncertainty.budget import Term
+from rhizotwin.scenes import polyline
+from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 
@@ -30,6 +34,8 @@ zero, since outlines are at half coverage."""
 ANYWHERE = 0.9
 """Fraction of the hidden length that contains the end of a root with a probability of 90 %. The position of the end is
 assumed to be uniformly distributed over the hidden length."""
+_UP = 2
+"""Number of the vertical axis."""
 _LOOKS = 16
 """Number of points along a hidden length at which visibility is tested."""
 _WHERE = {
@@ -39,19 +45,22 @@ _WHERE = {
 """Description of the hidden places below (-1) and above (1) the shape, for the user."""
 
 
-def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
+def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, solids: Leaves, roots: Sequence[Root], water: Water) -> Term:
     """Return the term of the error budget for volume that may be hidden in places that too few views show.
 
-    Columns of voxels that end at such a place, in one of the six directions of the axes, are extended until enough
-    views see again, or to the edge of the water. Roots join upwards: if their cross-section increases towards the top,
-    the columns hidden above it are assumed to be wider (`_widening`). The axis with the largest hidden volume is used.
+    Vertical columns of voxels that end at such a place are extended until enough views see again, or to the edge of the
+    water, and so are horizontal columns of solids. A root continues beyond its tip in its own direction: its side is no
+    end. Roots join upwards: if their cross-section increases towards the top, the columns hidden above it are assumed
+    to be wider (`_widening`). The axis with the largest hidden volume is used.
 
     Parameters
     ----------
     bank, maps : ViewBank, DistanceMaps
         Views and their distance maps.
-    leaves : Leaves
-        Leaves of the shape.
+    leaves, solids : Leaves
+        Leaves of the shape, and of its parts that are no roots.
+    roots : sequence of Root
+        Roots of the shape.
     water : Water
         Extent of the water.
 
@@ -60,32 +69,45 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wa
     Term
         The additional volume.
     """
+    tips = _hidden_tips(bank, maps, roots, water)
+    hidden = {
+        axis: [tips * (axis != _UP)] + [_hidden_columns(bank, maps, part, water, axis, side) for side in (-1, 1)]
+        for axis, part in enumerate((solids, solids, leaves))
+    }
+    axis = max(hidden, key=lambda a: sum(hidden[a]))
+    where = _WHERE[-1 if hidden[axis][1] >= hidden[axis][2] else 1] if axis == _UP else _describe_side(bank)
+    return Term(
+        name="occluded",
+        less_mm3=0.0,
+        more_mm3=ANYWHERE * sum(hidden[axis]),
+        why=f"the shape may continue where too few views look, {where}",
+    )
+
+
+def _hidden_columns(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water, axis: int, side: int) -> float:
+    """Return the volume of the columns of voxels that may continue on one side (-1 or 1) of an axis, mm3."""
     units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
     index, size, occupancy = to_voxels(leaves, units)
     cells = to_unit_cubes(index, size).astype(np.int64)
     full = spread_values(occupancy, size)
-    edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
-    hidden, listed = {}, CellSet.from_cells(cells)
-    for axis in range(3):
-        for side in (-1, 1):
-            last = _ends(cells, full, axis, side)
-            direction = np.zeros(3)
-            direction[axis] = side
-            end_mm = origin + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
-            gap_mm = gaps_mm(bank, maps, end_mm, direction, water)
-            wider = _widening(cells[:, 2], full, last, gap_mm / edge_mm) if (axis, side) == (2, 1) else 1.0
-            before = listed.find(cells[last] - direction.astype(np.int64))  # a flat end cuts the last voxels
-            section = np.where(before >= 0, np.maximum(full[last], full[before]), full[last])
-            hidden[axis, side] = ANYWHERE * wider * float(gap_mm @ section) * edge_mm**2
-    axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
-    side = max((-1, 1), key=lambda s: hidden[axis, s])
-    where = _WHERE[side] if axis == 2 else _describe_side(bank)
-    return Term(
-        name="occluded",
-        less_mm3=0.0,
-        more_mm3=hidden[axis, -1] + hidden[axis, 1],
-        why=f"the shape may continue where too few views look, {where}",
-    )
+    edge_mm, direction = units * leaves.grid.size_mm, side * np.eye(3)[axis]
+    last = _ends(cells, full, axis, side)
+    end_mm = np.asarray(leaves.grid.origin_mm) + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
+    gap_mm = gaps_mm(bank, maps, end_mm, direction, water)
+    wider = _widening(cells[:, 2], full, last, gap_mm / edge_mm) if (axis, side) == (_UP, 1) else 1.0
+    before = CellSet.from_cells(cells).find(cells[last] - direction.astype(np.int64))  # a flat end cuts the last voxels
+    section = np.where(before >= 0, np.maximum(full[last], full[before]), full[last])
+    return wider * float(gap_mm @ section) * edge_mm**2
+
+
+def _hidden_tips(bank: ViewBank, maps: DistanceMaps, roots: Sequence[Root], water: Water) -> float:
+    """Return the volume of the roots that may continue beyond their last points, mm3."""
+    if not roots:
+        return 0.0
+    ends_mm = np.array([root.points_mm[-1] for root in roots])
+    onward = np.array([root.points_mm[-1] - root.points_mm[-min(TANGENT_NODES + 1, len(root.points_mm))] for root in roots])
+    gap_mm = gaps_mm(bank, maps, ends_mm, polyline.unit_vectors(onward), water)
+    return float(gap_mm @ [0.25 * np.pi * root.diameters_mm[-1] ** 2 for root in roots])
 
 
 def _widening(height: NDArray[np.int64], full: NDArray[np.float32], last: NDArray[np.int64], gap: Array) -> float:
@@ -155,18 +177,19 @@ def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array,
         Views and their distance maps.
     end_mm : (N, 3) array
         Ends, canister frame.
-    direction : (3,) array
-        Direction along an axis.
+    direction : (3,) or (N, 3) array
+        Unit vector of the direction in which all or each of them continue.
     water : Water
         Extent of the water.
     """
-    gap = np.zeros(len(end_mm))
+    gap, direction = np.zeros(len(end_mm)), np.broadcast_to(direction, end_mm.shape)
     way = _water_extent(end_mm, direction, water)
     ahead = end_mm + np.minimum(_EDGE_MM, way)[:, None] * direction
     open_ = np.flatnonzero((way > 0) & ~_are_visible(bank, maps, ahead))
     if len(open_):
         share = (np.arange(_LOOKS) + 1.0) / _LOOKS
-        on_way = ahead[open_, None] + (share[:, None] * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None, None]) * direction
+        steps_mm = share * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None]
+        on_way = ahead[open_, None] + steps_mm[..., None] * direction[open_, None]
         visible = _are_visible(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
         first = np.where(visible.any(axis=1), share[visible.argmax(axis=1)], 1.0)
         gap[open_] = first * way[open_]
@@ -174,15 +197,18 @@ def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array,
 
 
 def _water_extent(from_mm: Array, direction: Array, water: Water) -> Array:
-    """Return the distances (N,) from points (N, 3) to the edge of the water in a direction along an axis, mm.
+    """Return the distances (N,) from points (N, 3) to the edge of the water in directions (N, 3), mm.
 
     The distance is 0 for points outside the water.
     """
-    if direction[2]:
-        end = water.top_mm if direction[2] > 0 else water.bottom_mm
-        return np.maximum((end - from_mm[:, 2]) * direction[2], 0.0)
-    along, across = from_mm @ direction, from_mm[:, 1 if direction[0] else 0]
-    return np.maximum(np.sqrt(np.maximum(water.radius_mm**2 - across**2, 0.0)) - along, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.where(direction[:, 2] > 0.0, water.top_mm, water.bottom_mm)
+        vertical = np.where(direction[:, 2] == 0.0, np.inf, (level - from_mm[:, 2]) / direction[:, 2])
+        flat = np.sum(direction[:, :2] ** 2, axis=1)
+        along = np.sum(from_mm[:, :2] * direction[:, :2], axis=1)
+        inside = water.radius_mm**2 - np.sum(from_mm[:, :2] ** 2, axis=1)
+        sideways = np.where(flat == 0.0, np.inf, (np.sqrt(np.maximum(along**2 + flat * inside, 0.0)) - along) / flat)
+    return np.where(inside < 0.0, 0.0, np.maximum(np.minimum(vertical, sideways), 0.0))
 
 
 def _are_visible(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:

@@ -65,7 +65,7 @@ LEAST_VIEWS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
-    """What the volume's budget tells about roots that the comparison with the pictures does not show."""
+    """Roots that the comparison with the pictures does not show, according to the volume's budget."""
 
     flat: float = 0.0
     """Fraction of the volume by which flat roots may be too large, if they are two roots side by side."""
@@ -124,10 +124,11 @@ def estimates(
         f"thick roots hide about {100.0 * hidden:.0f} % of the thin roots in most pictures (add a ring that looks from above)": hidden,
     }
     bundled = bundles.bundled_length_mm(roots, places.px_a_mm) / max(rsml.length_mm(roots), 1e-9)
-    paired = max(0.0, _OF_FLAT * unseen.flat - merged - bundled)  # all three are roots that are not separated
+    flat = _OF_FLAT * unseen.flat
+    paired = max(0.0, flat - merged - bundled)  # all three are roots that are not separated
     unseparated = {
         f"roots spread from common points, where {100.0 * bundled:.0f} % of the length may be hidden (take larger pictures)": bundled,
-        f"roots appear flat, so that {100.0 * _OF_FLAT * unseen.flat:.0f} % of the length may be hidden in pairs (take larger pictures)": paired,
+        f"roots appear flat, so that {100.0 * flat:.0f} % of the length may be hidden in pairs (take larger pictures)": paired,
     }
     changes = _changes(roots, residuals, lacking=lacking, bundled=unseparated, unseen=unseen)
     factors = {name: calibration.factor(name) for name in changes}

@@ -51,7 +51,8 @@ def test_roots_that_meet_behind_the_net_pot_are_traced():
     score = compared(found, TRUNK, beside)
     assert min(score.recall, score.precision) > 0.9
     artificial, *others = tracing.trace(replace(found, tops_mm=((0.0, 0.0, 10.0),)), np.full(len(index), -1.0))
-    assert (artificial.points_mm[:, 2] == 10.0).all() and len(others) == 3
+    assert (artificial.points_mm[:, 2] == 10.0).all()
+    assert len(others) == 3
     assert sum(bool(line.points_mm[0, 2] == 10.0) for line in others) == 2  # the trunk and the root far from it
 
 

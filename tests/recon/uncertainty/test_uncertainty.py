@@ -73,7 +73,8 @@ def occlusion_of(monkeypatch: pytest.MonkeyPatch, seen: Callable[[NDArray], NDAr
     """Return what may be hidden of a shape, where ten views see some points."""
     monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
     bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.from_scene(Scene())))
-    return occlusion.occlusion_term(bank, cast(DistanceMaps, None), shape, Water(70.0, -8.0, -150.0))  # only `_votes` looks into maps
+    maps = cast(DistanceMaps, None)  # only `_votes` looks into them
+    return occlusion.occlusion_term(bank, maps, shape, shape, (), Water(70.0, -8.0, -150.0))
 
 
 @pytest.mark.parametrize(
