@@ -84,6 +84,15 @@ class Dataset:
     """SHA-256, in hexadecimal, of dataset.json as it was read or written. It is empty if the file does not exist
     yet."""
 
+    @property
+    def lamps_off(self) -> tuple[str, ...]:
+        """Names of the lamps with level 0, by the rig file that is recorded with a scan, or by the scene."""
+        rig = self.origin.get("rig")
+        part = rig.get("lights") if isinstance(rig, dict) else None
+        part, lights = part if isinstance(part, dict) else {}, self.scene.lights
+        levels = {"panel": part.get("panel_level", lights.backlight_level), "front lamp": part.get("front_level", lights.front_level)}
+        return tuple(name for name, level in levels.items() if level == 0.0)
+
     def summary(self) -> dict[str, str]:
         """Return the name, the number of pictures and the origin as texts. The keys are labels for display."""
         width, height = self.scene.camera.image_wh

@@ -49,7 +49,7 @@ def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
     some = sorted({round(k) for k in np.linspace(0, len(captured) - 1, _SOME)})
 
     def detect(image: Grey) -> Markers:
-        return detect_markers(image, dataset.scene.strip)
+        return detect_markers(image, dataset.scene.strip, lamps_off=dataset.lamps_off)
 
     def again(curve: Curve) -> list[Markers]:
         return monitor.each(lambda k: detect(read_image(dataset, captured[k], curve=curve)), "curve", some)

@@ -129,10 +129,11 @@ def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
 def _detect_markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
     """Detect the markers of every picture; reuse markers that were already measured."""
     known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
+    strip, lamps_off = pictures.dataset.scene.strip, pictures.dataset.lamps_off
 
     def find(k: int) -> markers.Markers:
         kept = known.get(k)
-        return markers.detect_markers(pictures.images[k], pictures.dataset.scene.strip, measure=measure) if kept is None else kept
+        return markers.detect_markers(pictures.images[k], strip, measure=measure, lamps_off=lamps_off) if kept is None else kept
 
     with monitor.stage("markers"):
         return monitor.each(find, "markers", range(len(pictures.images)))

@@ -3,6 +3,7 @@
 OpenCV identifies the markers, and `recon.calibration.marker_fit` measures their corners.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, MarkerFit, Scratch, fit_marker
+from rhizotwin.scenes.formatting import was
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import get_dictionary, ids_text, marker_cells, strip_ids
 from rhizotwin.scenes.model import MarkerStrip
@@ -61,7 +63,7 @@ class Markers:
     """Reason why no markers were found; None if markers were found."""
 
 
-def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) -> Markers:
+def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True, lamps_off: Sequence[str] = ()) -> Markers:
     """Detect a strip's markers in a picture and measure their corners.
 
     Parameters
@@ -73,6 +75,8 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     measure : bool
         Whether to measure the corners by a fit of the marker pattern. If False, OpenCV's corners are returned, which
         are refined with SUBPIX as in the thesis. OpenCV's corners are about ten times less accurate.
+    lamps_off : sequence of str
+        Lamps that were off, see `scenes.dataset.Dataset.lamps_off`. They are named if no markers are found.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
             ids=np.zeros(0, np.int64),
             corners_px=np.zeros((0, 4, 2)),
             foreign=tuple(foreign),
-            diagnosis=_diagnose(image, strip, blurred=len(ids), foreign=foreign),
+            diagnosis=_diagnose(image, strip, blurred=len(ids), foreign=foreign, lamps_off=lamps_off),
         )
     return Markers(
         ids=np.array(list(found)),
@@ -182,7 +186,7 @@ def _equalise(image: Picture) -> Bytes:
     return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_square_root(image)), np.uint8)
 
 
-def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
+def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int], lamps_off: Sequence[str]) -> str:
     """Return the reason why no markers were found in a picture."""
     if blurred:
         return f"{blurred} markers were identified, but they are too blurred or noisy to be measured"
@@ -204,4 +208,7 @@ def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
                 return (
                     f"the picture shows markers of another strip: their dictionary is {name}, but the scene's strip has {strip.dictionary}"
                 )
-    return others if foreign else "no markers were found"  # one or two may be coincidental in small dictionaries
+    if foreign:  # one or two may be coincidental in small dictionaries
+        return others
+    off = f"; according to the record of the scan, the {' and the '.join(lamps_off)} {was(len(lamps_off))} off" if lamps_off else ""
+    return f"no markers were found{off}"

@@ -1,6 +1,7 @@
 """Markers: corners in pictures of the emulated rig, which shares nothing with them, and what is said when there are none."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from rhizotwin.recon.optics.cameras import matrix
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.model import Camera, MarkerStrip, Scene
 
 
@@ -92,11 +94,17 @@ def test_markers_are_found_in_other_pictures(shot, change, least):
     [
         (lambda picture: np.ascontiguousarray(picture[:, ::-1]), MarkerStrip(), "mirror"),
         (lambda picture: picture, MarkerStrip(first_id=200), "markers of another strip"),
-        (lambda picture: np.full_like(picture, 30000), MarkerStrip(), "no markers were found"),
+        (
+            lambda picture: np.full_like(picture, 30000),
+            MarkerStrip(),
+            "no markers were found; according to the record of the scan, the front lamp was off",
+        ),
     ],
     ids=["mirrored", "other ids", "empty"],
 )
 def test_a_picture_without_the_strip_s_markers_is_diagnosed(shot, change, strip, diagnosis):
-    found = detect_markers(change(shot.picture), strip)
+    scan = Dataset(folder=Path(), scene=Scene(), frames=(), origin={"rig": {"lights": {"panel_level": 1.0, "front_level": 0.0}}})
+    found = detect_markers(change(shot.picture), strip, lamps_off=scan.lamps_off)
     assert len(found.ids) == 0
     assert diagnosis in found.diagnosis
+    assert Dataset(folder=Path(), scene=Scene(), frames=(), origin={"rig": None}).lamps_off == ()

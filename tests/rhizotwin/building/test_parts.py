@@ -175,7 +175,7 @@ def test_heads_of_the_motors_screws_are_below_the_plate(scene: Scene) -> None:
     assert all((placed ^ plate).is_empty() for placed in screws)
 
 
-def test_the_lamp_is_where_the_simulator_has_it_and_its_screws_enter_the_posts() -> None:
+def test_the_lamp_faces_the_rim_and_is_held_by_its_posts() -> None:
     scene = replace(Scene(), lights=replace(Scene().lights, front_xz_mm=(300.0, 150.0)))
     pose, lit = lamp.rig_from_lamp(scene), rig_from_front(scene.lights)
     np.testing.assert_allclose(pose[:3, [0, 3]], lit[:3, [2, 3]], atol=1e-9)  # normal and centre
