@@ -39,8 +39,8 @@ def console(
     Start the console in one of two ways: with --rig and --output for individual scans, or with --experiment for a
     time-lapse experiment, whose file specifies rig and folders.
 
-    The web page shows the devices, a live picture, the running scan with a coarse 3D sketch of the roots, the plants
-    with their schedule, and the reconstructions. Other programs can use the same functions through a REST API.
+    The web page shows the devices, a live picture, the running scan with a coarse hull of the roots, the plants with
+    their schedule, and the reconstructions. Other programs can use the same functions through a REST API.
 
     By default, the page can be opened only on this computer. For other computers, set --host and a password (typed, or
     in the environment variable RHIZOTWIN_CONSOLE_PASSWORD). Ctrl-C stops the console and a running scan safely.

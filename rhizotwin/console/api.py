@@ -9,16 +9,18 @@ from concurrent.futures import Future
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Annotated, Any
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, quote
 
 from fastapi import FastAPI, Header, Query, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
 
 from rhizotwin.console import bodies as body
 from rhizotwin.console.access import Access, cookie_of, login_headers
 from rhizotwin.console.console import Console
+from rhizotwin.console.downloads import zip_folder
 from rhizotwin.console.messages import for_console
+from rhizotwin.console.pictures import PICTURE_PX, jpeg
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, printable
 
@@ -61,8 +63,11 @@ def create_app(console: Console, access: Access) -> FastAPI:
     )
 
     @app.exception_handler(UserError)
-    async def refused(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"detail": for_console(str(error))}, status_code=409)
+    async def refused(request: Request, error: Exception) -> Response:
+        text = for_console(str(error))
+        if "text/html" in request.headers.get("accept", ""):  # a person who followed a link
+            return PlainTextResponse(f"{text}\n", status_code=409)
+        return JSONResponse({"detail": text}, status_code=409)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
@@ -94,9 +99,9 @@ def _add_pages(app: FastAPI, access: Access) -> None:
     def script() -> Response:
         return Response(_text("console.js"), media_type="text/javascript")
 
-    @app.get("/sketch.js", include_in_schema=False)
-    def sketch_script() -> Response:
-        return Response(_text("sketch.js"), media_type="text/javascript")
+    @app.get("/hull.js", include_in_schema=False)
+    def hull_script() -> Response:
+        return Response(_text("hull.js"), media_type="text/javascript")
 
     @app.get("/login", include_in_schema=False)
     def login_page() -> HTMLResponse:
@@ -135,16 +140,40 @@ def _add_state(app: FastAPI, console: Console) -> None:
             raise UserError("no picture has been taken yet; take a picture or start a scan first")
         return Response(shown.jpeg, media_type="image/jpeg")
 
-    @app.get("/api/sketch", tags=["state"], response_class=Response, responses={200: {"content": {"application/octet-stream": {}}}})
-    def sketch() -> Response:
-        """Return the coarse cells of the roots as little-endian float32 values in mm.
+    @app.get("/api/hull", tags=["state"], response_class=Response, responses={200: {"content": {"application/octet-stream": {}}}})
+    def hull() -> Response:
+        """Return the cells of the coarse hull of the roots as little-endian float32 values in mm.
 
         The first value is the edge length of a cell, and x, y and z of the centre of each cell follow.
         """
-        cells_mm, edge_mm = console.sketch()
+        cells_mm, edge_mm = console.hull()
         data = cells_mm.astype("<f4").tobytes()
         edge = cells_mm.dtype.type(edge_mm).astype("<f4").tobytes()
         return Response(edge + data, media_type="application/octet-stream")
+
+    @app.get(
+        "/api/scans/{name}/pictures/{number}.jpg", tags=["state"], response_class=Response, responses={200: {"content": {"image/jpeg": {}}}}
+    )
+    def scan_picture(
+        name: str, number: int, width: Annotated[int, Query(ge=16, le=PICTURE_PX, description="Maximum width, px")] = PICTURE_PX
+    ) -> Response:
+        """Return a picture of a scan as JPEG. The first picture has the number 0."""
+        data = jpeg(console.folders.picture(name, number), widest_px=width)
+        return Response(data, media_type="image/jpeg")
+
+    @app.get("/scans/{name}/dataset.zip", tags=["state"], response_class=StreamingResponse)
+    def download(name: str) -> StreamingResponse:
+        """Return the dataset of a scan as ZIP archive."""
+        headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}.zip"}
+        return StreamingResponse(zip_folder(console.folders.scan(name)), media_type="application/zip", headers=headers)
+
+    @app.get("/results/{name}/viewer", tags=["state"], status_code=303, response_class=RedirectResponse)
+    def viewer(name: str, request: Request) -> RedirectResponse:
+        """Start a viewer of a result, and redirect to its page, which has the next free port."""
+        host, port = request.scope["server"]
+        own_port, token = console.viewers.open(name, host=host, port=port + 1)
+        address = request.url.replace(scheme="http", port=own_port, path="/", query=f"token={token}")
+        return RedirectResponse(str(address), status_code=303)
 
     @app.get("/results/{name}/report.html", tags=["state"], response_class=FileResponse)
     def report(name: str) -> FileResponse:

@@ -29,6 +29,7 @@ from rhizotwin.console.running_scan import RunningScan
 from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.console.schedule import ScheduleRun
 from rhizotwin.console.state import StateView
+from rhizotwin.console.viewers import Viewers
 from rhizotwin.rig.bench import check
 from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.rig.scanning.observers import Observers
@@ -110,6 +111,8 @@ class Console:
             on_error = partial(self.problems.report, "queue of reconstructions")
             self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed, on_error=on_error)
             stack.callback(self.queue.close)
+            self.viewers = Viewers(self.folders)
+            stack.callback(self.viewers.close)
             self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)
             stack.callback(self.rig.close)
             self._stack = stack.pop_all()
@@ -140,8 +143,8 @@ class Console:
         self.controls.touch(client)
         return self._view.plain(client, shared=shared)
 
-    def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
-        """Return the coarse cells of the roots as centres (N, 3) and edge length.
+    def hull(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
+        """Return the cells of the coarse hull of the roots as centres (N, 3) and edge length.
 
         Both are in mm, and centres are in the canister frame.
         """
@@ -320,7 +323,7 @@ class Console:
                     stack.callback(scan.live.close)
                     self.rig.let_go()
                     devices = self.bench.open_devices(None, stack)
-                    # before the devices are closed and the sketch is complete, which takes seconds
+                    # before the devices are closed and the hull is complete, which takes seconds
                     stack.callback(self._catalogue, self.plants.add_scan, folder / "dataset.json")
                     rigs.take_scan(
                         self.bench,

@@ -1,4 +1,4 @@
-"""Live state of a running scan (latest picture, progress and sketch), and functions to pause and stop the scan."""
+"""Live state of a running scan (latest picture, progress and coarse hull), and functions to pause and stop the scan."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.console.sketch import Sketch
+from rhizotwin.console.hull import Hull
 from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.threads import Worker
 
 CARVE_EVERY = 4
-"""Number of pictures between two updates of the sketch. An update takes a few seconds in a separate thread."""
+"""Number of pictures between two updates of the hull. An update takes a few seconds in a separate thread."""
 HOLD_S = 0.5
 """Maximum time, in seconds, that a paused scan waits before it checks the arm again."""
 
@@ -33,7 +33,7 @@ class Live(Observer):
     on_change : callable
         Function that is called after each change, from several threads.
     on_error : callable
-        Function that is called with each exception of the sketch and of ``on_change``, which do not affect the scan.
+        Function that is called with each exception of the hull and of ``on_change``, which do not affect the scan.
     paused : bool
         Pause the scan before the first picture.
     """
@@ -63,8 +63,8 @@ class Live(Observer):
         self._stop = False
         self._taken = 0
         self._wake = threading.Condition()
-        self._sketch = Sketch(scene)
-        self._worker = Worker(name="sketch", on_error=on_error)
+        self._hull = Hull(scene)
+        self._worker = Worker(name="hull", on_error=on_error)
         self._begun_s, self._held_s = time.monotonic(), 0.0
 
     def on_plan(self, total: int, done: int) -> None:
@@ -73,7 +73,7 @@ class Live(Observer):
         self._changed()
 
     def on_look(self, look: Look) -> None:
-        """Store the latest picture, and update the sketch after every `CARVE_EVERY` pictures."""
+        """Store the latest picture, and update the hull after every `CARVE_EVERY` pictures."""
         self.done += 1
         self._taken += 1
         self.last = look
@@ -81,10 +81,10 @@ class Live(Observer):
         self._changed()
 
     def on_drop(self, files: list[str]) -> None:
-        """Remove rejected pictures from the progress and from the sketch."""
+        """Remove rejected pictures from the progress and from the hull."""
         self.done -= len(files)
         for file in files:
-            self._worker.submit(partial(self._sketch.drop, file))
+            self._worker.submit(partial(self._hull.drop, file))
         self._changed()
 
     def holds(self) -> bool:
@@ -133,13 +133,13 @@ class Live(Observer):
         return (time.monotonic() - self._begun_s - self._held_s) / self._taken * (self.total - self.done)
 
     def close(self) -> None:
-        """Update the sketch for the last time, and end its thread."""
+        """Update the hull for the last time, and end its thread."""
         self._worker.submit(self._carve)
         self._worker.close()
         self.ended = True
         self._changed()
         # the pictures are part of reference cycles, which Python collects only after many further scans
-        self.last, self._sketch = None, Sketch(self.scene)
+        self.last, self._hull = None, Hull(self.scene)
         gc.collect()
 
     def _add(self, look: Look, *, carve: bool) -> None:
@@ -149,13 +149,13 @@ class Live(Observer):
             if tank is not None and frame.table_deg is not None:  # the tank does not rotate with the table
                 cam_from_rig = look.sighting.cam_from_rig(frame.table_deg, direction=self.scene.turntable.direction)
                 cam_from_tank = cam_from_rig @ frames.rotation_z(np.deg2rad(tank.turn_deg))
-            self._sketch.add(frame.file, frame.ring, look.image, look.sighting.cam_from_canister, cam_from_tank)
-            self.panel = self._sketch.evenness(frame.ring) or self.panel
+            self._hull.add(frame.file, frame.ring, look.image, look.sighting.cam_from_canister, cam_from_tank)
+            self.panel = self._hull.evenness(frame.ring) or self.panel
         if carve:
             self._carve()
 
     def _carve(self) -> None:
-        self.cells_mm, self.cell_mm = self._sketch.carve()
+        self.cells_mm, self.cell_mm = self._hull.carve()
         self._changed()
 
     def _changed(self) -> None:

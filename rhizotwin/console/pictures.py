@@ -22,7 +22,7 @@ PICTURE_PX = 800
 JPEG_QUALITY = 85
 _MARKER_BGR = (90, 210, 0)
 
-State = Literal["good", "fair", "bad"]
+State = Literal["good", "fair", "bad", "unknown"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,7 @@ class Meter:
     value: str
     limits: str
     state: State
+    """Verdict. It is unknown if the property has no limits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +71,9 @@ def show(
     motion : float or None
         Fraction of the picture that still moved after the turntable stopped; None if it was not measured.
     """
-    return Shown(number=number, title=title, jpeg=jpeg(image, sighting), meters=meters(image, sighting, panel=panel, motion=motion))
+    return Shown(
+        number=number, title=title, jpeg=jpeg(image, sighting=sighting), meters=meters(image, sighting, panel=panel, motion=motion)
+    )
 
 
 def meters(image: Grey, sighting: Sighting | None, *, panel: tuple[float, float] | None, motion: float | None) -> tuple[Meter, ...]:
@@ -92,12 +95,15 @@ def meters(image: Grey, sighting: Sighting | None, *, panel: tuple[float, float]
     return tuple(meter for meter in found if meter is not None)
 
 
-def jpeg(image: Grey, sighting: Sighting | None) -> bytes:
-    """Encode a linear picture as JPEG with display gamma and the outlines of detected markers."""
+def jpeg(image: Grey, *, sighting: Sighting | None = None, widest_px: int = PICTURE_PX) -> bytes:
+    """Encode a linear picture as JPEG with display gamma and the outlines of detected markers.
+
+    Pictures that are wider than ``widest_px`` are downsampled.
+    """
     height, width = image.shape
-    scale = min(1.0, PICTURE_PX / width)
+    scale = min(1.0, widest_px / width)
     if scale < 1.0:
-        image = cv2.resize(image, (PICTURE_PX, max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
+        image = cv2.resize(image, (widest_px, max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
     light = image.astype(np.float32) / np.iinfo(image.dtype).max
     shown: NDArray[np.uint8] = np.round(255.0 * light ** (1.0 / 2.2)).astype(np.uint8)
     colour = cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR)
@@ -112,7 +118,7 @@ def _markers(sighting: Sighting | None) -> Meter:
     if sighting is None:
         return Meter(name="Markers", value="not detected", limits="the turntable angle is not confirmed by the markers", state="fair")
     value = f"{sighting.markers} detected, RMS residual {sighting.reprojection_px:.2f} px"
-    return Meter(name="Markers", value=value, limits="residual of the marker corners", state="good")
+    return Meter(name="Markers", value=value, limits="residual of the marker corners; it has no limits", state="unknown")
 
 
 def _focus(sighting: Sighting | None) -> Meter | None:

@@ -20,7 +20,7 @@ class RunningScan:
     name, scene : str, Scene
         Name of the scan, and scene of the rig with the scanned plant.
     on_look, on_change, on_error : callable
-        Functions that are called with each picture, after each change, and with each error of sketch and display.
+        Functions that are called with each picture, after each change, and with each error of hull and display.
     paused : bool
         Pause the scan before the first picture.
     """

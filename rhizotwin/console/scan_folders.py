@@ -14,16 +14,17 @@ import os
 import re
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar, cast
 
 from rhizotwin.catalogue.adding import is_complete, is_sketch
 from rhizotwin.report import words
-from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, is_expected, printable
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored.result_files import read_summary
 from rhizotwin.timelapse.reconstruction import GROWTH, growth_page
@@ -41,10 +42,12 @@ class ScanEntry:
 
     name: str
     """Name of the scan and of its folder."""
-    subject: str
-    """Text that describes the plant, the treatment and the day."""
     plant: str
-    """Name of the plant."""
+    """Name of the plant. It is empty if the scan names none."""
+    about: str
+    """Text with the treatment, the age and the other properties of the plant, without its name and the date."""
+    date: str
+    """Date of the scan."""
     pictures: int
     """Number of views for which pictures were taken."""
     planned: int
@@ -119,6 +122,20 @@ class ScanFolders:
         if not (folder / "dataset.json").is_file():
             raise UserError(f"the scan {name!r} does not exist; choose a scan from the list")
         return folder
+
+    def picture(self, name: str, number: int) -> Grey:
+        """Return the picture (H, W) of a view of a scan, in linear values. Views are numbered from 0.
+
+        Raises
+        ------
+        UserError
+            If the scan or the view does not exist, or the picture cannot be read.
+        """
+        dataset = load_dataset(self.scan(name))
+        frames = list(_views(dataset).values())
+        if not 0 <= number < len(frames):
+            raise UserError(f"the scan {name!r} has {len(frames)} pictures, numbered from 0; there is no picture {number}")
+        return read_image(dataset, frames[number])
 
     def result(self, name: str) -> Path:
         """Return the folder of a scan's result. The folder may not exist yet.
@@ -232,11 +249,12 @@ def _scan_entry(path: Path) -> ScanEntry:
     try:
         dataset = load_dataset(path.parent)
         subject, origin = dataset.scene.subject, dataset.origin
-        views = {frame.file if frame.view is None else frame.view for frame in dataset.frames}
+        views = _views(dataset)
         return ScanEntry(
             name=name,
-            subject=str(subject),
-            plant=subject.plant,
+            plant=subject.plant or subject.species,
+            about=str(replace(subject, plant="", species="", date="")),
+            date=subject.date,
             pictures=len(views),
             planned=int(origin.get("planned_views", len(views))),
             complete=is_complete(origin),
@@ -245,7 +263,15 @@ def _scan_entry(path: Path) -> ScanEntry:
     except Exception as error:  # noqa: BLE001 - a damaged file raises anything, and is listed with its error
         reason = error_sentence(error) if is_expected(error) else f"dataset.json is damaged ({type(error).__name__}: {str(error)[:100]})"
         text = printable(f"the dataset cannot be read: {reason}")
-        return ScanEntry(name=name, subject="", plant="", pictures=0, planned=0, complete=False, error=text)
+        return ScanEntry(name=name, plant="", about="", date="", pictures=0, planned=0, complete=False, error=text)
+
+
+def _views(dataset: Dataset) -> dict[object, Frame]:
+    """Return the first frame of each view, keyed by view."""
+    found: dict[object, Frame] = {}
+    for frame in dataset.frames:
+        found.setdefault(frame.file if frame.view is None else frame.view, frame)
+    return found
 
 
 def _result_entry(path: Path) -> ResultEntry | None:

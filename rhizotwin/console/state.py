@@ -34,7 +34,7 @@ class StateView:
         self._collecting = threading.Lock()
         self._shared: tuple[float, dict[str, Any]] = (-SHARED_S, {"version": -1})
         """State for all clients, and the time at which it was collected, s."""
-        self._sketch: tuple[int, Any] = (0, None)
+        self._hull: tuple[int, Any] = (0, None)
         self._last: dict[str, Any] = {"plants": NOTHING, "scans": [], "schedule": None}
         """Values of the parts of the state that are read from the disk, when they were read last."""
 
@@ -68,7 +68,7 @@ class StateView:
             "scan": None if console.scan is None else console.scan.plain(),
             "question_number": console.questions.number,  # read first, so that an answer to an earlier question is rejected
             "question": console.questions.text,
-            "sketch": self._sketch_state(),
+            "hull": self._hull_state(),
             "plants": plants,
             "schedule": self._read("schedule", lambda: self._schedule(visits)),
             "scans": self._read("scans", lambda: self._scans(queue)),
@@ -115,14 +115,14 @@ class StateView:
         state = "stopped" if schedule is None else "stopping" if schedule.stopping else "running"
         return {"name": experiment.name, "state": state, "growth": self._console.folders.growth() is not None, **visits}
 
-    def _sketch_state(self) -> dict[str, object]:
-        """Return the size of the canister, and the version and number of cells of the sketch, as JSON values."""
+    def _hull_state(self) -> dict[str, object]:
+        """Return the size of the canister, and the version and number of cells of the hull, as JSON values."""
         scan, can = self._console.scan, self._console.bench.scene.canister
         cells = None if scan is None else scan.live.cells_mm
         with self._lock:
-            if cells is not self._sketch[1]:
-                self._sketch = self._sketch[0] + 1, cells
-            number = self._sketch[0]
+            if cells is not self._hull[1]:
+                self._hull = self._hull[0] + 1, cells
+            number = self._hull[0]
         size = {"radius_mm": can.outer_radius_mm, "height_mm": can.height_mm}
         return {"number": number, "cells": 0 if cells is None else len(cells), **size}
 

@@ -39,7 +39,7 @@ def hourly_mib(folder: Path, hours: int) -> list[float]:
         while (state := client.state())["activity"]:
             if state["question"]:
                 client.answer("", question=state["question_number"])
-            client.request("GET", "/api/sketch")
+            client.request("GET", "/api/hull")
             if state["schedule"]["scanned"] >= PLANTS * (len(found) + 1):
                 found.append(resident_mib())
             time.sleep(0.02)

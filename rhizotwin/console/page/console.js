@@ -1,15 +1,19 @@
 // Page of the console: polls the state, displays it, and sends the user's actions.
 
-import { Sketch } from "/sketch.js";
+import { Hull } from "/hull.js";
 
 const WAIT_S = 20;
 const RETRY_MS = 2000;
+const ALERT_MS = 15000;
+const THUMBNAIL_PX = 160;
 const secret = document.querySelector('meta[name="secret"]').content;
 const client = stored(sessionStorage, "client", () => Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join(""));
 const by = (id) => document.getElementById(id);
-const sketch = new Sketch(by("sketch"));
+const hull = new Hull(by("hull"));
 let state = null;
-const shown = { picture: 0, sketch: -1, messages: 0, plants: "" };
+const shown = {}; // what each part of the page displays
+let browsed = null; // the scan and the number of the picture that the user has chosen; null: the latest picture
+let alerted = 0;
 
 function stored(storage, key, make) {
   const found = storage.getItem(`rhizotwin-${key}`) ?? make();
@@ -48,9 +52,12 @@ async function act(method, path, body) {
   }
 }
 
+// Show an error message for a while.
 function warn(text) {
+  clearTimeout(alerted);
   by("alert").textContent = text;
   by("alert").hidden = text === "";
+  if (text !== "") alerted = setTimeout(() => warn(""), ALERT_MS);
 }
 
 // --- display of the state
@@ -68,22 +75,31 @@ function show(next) {
   showSchedule();
   showPlants();
   showPicture();
-  showSketch();
-  by("devices").replaceChildren(...state.devices.map((one) => row(one.state, one.name, one.text)));
+  showHistory();
+  showHull();
+  by("devices").replaceChildren(...state.devices.map((one) => row(one.state, one.name, one.time ? `${one.text} (at ${one.time.slice(0, 5)})` : one.text)));
   showScans();
   showMessages();
   showProblems();
   by("arm").hidden = !state.rig.arm;
   by("live").setAttribute("aria-pressed", state.live);
   for (const one of document.querySelectorAll("main button, main input, main select")) {
-    if (one.closest("#question") || one.closest("#schedule") || one.closest("table")) continue;
+    if (one.closest("#question, #schedule, #history, #next, table") || one.id === "latest") continue;
     one.disabled = !own || state.activity !== "";
   }
+  for (const one of document.querySelectorAll(".why")) one.textContent = why();
   by("pause").disabled = by("continue").disabled = !own;
   by("stop").disabled = !running || state.scan.state === "stopping";
   by("schedule-start").disabled = !own || state.activity !== "";
   by("schedule-stop").disabled = !own || state.schedule?.state !== "running";
   for (const one of document.querySelectorAll("#question button, #question input")) one.disabled = !own;
+}
+
+// Return why controls are disabled, or an empty text.
+function why() {
+  const { name, own } = state.controls;
+  if (!own) return name === null ? "Take control of the rig (top of the page) to use the grey buttons." : `${name} controls the rig; take over to use the grey buttons.`;
+  return state.activity === "" ? "" : `The rig is busy (${state.activity}); the grey buttons can be used again afterwards.`;
 }
 
 function row(kind, name, text, soft = "") {
@@ -96,7 +112,7 @@ function showControl() {
   by("holder").textContent = own ? `You (${name}) control the rig` : name === null ? "No one controls the rig" : `${name} has controlled the rig since ${since}${away}`;
   by("holder").className = own ? "own" : "";
   by("take").textContent = name === null ? "Take control" : "Take over";
-  by("take").hidden = by("name").hidden = own;
+  by("take").hidden = own;
   by("give").hidden = !own;
 }
 
@@ -118,6 +134,9 @@ function showScan(running) {
   by("pause").hidden = scan.state !== "running";
   by("continue").hidden = scan.state !== "paused";
   by("stop").hidden = !running;
+  const entry = state.scans.find((one) => one.name === scan.name);
+  by("next").hidden = running || entry === undefined;
+  if (entry !== undefined && changed("next", [entry, actionsKey()])) by("next").replaceChildren(make("div", { className: "next" }, make("p", {}, result(entry)), actions(entry)));
 }
 
 function showQuestion() {
@@ -148,9 +167,7 @@ function labelled(cell, title) {
 }
 
 function showPlants() {
-  const text = JSON.stringify(state.plants);
-  if (text === shown.plants) return;
-  shown.plants = text;
+  if (!changed("plants", state.plants)) return;
   by("known-plants").replaceChildren(...state.plants.map((one) => make("option", { value: one.name })));
   const titles = Array.from(by("plants").tHead.rows[0].cells, (cell) => cell.textContent);
   const rows = state.plants.map((one) => make("tr", {}, ...[one.name, one.treatment, one.day ?? "", one.scans, one.last, one.tag].map((cell, k) => labelled(make("td", {}, `${cell}`), titles[k]))));
@@ -164,51 +181,112 @@ function duration(seconds) {
 
 function showPicture() {
   const picture = state.picture;
-  by("picture").hidden = picture === null;
-  by("no-picture").hidden = picture !== null;
-  if (picture === null || picture.number === shown.picture) return;
-  shown.picture = picture.number;
-  by("picture").src = `/api/picture.jpg?number=${picture.number}`;
-  by("picture-title").textContent = picture.title;
-  by("meters").replaceChildren(...picture.meters.map((one) => row(one.state, one.name, one.value, one.limits)));
+  by("picture").hidden = picture === null && browsed === null;
+  by("no-picture").hidden = !by("picture").hidden;
+  by("latest").hidden = browsed === null;
+  by("meters").hidden = browsed !== null;
+  const source = browsed !== null ? pictureOf(browsed.scan, browsed.number) : picture === null ? "" : `/api/picture.jpg?number=${picture.number}`;
+  if (source === "" || source === shown.picture) return;
+  shown.picture = source;
+  by("picture").src = source;
+  by("picture").alt = browsed !== null ? `Picture ${browsed.number + 1} of ${browsed.scan}` : "Latest picture of the camera, markers outlined";
+  by("picture-title").textContent = browsed !== null ? `picture ${browsed.number + 1} of ${browsed.scan}` : picture.title;
+  if (browsed === null) by("meters").replaceChildren(...picture.meters.map((one) => row(one.state, one.name, one.value, one.limits)));
 }
 
-async function showSketch() {
-  const { number, radius_mm: radius, height_mm: height } = state.sketch;
-  if (number === shown.sketch) return;
-  shown.sketch = number;
+function pictureOf(scan, number) {
+  return `/api/scans/${encodeURIComponent(scan)}/pictures/${number}.jpg`;
+}
+
+// Show the pictures of the scan that the user browses, or of the latest scan, as thumbnails.
+function showHistory() {
+  const name = browsed?.scan ?? state.scan?.name;
+  const count = state.scans.find((one) => one.name === name)?.pictures ?? 0;
+  if (name !== shown.history) {
+    by("history").replaceChildren();
+    shown.history = name;
+  }
+  for (let number = by("history").childElementCount; number < count; number++) {
+    const image = make("img", { src: `${pictureOf(name, number)}?width=${THUMBNAIL_PX}`, alt: `Picture ${number + 1}`, loading: "lazy" });
+    by("history").append(make("button", { type: "button", onclick: () => browse({ scan: name, number }) }, image));
+  }
+  by("history").hidden = count === 0;
+  Array.from(by("history").children, (one, number) => one.setAttribute("aria-pressed", number === browsed?.number));
+}
+
+function browse(picture) {
+  browsed = picture;
+  showHistory();
+  showPicture();
+}
+
+async function showHull() {
+  const { number, cells, radius_mm: radius, height_mm: height } = state.hull;
+  by("hull-text").textContent = cells ? "From the pictures taken so far, for viewing only. Drag it, or use the arrow keys, to rotate it." : "It appears after the first pictures of a scan.";
+  if (number === shown.hull) return;
+  shown.hull = number;
   try {
-    const response = await send("GET", "/api/sketch");
-    sketch.set(new Float32Array(await response.arrayBuffer()), radius, height);
+    const response = await send("GET", "/api/hull");
+    hull.set(new Float32Array(await response.arrayBuffer()), radius, height);
   } catch {
-    shown.sketch = null; // drawn with the next state; a lost connection is shown by `follow`
+    shown.hull = null; // drawn with the next state; a lost connection is shown by `follow`
   }
 }
 
+// Return whether a value differs from that of the last call. Elements that have not changed keep the keyboard focus.
+function changed(part, value) {
+  const text = JSON.stringify(value);
+  const differs = shown[part] !== text;
+  shown[part] = text;
+  return differs;
+}
+
+function actionsKey() {
+  return [state.queue, state.controls.own, state.activity];
+}
+
 function showScans() {
-  const own = state.controls.own;
-  const jobs = Object.fromEntries(state.queue.map((job) => [job.scan, job]));
+  if (!changed("scans", [state.scans, actionsKey()])) return;
   const rows = state.scans.map((scan) => {
-    const job = jobs[scan.name];
-    const done = scan.error || `${scan.pictures} of ${scan.planned}${scan.running ? ", running" : scan.complete ? (scan.sketch ? ", sketches" : "") : ", interrupted"}`;
-    const buttons = make("span", { className: "buttons" });
-    const add = (text, action, enabled) => buttons.append(make("button", { type: "button", onclick: action, disabled: !own || !enabled }, text));
-    const name = encodeURIComponent(scan.name);
-    if (!scan.complete && !scan.running && !scan.error) add("Finish scan", () => act("POST", `/api/scans/${name}/finish`, { reconstruct: by("reconstruct").checked }), state.activity === "");
-    if (scan.complete && !scan.sketch && !scan.running && !["waiting", "running"].includes(scan.queue)) add("Reconstruct", () => act("POST", "/api/queue", { scan: scan.name }), true);
-    if (["waiting", "running"].includes(scan.queue)) add("Cancel", () => act("DELETE", `/api/queue/${name}`), true);
-    if (scan.result) buttons.prepend(make("a", { href: `/results/${name}/report.html`, target: "_blank", rel: "noopener" }, "Report"));
-    return make("tr", {}, make("td", {}, scan.name), make("td", {}, scan.subject), make("td", {}, done), make("td", {}, result(scan, job)), make("td", { className: "actions" }, buttons));
+    const done = scan.error || `${scan.pictures} of ${scan.planned}${scan.running ? ", running" : scan.complete ? "" : ", interrupted"}`;
+    const plant = make("td", {}, scan.plant || make("span", { className: "soft" }, "not named"), scan.about ? make("div", { className: "soft" }, scan.about) : "");
+    return make("tr", {}, make("td", {}, scan.name), plant, make("td", {}, scan.date), make("td", {}, done), make("td", {}, result(scan)), make("td", { className: "actions" }, actions(scan)));
   });
-  if (rows.length === 0) rows.push(make("tr", {}, make("td", { colSpan: 5, className: "soft" }, "No scans yet")));
+  if (rows.length === 0) rows.push(make("tr", {}, make("td", { colSpan: 6, className: "soft" }, "No scans yet")));
   by("scans").tBodies[0].replaceChildren(...rows);
 }
 
-function result(scan, job) {
+// Return the buttons and links for what can be done next with a scan.
+function actions(scan) {
+  const buttons = make("span", { className: "buttons" });
+  const name = encodeURIComponent(scan.name);
+  const queued = ["waiting", "running"].includes(scan.queue);
+  const missing = state.controls.own ? "" : "take control of the rig first";
+  const add = (text, action, reason) => buttons.append(make("button", { type: "button", onclick: action, disabled: reason !== "", title: reason }, text));
+  const link = (text, href, more) => buttons.append(make("a", { href, ...more }, text));
+  const page = { target: "_blank", rel: "noopener" };
+  if (scan.error || scan.running) return buttons;
+  if (scan.result && !queued) {
+    link("Open in viewer", `/results/${name}/viewer`, { className: "main", ...page });
+    link("Report", `/results/${name}/report.html`, page);
+  }
+  if (!scan.complete) add("Finish scan", () => act("POST", `/api/scans/${name}/finish`, { reconstruct: by("reconstruct").checked }), missing || (state.activity && `the rig is busy (${state.activity})`));
+  if (queued) add("Cancel", () => act("DELETE", `/api/queue/${name}`), missing);
+  else if (scan.complete && !scan.sketch) add(scan.result ? "Reconstruct again" : "Reconstruct", () => act("POST", "/api/queue", { scan: scan.name }), missing);
+  if (scan.pictures) buttons.append(make("button", { type: "button", onclick: () => { browse({ scan: scan.name, number: 0 }); by("picture").scrollIntoView({ block: "center" }); } }, "Pictures"));
+  link("Download", `/scans/${name}/dataset.zip`, {});
+  return buttons;
+}
+
+// Return the result of a scan, the state of its reconstruction, or the reason why it has none.
+function result(scan) {
+  const job = state.queue.find((one) => one.scan === scan.name);
   if (job?.state === "waiting") return `waiting for reconstruction${job.error && `: ${job.error}`}`;
-  if (job?.state === "running") return make("span", {}, `reconstructing: ${job.stage}`, make("progress", { max: 1, value: job.fraction }));
+  if (job?.state === "running") return make("span", {}, `reconstructing: ${job.stage}`, make("progress", { max: 1, value: job.fraction, ariaLabel: "Reconstruction" }));
   if (job?.state === "failed") return make("span", { className: "wrong" }, `reconstruction failed: ${job.error}`);
-  return scan.result === null ? "" : scan.result.volume;
+  if (scan.result !== null) return scan.result.volume;
+  if (scan.sketch) return "sketch of the emulated rig, which shows no plant and cannot be reconstructed; for pictures of roots, start the console with --fidelity render";
+  return scan.complete ? "not reconstructed yet" : "";
 }
 
 function showProblems() {
@@ -217,20 +295,26 @@ function showProblems() {
 }
 
 function showMessages() {
-  const latest = state.messages.length ? state.messages[0].number : 0;
-  if (latest === shown.messages) return;
-  shown.messages = latest;
+  if (!changed("messages", state.messages)) return;
   by("messages").replaceChildren(...state.messages.map((one) => make("li", { className: one.kind }, make("time", {}, one.time), one.text)));
 }
 
 // --- actions of the user
 
-by("name").value = localStorage.getItem("rhizotwin-name") ?? "";
-by("control").addEventListener("submit", (event) => {
-  event.preventDefault();
+by("take").addEventListener("click", () => {
+  const { name } = state.controls;
+  by("name").value = localStorage.getItem("rhizotwin-name") ?? "";
+  by("other").textContent = name === null ? "Everybody who opens this page sees who controls the rig." : `${name} controls the rig now and loses control.`;
+  by("who").returnValue = "";
+  by("who").showModal();
+  by("name").select();
+});
+by("who").addEventListener("close", () => {
+  if (by("who").returnValue !== "take") return;
   localStorage.setItem("rhizotwin-name", by("name").value);
   act("POST", "/api/control", { name: by("name").value });
 });
+by("latest").addEventListener("click", () => browse(null));
 by("give").addEventListener("click", () => act("DELETE", "/api/control"));
 by("check").addEventListener("click", () => act("POST", "/api/devices/check"));
 by("release").addEventListener("click", () => act("POST", "/api/devices/release"));
@@ -257,6 +341,7 @@ onSubmit("go", (fields) => command(`go ${fields.distance.value} ${fields.height.
 onSubmit("line", (fields) => command(fields[0].value));
 onSubmit("question", () => act("POST", "/api/answer", { question: Number(by("question").dataset.number), text: by("answer").value }));
 onSubmit("start", (fields) => {
+  browsed = null;
   const day = fields.day.value === "" ? null : Number(fields.day.value);
   const texts = { plant: fields.plant.value.trim(), treatment: fields.treatment.value.trim(), notes: fields.notes.value.trim() };
   act("POST", "/api/scans", { ...texts, day, reconstruct: by("reconstruct").checked });

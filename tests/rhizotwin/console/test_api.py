@@ -4,11 +4,14 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
+from io import BytesIO
 from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
+from zipfile import ZipFile
 
+import cv2
 import numpy as np
 import pytest
 
@@ -68,7 +71,7 @@ def test_devices_commands_and_live_pictures(lab: Lab) -> None:
     console.command("go 400 -20")
     console.request("POST", "/api/live", {"on": True})
     picture = until(lambda: (shown := console.state()["picture"]) and shown["title"].startswith("live, ") and shown)
-    assert {meter["name"]: meter["state"] for meter in picture["meters"]} == {"Markers": "good", "Focus": "good", "Exposure": "good"}
+    assert {meter["name"]: meter["state"] for meter in picture["meters"]} == {"Markers": "unknown", "Focus": "good", "Exposure": "good"}
     assert console.picture().startswith(b"\xff\xd8")
     console.request("POST", "/api/live", {"on": False})
     assert not console.state()["live"]
@@ -126,8 +129,18 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     dataset = load_dataset(lab.folder / "scans" / name)
     assert dataset.origin["complete"]
     assert dataset.scene.subject.plant == "P7"
+    assert console.state()["scans"][0].items() >= {"plant": "P7", "about": "treatment low N, day 12", "date": "2026-11-26"}.items()
+    picture = console.request("GET", f"/api/scans/{name}/pictures/{VIEWS - 1}.jpg?width=64")
+    assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE).shape[1] == 64
+    with pytest.raises(UserError, match=f"there is no picture {VIEWS}"):
+        console.request("GET", f"/api/scans/{name}/pictures/{VIEWS}.jpg")
+    with ZipFile(BytesIO(console.request("GET", f"/scans/{name}/dataset.zip"))) as archive:
+        archive.extractall(lab.folder / "copy")
+    assert load_dataset(lab.folder / "copy" / name).frames == dataset.frames
+    with pytest.raises(UserError, match="has no result; add it to the queue"):
+        console.request("GET", f"/results/{name}/viewer")
     assert [device["state"] for device in console.state()["devices"] if device["name"] == "camera"] == ["ok"]
-    assert len(np.frombuffer(console.request("GET", "/api/sketch"), "<f4")) % 3 == 1
+    assert len(np.frombuffer(console.request("GET", "/api/hull"), "<f4")) % 3 == 1
     with pytest.raises(UserError, match="no scan is running"):
         console.pause_scan()
 
@@ -151,9 +164,9 @@ def listed(lab: Lab) -> list[tuple[str, int]]:
 
 
 def test_a_complete_scan_is_in_the_catalogue_after_a_kill(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is added before the sketch, and a scan that a killed console left is added at the next start."""
+    """It is added before the hull, and a scan that a killed console left is added at the next start."""
     carving = threading.Event()
-    monkeypatch.setattr("rhizotwin.console.sketch.Sketch.carve", lambda _: carving.wait(LONG_S) and 1 / 0)
+    monkeypatch.setattr("rhizotwin.console.hull.Hull.carve", lambda _: carving.wait(LONG_S) and 1 / 0)
     console = lab.client("Anna")
     name = console.start_scan(plant="P7", reconstruct=False)
     until(lambda: listed(lab) == [(name, True)])

@@ -20,6 +20,8 @@ from tests.rhizotwin.console.conftest import Lab, console_process
 pytestmark = pytest.mark.slow
 
 VIEWS = 10
+RECONSTRUCTION_MS = 1_800_000
+"""Limit of a reconstruction, ms. It takes half a minute, but its process has a low priority and hardly runs on a busy computer."""
 
 
 @contextmanager
@@ -42,8 +44,9 @@ def opened(browser: Any, address: str, *, password: str = "") -> Iterator[Any]:
 
 
 def take_control(page: Any, name: str) -> None:
-    page.get_by_label("Your name").fill(name)
     page.locator("#take").click()
+    page.get_by_label("Your name").fill(name)
+    page.keyboard.press("Enter")
     page.get_by_text(f"You ({name}) control the rig").wait_for()
 
 
@@ -78,8 +81,10 @@ def test_a_scan_survives_the_console(browser: Any, tmp_path: Path) -> None:
             row.get_by_role("button", name="Finish scan").click()
             page.get_by_text(f"{VIEWS} of {VIEWS} pictures, complete").wait_for()
             row.locator("progress").wait_for()
+            report = row.get_by_role("link", name="Report")
+            report.wait_for(timeout=RECONSTRUCTION_MS)
             with page.expect_popup() as popup:
-                row.get_by_role("link", name="Report").click()
+                report.click()
             popup.value.get_by_text("ml").first.wait_for()
             assert "P7" in popup.value.content()
             page.get_by_text("Focus", exact=True).wait_for()
@@ -105,5 +110,10 @@ def test_a_password_opens_the_page_and_no_report_has_its_cookie(browser: Any, ma
         page.get_by_role("button", name="Run").click()
         page.get_by_text("table at 0.000 deg").wait_for()
         with page.expect_popup() as popup:
-            page.get_by_role("link", name="Report").click()
+            page.locator("#scans").get_by_role("link", name="Open in viewer").click()
+        popup.value.get_by_role("tab", name="Traits").wait_for()
+        page.locator("#scans").get_by_role("button", name="Pictures").click()
+        until(lambda: page.evaluate("document.getElementById('picture').naturalWidth"), "the first picture of the scan")
+        with page.expect_popup() as popup:
+            page.locator("#scans").get_by_role("link", name="Report").click()
         until(lambda: popup.value.title() == "cookie apart", "the report without the cookie")

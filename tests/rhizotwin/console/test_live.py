@@ -1,12 +1,12 @@
-"""State of a running scan, the sketch of its roots, and the measurements of a picture."""
+"""State of a running scan, the coarse hull of its roots, and the measurements of a picture."""
 
 import cv2
 import numpy as np
 import pytest
 
+from rhizotwin.console.hull import Hull
 from rhizotwin.console.live import Live
 from rhizotwin.console.pictures import show
-from rhizotwin.console.sketch import Sketch
 from rhizotwin.recon.optics.cameras import View, project_through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.rig.scanning.markers import Sighting
@@ -23,25 +23,25 @@ def look(number: int, image: np.ndarray, sighting: Sighting | None = None) -> Lo
     return Look(frame=frame, image=image, exposure=Exposure(bright=0.8, saturated=0.0), sighting=sighting, motion=None)
 
 
-def test_the_sketch_holds_every_root_and_little_else(plant: plants.Plant):
+def test_the_hull_holds_every_root_and_little_else(plant: plants.Plant):
     dataset = load_dataset(plant.dataset)
-    sketch = Sketch(dataset.scene)
-    assert sketch.evenness(0) is None
+    hull = Hull(dataset.scene)
+    assert hull.evenness(0) is None
     for frame in dataset.frames:
-        sketch.add(frame.file, 0, read_image(dataset, frame), np.array(frame.cam_from_canister))
-    cells, edge_mm = sketch.carve()
+        hull.add(frame.file, 0, read_image(dataset, frame), np.array(frame.cam_from_canister))
+    cells, edge_mm = hull.carve()
     points = np.concatenate([root.points_mm for root in plant.roots])
     away = np.abs(points[:, None] - cells[None]).max(axis=-1).min(axis=1)
     assert np.mean(away <= 0.5 * edge_mm + 1e-9) > 0.95
     far = np.linalg.norm(cells[:, None] - points[None], axis=-1).min(axis=1)
     assert far.max() < 10.0  # mm: eight views of 200 pixels leave a little round each root
-    assert sketch.evenness(0) == pytest.approx((230 / 255, 230 / 255))
+    assert hull.evenness(0) == pytest.approx((230 / 255, 230 / 255))
     for frame in dataset.frames[:6]:
-        sketch.drop(frame.file)
-    assert len(sketch.carve()[0]) == 0  # two pictures give no shape
+        hull.drop(frame.file)
+    assert len(hull.carve()[0]) == 0  # two pictures give no shape
 
 
-def test_the_sketch_in_a_tank_holds_a_ball_near_the_wall():
+def test_the_hull_in_a_tank_holds_a_ball_near_the_wall():
     turn_deg = 20.0
     camera = Scene().camera.resized((400, 300))
     scene = Scene(camera=camera, tank=Tank(turn_deg=turn_deg), plan=CapturePlan(rings=(Ring(views=8),)))

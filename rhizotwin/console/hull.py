@@ -1,6 +1,6 @@
 """Compute a coarse visual hull of the roots during a scan.
 
-It is called sketch, and is displayed but not used for measurements. Cells that lie outside the roots in a picture are
+It is displayed but not used for measurements. Cells that lie outside the roots in a picture are
 removed, and the remaining cells are subdivided while their number is small. Each camera is estimated from the markers
 in its own picture, the empty backlight of a pixel is the maximum value so far, and the smallest cells have an edge of 1
 mm.
@@ -24,8 +24,8 @@ from rhizotwin.scenes.picture_codec import Grey
 Array = NDArray[np.float64]
 
 WIDEST_PX = 400
-"""Maximum width of the pictures used for the sketch. With a field of view of 250 mm, a pixel then corresponds to 0.6
-mm, which is finer than the cells."""
+"""Maximum width of the pictures from which the hull is computed. With a field of view of 250 mm, a pixel then
+corresponds to 0.6 mm, which is finer than the cells."""
 DARK = 0.85
 """Maximum brightness of a pixel that shows a root, relative to its brightness without roots. Noise and the panel vary
 by a few per cent, and a root of 0.2 mm covers a third of a pixel of 0.6 mm."""
@@ -63,7 +63,7 @@ class _Outline:
     """Distance (H, W) from each pixel to the nearest pixel that shows a root."""
 
 
-class Sketch:
+class Hull:
     """Computes a coarse visual hull from the pictures taken so far.
 
     Parameters

@@ -1,8 +1,9 @@
-// Draws the cells of the sketch and the canister on a canvas; dragging rotates the view.
+// Draws the cells of the coarse hull in the canister on a canvas; dragging rotates the view.
 
 const LAYERS = 12;
+const MARGIN = 1.15;
 
-export class Sketch {
+export class Hull {
   constructor(canvas) {
     this.canvas = canvas;
     this.points = new Float32Array();
@@ -23,6 +24,14 @@ export class Sketch {
       this.draw();
     });
     canvas.addEventListener("pointerup", () => { from = null; });
+    canvas.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[event.key];
+      if (step === undefined) return;
+      event.preventDefault();
+      this.turn += step[0];
+      this.tilt = Math.max(-1.5, Math.min(1.5, this.tilt + step[1]));
+      this.draw();
+    });
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
@@ -35,6 +44,18 @@ export class Sketch {
     this.draw();
   }
 
+  // Return what fills the canvas: middle height, half width in every direction and half height (mm), of the cells or, without cells, of the canister.
+  extent() {
+    if (this.points.length === 0) return [-this.height / 2, this.radius, this.height / 2];
+    let [reach, low, high] = [0, Infinity, -Infinity];
+    for (let k = 0; k + 2 < this.points.length; k += 3) {
+      reach = Math.max(reach, Math.hypot(this.points[k], this.points[k + 1]));
+      low = Math.min(low, this.points[k + 2]);
+      high = Math.max(high, this.points[k + 2]);
+    }
+    return [(low + high) / 2, reach + this.edge, (high - low) / 2 + this.edge];
+  }
+
   draw() {
     const ratio = window.devicePixelRatio || 1;
     const width = Math.round(this.canvas.clientWidth * ratio);
@@ -44,14 +65,15 @@ export class Sketch {
     this.canvas.height = height;
     const context = this.canvas.getContext("2d");
     const style = getComputedStyle(document.documentElement);
-    const scale = Math.min(height / (this.height * 1.25), width / (this.radius * 2.4));
     const [sin, cos, up, back] = [Math.sin(this.turn), Math.cos(this.turn), Math.sin(this.tilt), Math.cos(this.tilt)];
+    const [middle, reach, half] = this.extent();
+    const scale = Math.min(height / (half * Math.abs(back) + reach * Math.abs(up)), width / reach) / 2 / MARGIN;
     const project = (x, y, z) => {
       const across = x * sin + y * cos;
       const away = x * cos - y * sin;
-      return [width / 2 + across * scale, height / 2 - ((z + this.height / 2) * back - away * up) * scale];
+      return [width / 2 + across * scale, height / 2 - ((z - middle) * back - away * up) * scale];
     };
-    context.strokeStyle = style.getPropertyValue("--line");
+    context.strokeStyle = style.getPropertyValue("--soft");
     context.lineWidth = ratio;
     for (const z of [0, -this.height]) {
       context.beginPath();
@@ -84,7 +106,7 @@ export class Sketch {
     }
     for (let k = 0; k < count; k++) layers[Math.min(LAYERS - 1, Math.floor(((far - depth(k)) / (far - near || 1)) * LAYERS))].push(k);
     layers.forEach((layer, number) => {
-      context.fillStyle = `color-mix(in srgb, ${style.getPropertyValue("--main")} ${Math.round(25 + (75 * (number + 1)) / LAYERS)}%, ${style.getPropertyValue("--paper")})`;
+      context.fillStyle = `color-mix(in srgb, ${style.getPropertyValue("--root")} ${Math.round(25 + (75 * (number + 1)) / LAYERS)}%, ${style.getPropertyValue("--paper")})`;
       for (const k of layer) {
         const [x, y] = project(this.points[3 * k], this.points[3 * k + 1], this.points[3 * k + 2]);
         context.fillRect(x - size / 2, y - size / 2, size, size);
