@@ -77,6 +77,7 @@ def create_app(console: Console, access: Access) -> FastAPI:
 
     _add_pages(app, access)
     _add_state(app, console)
+    _add_files(app, console)
     _add_rig(app, console)
     _add_scans(app, console)
     _add_plans(app, console)
@@ -118,7 +119,7 @@ def _add_pages(app: FastAPI, access: Access) -> None:
 
 
 def _add_state(app: FastAPI, console: Console) -> None:
-    """Add the routes through which clients read the state, pictures and reports."""
+    """Add the routes through which clients read the state and pictures."""
 
     @app.get("/api/state", tags=["state"], response_model=dict[str, Any])
     async def state(
@@ -160,6 +161,10 @@ def _add_state(app: FastAPI, console: Console) -> None:
         """Return a picture of a scan as JPEG. The first picture has the number 0."""
         data = jpeg(console.folders.picture(name, number), widest_px=width)
         return Response(data, media_type="image/jpeg")
+
+
+def _add_files(app: FastAPI, console: Console) -> None:
+    """Add the routes through which clients receive datasets, viewers and reports."""
 
     @app.get("/scans/{name}/dataset.zip", tags=["state"], response_class=StreamingResponse)
     def download(name: str) -> StreamingResponse:
