@@ -2,7 +2,7 @@
 
     import rhizotwin as rt
 
-    dataset = rt.simulate("radish_day15b", "my_dataset", profile="bench")
+    dataset = rt.simulate("radish_day15b", "my_dataset", profile="benchmark")
     result = rt.reconstruct(dataset)
     result.volume_mm3, result.interval_mm3, result.trusted
     result.save("my_result")
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 if _TYPE_CHECKING:
-    from rhizotwin.api import batch, biomass, export, growth, import_pictures, scan
+    from rhizotwin.api import batch, benchmark, biomass, export, growth, import_pictures, publish, scan
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
     from rhizotwin.scenes.errors import UserError
@@ -28,7 +28,8 @@ if _TYPE_CHECKING:
     from rhizotwin.steps.arguments import Placing
     from rhizotwin.steps.display import plot, view
     from rhizotwin.steps.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
-    from rhizotwin.stored.save import Result
+    from rhizotwin.steps.illustrated import Result
+    from rhizotwin.steps.results import edit, traits, write_report
 
     __version__: str
 
@@ -43,7 +44,9 @@ __all__ = [
     "Settings",
     "UserError",
     "batch",
+    "benchmark",
     "biomass",
+    "edit",
     "export",
     "growth",
     "import_pictures",
@@ -51,12 +54,15 @@ __all__ = [
     "load_result",
     "load_scene",
     "plot",
+    "publish",
     "reconstruct",
     "scan",
     "score",
     "score_file",
     "simulate",
+    "traits",
     "view",
+    "write_report",
 ]
 
 _PLACES = {
@@ -64,13 +70,15 @@ _PLACES = {
     "Dataset": "scenes.dataset",
     "Monitor": "scenes.monitor",
     "Placing": "steps.arguments",
-    "Result": "stored.save",
+    "Result": "steps.illustrated",
     "Scene": "scenes.model",
     "Score": "scoring.score",
     "Settings": "recon.settings",
     "UserError": "scenes.errors",
     "batch": "api",
+    "benchmark": "api",
     "biomass": "api",
+    "edit": "steps.results",
     "export": "api",
     "growth": "api",
     "import_pictures": "api",
@@ -78,12 +86,15 @@ _PLACES = {
     "load_result": "steps.front_door",
     "load_scene": "steps.front_door",
     "plot": "steps.display",
+    "publish": "api",
     "reconstruct": "steps.front_door",
     "scan": "api",
     "score": "steps.front_door",
     "score_file": "steps.front_door",
     "simulate": "steps.front_door",
+    "traits": "steps.results",
     "view": "steps.display",
+    "write_report": "steps.results",
 }
 """Name of the submodule of ``rhizotwin`` in which each public name is defined. The key is the public name."""
 

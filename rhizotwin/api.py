@@ -1,7 +1,8 @@
-"""Python interface for picture import, batches, growth curves, biomass, export and scans.
+"""Python interface for picture import, batches, growth curves, biomass, export, publication, benchmarks and scans.
 
 `import rhizotwin as rt` provides these functions as ``rt.import_pictures``, ``rt.batch``, ``rt.growth``,
-``rt.biomass``, ``rt.export`` and ``rt.scan``. Text that the command of the same name prints is logged.
+``rt.biomass``, ``rt.export``, ``rt.publish``, ``rt.benchmark`` and ``rt.scan``. Text that the command of the same name
+prints is logged.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import io
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
@@ -17,6 +18,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.steps.calls import Progress, dataset_folder, require_each, result_folder, watch
 from rhizotwin.steps.front_door import Device, load_scene
+from rhizotwin.steps.results import Paths, read_table
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model
@@ -25,7 +27,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("rhizotwin")
 
-Paths = str | Path | Sequence[str | Path]
 Fidelity = Literal["render", "sketch"]
 
 
@@ -36,10 +37,6 @@ class TwinOptions(TypedDict, total=False):
     seed: int
     fidelity: Fidelity
     device: Device
-
-
-_TEXTS = ("result", "scene", "plant", "species", "treatment", "against", "notes")
-"""Columns of tables that contain names, which are text even if they look like a number or a missing value."""
 
 
 def import_pictures(
@@ -143,7 +140,7 @@ def batch(
     work = Workforce(workers=workers, cluster=cluster, device=device)
     with _logged():
         run(scans, output=str(output), voxel_mm=voxel_mm, settings=None if settings is None else Path(settings), work=work)
-    return _table(Path(output) / "traits.csv")
+    return read_table(Path(output) / "traits.csv")
 
 
 def growth(results: Paths, output: str | Path) -> dict[str, Any]:
@@ -166,7 +163,7 @@ def growth(results: Paths, output: str | Path) -> dict[str, Any]:
 
     with _logged():
         run(paths, output=Path(output))
-    return {path.stem: _table(path) for path in sorted(Path(output).glob("*.csv"))}
+    return {path.stem: read_table(path) for path in sorted(Path(output).glob("*.csv"))}
 
 
 def biomass(results: Paths, *, masses: str | Path | None = None, model: str | Path | None = None, output: str | Path) -> Model | Any:
@@ -201,7 +198,7 @@ def biomass(results: Paths, *, masses: str | Path | None = None, model: str | Pa
         else:
             commands.predict(paths, model=Path(str(model)), table=Path(output))
     if model is not None:
-        return _table(Path(output))
+        return read_table(Path(output))
     from rhizotwin.experiment import model_file
 
     return model_file.load_model(Path(output))
@@ -250,6 +247,89 @@ def export(
     refraction = exports.choose(undistorted=undistorted, rays=rays)
     with watch(monitor, {"pictures": 1.0}) as bar, result_folder(result) as source:
         return exports.export(source, Path(output), dataset_folder=pictures, roots=roots, refraction=refraction, monitor=bar)
+
+
+def publish(sources: Paths, output: str | Path, *, study: str | Path, monitor: Progress = None) -> Path:
+    """Copy datasets and results to a folder for a data repository, with metadata and checksums.
+
+    Parameters
+    ----------
+    sources : path or sequence of path
+        Datasets and results, or folders of these.
+    output : path
+        New or empty folder for the publication.
+    study : path
+        File (TOML) with title, description, licence and authors, see `docs/publishing.md`.
+    monitor : Monitor, tqdm class, callable or None
+        Receiver of the progress.
+
+    Returns
+    -------
+    Path
+        Folder of the publication.
+    """
+    from rhizotwin.publishing.publish import publish as write
+    from rhizotwin.publishing.study import read_study
+
+    paths, described = _paths("sources", sources), read_study(Path(study))
+    with watch(monitor, {"copy": 1.0}) as bar:
+        for note in write(paths, Path(output), described, monitor=bar):
+            log.info(note)
+    return Path(output)
+
+
+def benchmark(
+    name: str,
+    folder: str | Path,
+    *,
+    method: str,
+    output: str | Path,
+    cases: Sequence[str] = (),
+    cameras: Literal["estimated", "true"] = "estimated",
+    device: Device = "auto",
+) -> Any:
+    """Run a method on each case of a benchmark, and score its output.
+
+    Datasets that are missing in ``folder`` are rendered first. Cases that an earlier call has finished are not
+    repeated.
+
+    Parameters
+    ----------
+    name : str
+        Name of the benchmark, see ``rhizotwin bench list``.
+    folder : path
+        Folder for the datasets of the benchmark.
+    method : str
+        Command line of the method, in which ``{dataset}`` and ``{output}`` are replaced by folders, or ``ours``,
+        ``thesis``, ``regularised`` or ``hull``.
+    output : path
+        File for the results (JSON).
+    cases : sequence of str
+        Names of the cases; default: all.
+    cameras : {"estimated", "true"}
+        Cameras in the method's input: estimated from the markers, or those of the simulation.
+    device : {"auto", "cpu", "cuda"}
+        Device for the computation.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per case, with the state of the run and one column per quantity in the unit of its heading.
+    """
+    import pandas as pd
+
+    from rhizotwin.bench import results
+    from rhizotwin.commands import bench as commands
+    from rhizotwin.steps.arguments import Progress as Bars
+
+    quiet, chosen = Bars(quiet=True), tuple(cases)
+    with _logged():
+        commands.make(name, output=Path(folder), cases=chosen, device=device, progress=quiet)
+        options = commands.RunOptions(cases=chosen, cameras=cameras)
+        commands.run(name, Path(folder), method=method, output=Path(output), options=options, device=device, progress=quiet)
+    rows = results.read(Path(output)).rows
+    numbers = {case: {one.heading: results.value(row, one) for one in results.QUANTITIES} for case, row in rows.items()}
+    return pd.DataFrame([{"case": case, "state": row["state"], **numbers[case]} for case, row in rows.items()])
 
 
 def scan(
@@ -335,14 +415,3 @@ def _logged() -> Iterator[None]:
     finally:
         for line in filter(None, printed.getvalue().splitlines()):
             log.info(line)
-
-
-def _table(path: Path) -> Any:
-    """Read a table, in which names such as 001 and NA remain text. Empty cells are missing values."""
-    import pandas as pd
-
-    table = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""])
-    for name in table.columns.difference(_TEXTS):
-        with suppress(ValueError):  # other columns of text, such as verdicts
-            table[name] = pd.to_numeric(table[name])
-    return table

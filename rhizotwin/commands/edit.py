@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.steps import results
 from rhizotwin.steps.arguments import Progress, ResultFolder, with_metavar
 from rhizotwin.steps.arguments import output as output_option
 
@@ -40,29 +40,13 @@ def edit(
     --------
     rhizotwin edit my_result --apply my_result/edits.json -o my_corrected
     """
-    if output.resolve() == result.resolve():
-        raise UserError(f"the corrected result would overwrite the original result {output}; choose another folder")
-    from rhizotwin.stored import save
-
-    save.check_place(output, result)
-    from rhizotwin.corrections import corrected, log, refit
-    from rhizotwin.corrections.session import Session
+    with progress.bar(**results.EDIT_SHARES) as bar:
+        results.edit(result, apply, output, dataset=dataset, monitor=bar)
     from rhizotwin.recon.results import result_traits
-    from rhizotwin.report import page, words
-    from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.report import words
     from rhizotwin.stored import result_files
 
-    made, fit = log.read(apply, result), None
-    if any(entry.do == "fit" for entry in made.edits):
-        old = result_files.read_summary(result)
-        found = load_dataset(dataset or Path(str(old["dataset"])))
-        result_files.check_same_scan(old["dataset_sha256"], old["scene"], result, found)
-        fit = refit.fitter(result, found)
-    with progress.bar(corrections=2.0, measure=3.0) as bar:
-        with bar.stage("corrections"):
-            session = Session(result, log=made, refit=fit)
-        with bar.stage("measure"):
-            summary = corrected.write(session, output, dataset=dataset, last=lambda folder: page.write(folder, dataset=dataset))
+    summary = result_files.read_summary(output)
     print(f"{result_traits.describe_edits(summary)}: {words.volume_text(summary)[0]}, in {output}")
     if not summary["volume_trusted"]:
         print(f"warning: {summary['volume_verdict']}")

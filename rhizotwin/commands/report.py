@@ -3,10 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import FigureFormat
-from rhizotwin.scenes.folders import recover
 from rhizotwin.steps.arguments import Flag, Progress, output, with_metavar
+from rhizotwin.steps.results import write_report
 
 
 def report(
@@ -46,26 +45,6 @@ def report(
     rhizotwin report my_result --figures --figure-format pdf
     rhizotwin report day_1 day_2 day_3 -o plant.html
     """
-    if page is None or figures:
-        recover(results[0])
-    from rhizotwin.stored import result_files
-
-    results = result_files.results_in(results)
-    if page is None and len(results) > 1:
-        raise UserError("a report of several results needs a file name; add -o FILE.html")
-    for option, given in {"--dataset": dataset is not None, "--figures": figures}.items():
-        if given and len(results) > 1:
-            raise UserError(f"{option} can be used with one result only; remove {option}")
-    from rhizotwin.report import page as pages
-    from rhizotwin.report.report_data import ReportData
-    from rhizotwin.report.result_pictures import write_pictures
-
     with progress.bar(page=1.0) as bar, bar.stage("page"):
-        if len(results) == 1:
-            found = ReportData.read(results[0], dataset)
-            if figures:
-                write_pictures(found, figures=figure_format)
-            written = pages.write(found, output=page)
-        elif page is not None:
-            written = pages.write_many(results, page)
+        written = write_report(list(results), page, dataset=dataset, figures=figure_format if figures else None)
     print(f"wrote {written} ({written.stat().st_size / 1e6:.1f} MB); open it in a browser")

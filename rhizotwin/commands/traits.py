@@ -5,9 +5,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes import atomic
 from rhizotwin.scenes.formatting import count
 from rhizotwin.steps.arguments import check_new_file, list_of, option, output, read_mass_g, with_metavar
+from rhizotwin.steps.results import read_traits
 
 if TYPE_CHECKING:
     from rhizotwin.scenes.traits import Traits
@@ -43,32 +44,26 @@ def traits(
     rhizotwin traits my_result my_other_result -o traits.csv
     rhizotwin traits my_result my_other_result --mass-g 1.18,0.92 -o traits.csv
     """
-    from rhizotwin.catalogue import sources
-    from rhizotwin.recon.results import result_traits
-    from rhizotwin.scenes import atomic
-    from rhizotwin.stored import result_files, result_names, stored_traits
-
-    results = result_files.results_in(sources.expand_results(results))
-    if mass_g is not None and len(mass_g) != len(results):
-        raise UserError(f"--mass-g has {len(mass_g)} values for {len(results)} results; give one value per result, in the same order")
     if table is not None:
         check_new_file(table, ".csv", ".json")
-    summaries = [result_files.read_summary(folder) for folder in results]
-    given = mass_g or (None,) * len(results)
-    masses = [summary.get("mass_g") if mass is None else mass for mass, summary in zip(given, summaries, strict=True)]
-    found = [stored_traits.read(folder, mass_g=mass) for folder, mass in zip(results, masses, strict=True)]
+    found = read_traits(results, mass_g)
     if table is None:
-        for folder, summary, one in zip(results, summaries, found, strict=True):
-            _print(folder, summary, one)
+        for one in found:
+            _print(one.folder, one.summary, one.traits)
         return
-    names = result_names.names_of(results)
+    from rhizotwin.recon.results import result_traits
+    from rhizotwin.stored import stored_traits
+
     if table.suffix.lower() == ".csv":
-        rows = list(zip(names, summaries, found, strict=True))
-        atomic.write_text(table, stored_traits.spreadsheet(rows))
+        atomic.write_text(table, stored_traits.spreadsheet([(one.name, one.summary, one.traits) for one in found]))
     else:
         contents = [
-            {"result": name, **result_traits.to_json(one, summary, mass_g=mass), **_neighbours(folder, summary, one)}
-            for name, folder, summary, one, mass in zip(names, results, summaries, found, masses, strict=True)
+            {
+                "result": one.name,
+                **result_traits.to_json(one.traits, one.summary, mass_g=one.mass_g),
+                **_neighbours(one.folder, one.summary, one.traits),
+            }
+            for one in found
         ]
         atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
     print(f"wrote the traits of {count(len(found), 'result')} to {table}")

@@ -61,7 +61,7 @@ class ReportData:
         return cls(folder, summary, roots, surface, traits, result_files.find_dataset(folder, summary, dataset), triangles)
 
     @classmethod
-    def of(cls, result: Result, folder: Path, dataset: Dataset) -> ReportData:
+    def of(cls, result: Result, folder: Path, dataset: Dataset | None) -> ReportData:
         """Return the data of a result that was written to a folder, without reading and measuring it again."""
         summary = result_files.read_summary(folder)
         return cls(folder, summary, tuple(result.roots), result.solid.surface, result.measured, dataset)

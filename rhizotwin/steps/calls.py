@@ -15,8 +15,8 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.terminal import OneBar
 
 if TYPE_CHECKING:
-    from rhizotwin.recon.results.result import Result
     from rhizotwin.scenes.dataset import Dataset
+    from rhizotwin.stored.save import Result
 
 Progress = Monitor | type[Any] | Listener | None
 """Argument of a function that receives its progress: a monitor, a tqdm class, a function ``(stage, done, total)``, or
@@ -128,7 +128,7 @@ def result_folder(result: Result | str | Path) -> Iterator[Path]:
         yield Path(result)
         return
     with tempfile.TemporaryDirectory(prefix="rhizotwin-result-") as folder:
-        result.save(folder)
+        result.write(Path(folder))
         yield Path(folder)
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rhizotwin.scoring.score_pictures import PictureScore
     from rhizotwin.scoring.score_solid import SolidScore, VolumeScore
     from rhizotwin.steps.arguments import Placing
-    from rhizotwin.stored.save import Result
+    from rhizotwin.steps.illustrated import Result
 
 log = logging.getLogger("rhizotwin")
 
@@ -362,9 +362,9 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
 
 
 def _guarded(result: reconstructed.Result) -> Result:
-    """Return a copy of the result that overwrites no other files, and is displayed in notebooks as a table."""
+    """Return a copy of the result that is saved with its report, and displayed in notebooks as a table."""
     from rhizotwin.report import notebook
-    from rhizotwin.stored.save import Result
+    from rhizotwin.steps.illustrated import Result
 
     return replace(Result.of(result), notebook=notebook.html)
 

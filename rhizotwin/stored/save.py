@@ -47,6 +47,10 @@ class Result(reconstructed.Result):
             if (folder / STAGES).is_dir():
                 shutil.copytree(folder / STAGES, building / STAGES)
             self.write(building)
+            self.illustrate(building)
+
+    def illustrate(self, folder: Path) -> None:
+        """Add pictures and the report to the files of the result. The Python interface overrides this method."""
 
     def write(self, folder: Path) -> None:
         """Write the files of the result to a folder that the caller has prepared with `new_result`."""

@@ -147,6 +147,11 @@ def test_what_is_in_memory_is_exported_and_pictures_imported(plant: plants.Plant
     dataset = rt.load_dataset(plant.dataset)
     rt.export(plant.result, tmp_path / "cameras.json", dataset=dataset)
     assert len(json.loads((tmp_path / "cameras.json").read_text())["frames"]) == plants.VIEWS
+    shown = tmp_path / "saved" / "report.html"
+    rt.load_result(plant.result).save(shown.parent)
+    assert [shown.is_file(), (shown.parent / "pictures" / "shape.png").is_file()] == [True, True]
+    assert rt.write_report([plant.result, shown.parent], tmp_path / "both.html").stat().st_size > 1e5
+    assert rt.traits([plant.result, shown.parent], mass_g=(1.0, 2.0))["tissue_density_g_per_ml"].is_monotonic_increasing
     assert len(rt.import_pictures(plant.dataset / "images", tmp_path / "set", scene=dataset.scene).frames) == plants.VIEWS
 
 
@@ -250,6 +255,8 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "answer as text": (lambda: rt.view("x", open_browser="no"), "open_browser must be True or False, not 'no' (str)"),
     "misspelt rig": (lambda: rt.scan("twim", "x"), 'no rig file twim (did you mean "twin"?)'),
     "angle": (lambda: rt.scan("twin", "x", table_angle_deg=720), "table_angle_deg must be -360 to 360, not 720; check the unit"),
+    "no corrections": (lambda: rt.edit("x", "x/edits.json", "x"), "the corrected result would overwrite the original result x"),
+    "masses of others": (lambda: rt.traits("tests", mass_g=[1, 2]), "tests"),
     "nothing to grow": (lambda: rt.growth([], "x"), "results is an empty list"),
     "absent results": (lambda: rt.growth("nowhere", "x"), "results: nowhere does not exist"),
     "no workers": (lambda: rt.batch("x", "y", workers=-1), "workers must be 1 to 10000, not -1"),
