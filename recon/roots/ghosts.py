@@ -227,8 +227,7 @@ def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Ma
     An end comprises the nodes from a branch's last lateral to its last node. The evidence for a tip combines three
     measures, since a false tip may pass any single measure: the fraction of the last node that other roots do not hide,
     its distance from other roots, and the residual around it. The residual is compared with that of other ends, which
-    accounts for noise and blur. An end that protrudes from its parent by less than its own diameter is a bulge and
-    never a tip.
+    accounts for noise and blur.
 
     Parameters
     ----------
@@ -251,18 +250,23 @@ def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Ma
     usual = max(float(np.median(share)), 1e-6)
     shown = visible[[line[-1] for _, line in ends]]
     evidence = shown + _OF_FREE * free_mm / _FREE_MM - _OF_LEFT * np.log(share / usual + _LEAST_TIMES)
-    for (k, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
+    for (_, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
         if weak and _length(tubes, line) < _LONG_MM:
             gone[line[1:]] = ~organ[line[1:]]
-        if _is_bulge(tubes, k, line):  # also on taproot and hypocotyl
-            gone[line[1:]] = True
     return gone
 
 
-def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
-    """Return whether an end is a whole branch that protrudes from its parent by less than its own diameter."""
-    whole = len(line) == len(tubes.branches[branch])
-    return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
+def find_bulges(tubes: Tubes) -> Mask:
+    """Return the mask (N,) of nodes of bulges, which protrude from their parents by less than their own diameter.
+
+    Nodules and thickenings of roots are bulges. They are parts of the plant, but not roots.
+    """
+    bulge = np.zeros(len(tubes.radius_mm), bool)
+    for k, line in _free_ends(tubes):
+        own = line[1:]
+        whole = len(line) == len(tubes.branches[k])
+        bulge[own] = whole and _length(tubes, line) - tubes.radius_mm[line[0]] < 2.0 * tubes.radius_mm[own].mean()
+    return bulge
 
 
 def _free_ends(tubes: Tubes) -> list[tuple[int, Index]]:

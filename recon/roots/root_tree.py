@@ -60,6 +60,8 @@ class RootSystem(RootTree):
 
     uncertain: Mask
     """Mask of nodes at branch ends that are probably not root tips, shape (N,)."""
+    bulge: Mask
+    """Mask of nodes of bulges, such as nodules, which are not roots, shape (N,)."""
 
     @cached_property
     def rendering(self) -> Rendering:
@@ -78,7 +80,7 @@ class RootSystem(RootTree):
             diameters = 2.0 * self.tubes.radii(k)
             for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
                 own = nodes[run]
-                if self.solid[own[0]] or len(own) < 2:
+                if self.solid[own[0]] or len(own) < 2 or self.bulge[own[-1]]:
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
                 number[own[number[own] < 0]] = len(roots)

@@ -47,6 +47,9 @@ _LEAST_MM = 1.0
 _TOP_MM, _RISE_MM = 1.0, 6.0
 """Height below the highest cell within which the top of a plant is searched, mm, and height above the visible stem up
 to which laterals are ignored in this search, mm."""
+_TOP_ZONE = 0.25
+"""Fraction of the zone below the net pot within which the tops of all plants and roots lie: the opaque pot hides the
+topmost part of each."""
 _THIN_MM = (0.05, 0.3)
 """Lower and upper limit of the initial radii, which are derived from shadows, mm. In roots thicker than the upper
 limit, cells shade each other, so that shadows do not indicate the radius."""
@@ -126,7 +129,8 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     found = find_paths(lattice, density, np.array(list(starts.values())))
     highest_mm = float(centre[list(starts.values()), 2].min())
     _bridge_net_pot(cells, lattice, density, dense, found, highest_mm)
-    separate = [_start(root, centre, density, depth_mm) for root in _find_separate(cells, dense, found, highest_mm)]
+    begun = np.array(list(starts.values()))
+    separate = [_start(root, centre, density, depth_mm) for root in _find_separate(cells, dense, begun)]
     _extend(lattice, density, np.array(separate, np.int64), found)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * size_mm)
     lines = branches(lattice, found, dense, claim / size_mm, _LEAST_MM / size_mm)
@@ -165,17 +169,34 @@ def _bridge_net_pot(cells: Cells, lattice: Lattice, density: Array, dense: NDArr
     lattices.extend_paths(lattice, _resistance(density), begin, paths)
 
 
-def _find_separate(cells: Cells, dense: NDArray[np.bool_], paths: Paths, top_mm: float) -> list[Index]:
-    """Return the dense cells of each root that leaves the net pot far from the plants, so that no path leads to it.
+def _find_separate(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> list[Index]:
+    """Return the dense cells near the top of each root that leaves the net pot far from the plants.
 
-    Such a root is longer than the zone below the net pot in which its top is searched, unlike a bubble or debris.
+    Such a root is as high as a plant, descends through the whole zone in which tops are searched, and is neither
+    connected to a plant nor as near as the maximum length of a hidden base within this zone. It may touch the plant's
+    roots below. A lateral that rises to the net pot does not descend again, and a bubble or debris is smaller.
+
+    Parameters
+    ----------
+    starts : (P,) int64 array
+        Cells at the tops of the plants.
     """
     if not cells.tops_mm:
         return []
-    height_mm, rest = cells.centre_mm[:, 2], np.flatnonzero(~np.isfinite(paths.cost))
-    part = CellSet.from_cells(cells.index[rest]).components()
-    found = (rest[(part == number) & dense[rest]] for number in np.unique(part[dense[rest]]))
-    return [own for own in found if height_mm[own].max() > top_mm - crown.HIDDEN_MM and np.ptp(height_mm[own]) > crown.HIDDEN_MM]
+    centre, height_mm = cells.centre_mm, cells.centre_mm[:, 2]
+    low_mm = height_mm[starts].min() - crown.HIDDEN_MM
+    zone = np.union1d(np.flatnonzero(height_mm > low_mm), starts)
+    part = CellSet.from_cells(cells.index[zone]).components()
+    own = np.isin(part, part[np.searchsorted(zone, starts)])
+    top, found = height_mm[zone] > height_mm[starts].min() - _TOP_ZONE * crown.HIDDEN_MM, list[Index]()
+    plants = cKDTree(centre[zone[own & top], :2])
+    for number in np.unique(part[~own & top & dense[zone]]):
+        root = zone[(part == number) & dense[zone]]
+        high = root[height_mm[root] > height_mm[root].max() - _TOP_MM]
+        descends = height_mm[root].min() < low_mm + _TOP_ZONE * crown.HIDDEN_MM
+        if descends and plants.query(centre[high, :2])[0].min() > crown.HIDDEN_MM:
+            found.append(root)
+    return found
 
 
 def _start(plant: Index, centre: Array, density: Array, depth_mm: Array) -> int:
@@ -211,8 +232,8 @@ def find_paths(lattice: Lattice, density: Array, starts: Index) -> Paths:
 
 
 def _extend(lattice: Lattice, density: Array, starts: Index, paths: Paths) -> None:
-    """Add the shortest paths from the cells ``starts`` (S,) to all cells without a path that are connected to them."""
-    paths.cost[starts] = 0.0
+    """Add the shortest paths from the cells ``starts`` (S,) to all cells that are connected to them."""
+    paths.cost[starts], paths.before[starts], paths.length[starts] = 0.0, -1, 0.0
     lattices.extend_paths(lattice, _resistance(density), starts, paths)
 
 

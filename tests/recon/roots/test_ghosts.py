@@ -1,5 +1,7 @@
 """What is told from roots: tubes that lie in others, and ends that are none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,15 @@ def test_hidden_ends_near_others_are_uncertain(branch: int, shown: float, share:
     visible, left = np.where(own, shown, 0.5), np.where(own, share, 0.02)
     judged = ghosts.find_uncertain_ends(system, visible, node_support.Support(1.0 - left, left, left), np.zeros(len(own), bool))
     np.testing.assert_array_equal(judged, own & expected)
+
+
+@pytest.mark.parametrize(("radius_mm", "roots"), [(0.3, 2), (1.0, 1)], ids=["a short lateral", "a nodule"])
+def test_a_nodule_is_no_root(radius_mm: float, roots: int):
+    found = strung(TRUNK, line((0.0, 0.0, -30.0), (2.0, 0.0, -30.5)), radius_mm=0.3)
+    found = tubes.with_geometry(found, found.centre_mm, np.where(found.owner == 1, radius_mm, 0.3))
+    bulge = ghosts.find_bulges(found)
+    np.testing.assert_array_equal(bulge, (found.owner == 1) & (roots == 1))
+    assert len(replace(at_rest(found, px_a_mm=3.2), bulge=bulge).roots()) == roots
 
 
 def test_a_second_tube_and_a_detour_beside_one_explain_little():
