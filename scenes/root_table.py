@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import polyline
+from rhizotwin.scenes.assessment import NOT_ASSESSED, Verdict
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.trait_table import csv_text, format_exact
 from rhizotwin.scenes.traits import branch_positions_mm, emergence_deg
@@ -67,10 +68,13 @@ def root_rows(roots: Sequence[Root]) -> list[RootRow]:
     return [_row(roots, index, positions, on_parent) for index in range(len(roots))]
 
 
-def to_csv(roots: Sequence[Root]) -> str:
-    """Return the rows as a CSV table; cells of unknown values are empty, and yes and no stand for a seen tip."""
-    rows = [[_cell(value) for value in asdict(row).values()] for row in root_rows(roots)]
-    return csv_text([[one.name for one in fields(RootRow)], *rows])
+def to_csv(roots: Sequence[Root], *, verdict: Verdict = NOT_ASSESSED.verdict) -> str:
+    """Return the rows as a CSV table; cells of unknown values are empty, and yes and no stand for a seen tip.
+
+    The last column is the verdict on the total length of the scan.
+    """
+    rows = [[*(_cell(value) for value in asdict(row).values()), verdict] for row in root_rows(roots)]
+    return csv_text([[*(one.name for one in fields(RootRow)), "verdict"], *rows])
 
 
 def _row(roots: Sequence[Root], index: int, positions: Sequence[float | None], on_parent: dict[int, list[int]]) -> RootRow:

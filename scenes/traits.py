@@ -7,13 +7,13 @@ Biology 12:116, table 1), extended from pictures to three dimensions as in Ranga
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import polyline
-from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root, sample_centre_lines
 
 Array = NDArray[np.float64]
 
@@ -102,6 +102,8 @@ class Traits:
     """Mean distance between successive branch points of a root, mm. It is None if no root has two."""
     lateral_density_per_cm: float | None = None
     """Number of laterals per length of the zones from the first to the last branch point of each root, 1/cm."""
+    width_by_depth_mm: tuple[float, ...] = ()
+    """Largest horizontal distance between two centre-line points in each depth bin of 10 mm, mm."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +140,6 @@ def measure_traits(
     """
     if not len(vertices_mm):
         raise ValueError("the solid has no vertices")
-    if mass_g is not None and not mass_g > 0.0:
-        raise ValueError(f"{mass_g=} is invalid; the mass must be positive")
     hull_mm3, width_mm = _hull(vertices_mm)
     top_mm, bottom_mm = float(vertices_mm[:, 2].max()), float(vertices_mm[:, 2].min())
     pieces = _segments(roots)
@@ -147,7 +147,7 @@ def measure_traits(
     most, median = _root_counts(pieces) if known else (None, None)
     angles = _emergence_deg(roots)
     by_diameter = np.floor(pieces.diameter / DIAMETER_BIN_MM + 1e-9).astype(np.int64)
-    return Traits(
+    measured = Traits(
         total_length_mm=total_mm if known else None,
         volume_mm3=volume_mm3,
         surface_mm2=surface_mm2,
@@ -170,10 +170,28 @@ def measure_traits(
         length_by_diameter_mm=_bin_lengths(by_diameter, pieces.length) if known else (),
         angle_to_gravity_deg=_gravity_deg(pieces) if known else None,
         angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
-        specific_root_length_m_per_g=total_mm / 1000.0 / mass_g if known and mass_g is not None else None,
-        tissue_density_g_per_ml=None if mass_g is None else mass_g / (volume_mm3 / 1000.0),
         tortuosity=_tortuosity(roots, total_mm) if known else None,
+        width_by_depth_mm=_width_by_depth(roots, top_mm) if known else (),
         **_branching(roots),
+    )
+    return measured if mass_g is None else weighed(measured, mass_g)
+
+
+def weighed(traits: Traits, mass_g: float) -> Traits:
+    """Return traits with those that are computed from the mass of the roots.
+
+    Raises
+    ------
+    ValueError
+        If the mass is not positive.
+    """
+    if not mass_g > 0.0:
+        raise ValueError(f"{mass_g=} is invalid; the mass must be positive")
+    length_mm = traits.total_length_mm
+    return replace(
+        traits,
+        specific_root_length_m_per_g=None if length_mm is None else length_mm / 1000.0 / mass_g,
+        tissue_density_g_per_ml=mass_g / (traits.volume_mm3 / 1000.0),
     )
 
 
@@ -233,9 +251,24 @@ def _below(pieces: _Segments, z_mm: float) -> float:
 def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
     """Return the root length per depth bin, mm."""
     lowest = float(np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2]).min())
-    count = max(1, int(np.ceil((top_mm - lowest) / DEPTH_BIN_MM - 1e-9)))
+    count = _depth_bins(top_mm - lowest)
     below = [_below(pieces, top_mm - DEPTH_BIN_MM * k) for k in range(1, count)]
     return tuple(float(value) for value in -np.diff([float(pieces.length.sum()), *below, 0.0]))
+
+
+def _width_by_depth(roots: Sequence[Root], top_mm: float) -> tuple[float, ...]:
+    """Return the largest horizontal distance of the centre lines per depth bin, mm. It is 0 in bins without roots."""
+    long = [root for root in roots if polyline.length_mm(root.points_mm) > 0.0]
+    between = sample_centre_lines(long, SLICE_MM / 2.0).points_mm
+    points = np.concatenate([between, *(root.points_mm for root in long)])
+    depth_mm = top_mm - points[:, 2]
+    last = _depth_bins(float(depth_mm.max())) - 1
+    bins = np.clip(np.floor(depth_mm / DEPTH_BIN_MM).astype(np.int64), 0, last)
+    return tuple(_width(points[bins == k, :2]) if (bins == k).any() else 0.0 for k in range(last + 1))
+
+
+def _depth_bins(depth_mm: float) -> int:
+    return max(1, int(np.ceil(depth_mm / DEPTH_BIN_MM - 1e-9)))
 
 
 def _hull(points_mm: Array) -> tuple[float, float]:
@@ -249,15 +282,22 @@ def _hull(points_mm: Array) -> tuple[float, float]:
         volume = float(ConvexHull(points_mm).volume)
     except QhullError:
         volume = 0.0
-    level = points_mm[:, :2]
-    try:
-        corners = level[ConvexHull(level).vertices]
-    except QhullError:  # for collinear points, the ends have the greatest distance
-        along = np.linalg.svd(level - level.mean(axis=0), full_matrices=False)[2][0]
-        corners = level[[int(np.argmin(level @ along)), int(np.argmax(level @ along))]]
+    return volume, _width(points_mm[:, :2])
+
+
+def _width(level: Array) -> float:
+    """Return the largest distance between two of the points (N, 2)."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    corners = level
+    if len(level) > 3:
+        try:
+            corners = level[ConvexHull(level).vertices]
+        except QhullError:  # for collinear points, the ends have the greatest distance
+            along = np.linalg.svd(level - level.mean(axis=0), full_matrices=False)[2][0]
+            corners = level[[int(np.argmin(level @ along)), int(np.argmax(level @ along))]]
     # a flat hull has few corners
-    widest = max(float(np.max(np.sum((corners - corner) ** 2, axis=1))) for corner in corners)
-    return volume, widest**0.5
+    return max(float(np.max(np.sum((corners - corner) ** 2, axis=1))) for corner in corners) ** 0.5
 
 
 def _root_counts(pieces: _Segments) -> tuple[float, float]:

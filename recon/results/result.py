@@ -36,7 +36,7 @@ from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh, pi
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
-from rhizotwin.scenes import atomic, root_table, rsml, trait_table
+from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.formatting import interval_ml, ml
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
@@ -301,12 +301,11 @@ class Result:
             (folder / name).unlink(missing_ok=True)
         if solid.roots:
             rsml.write_rsml(folder / "roots.rsml", solid.roots)
-            atomic.write_text(folder / "roots.csv", root_table.to_csv(solid.roots))
         for file, silhouette in self.silhouettes.items():
             atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
             atomic.write_image(picture_path(folder / "seen", file), silhouette.usable.astype(np.uint8) * 255)
         summary = self.summary()
-        for name, text in result_traits.trait_files(self.measured, summary, mass_g=self.mass_g).items():
+        for name, text in result_traits.trait_files(self.measured, summary, solid.roots, mass_g=self.mass_g).items():
             atomic.write_text(folder / name, text)
         summary["timings_s"] = self.timings_s | {"write": time.perf_counter() - begin}
         atomic.write_json(folder / "result.json", summary | {"traits": to_plain(self.measured)})

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.results import assessments, by_plant
 from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.recon.results.parts import Json, Mesh
-from rhizotwin.scenes import solution, subject, trait_table, tube_surface
+from rhizotwin.scenes import root_table, solution, subject, trait_table, tube_surface
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
@@ -126,15 +126,16 @@ def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTrai
     ]
 
 
-def trait_files(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
-    """Return the contents of ``traits.csv`` and ``traits.json``, keyed by the file name."""
+def trait_files(traits: Traits, summary: Json, roots: Sequence[Root], *, mass_g: float | None) -> dict[str, str]:
+    """Return the contents of ``traits.csv``, ``traits.json`` and, if there are roots, ``roots.csv``, by file name."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
     table = trait_table.to_csv(traits, whole)
     if summary.get("plants"):
         plants = [(one.subject.plant, one.traits, one.assessed) for one in traits_by_plant("result.json", summary, traits)]
         table = trait_table.by_plant_csv([("", traits, whole), *plants])
-    return {"traits.csv": table, "traits.json": f"{content}\n"}
+    single = {"roots.csv": root_table.to_csv(roots, verdict=whole["total_length_mm"].verdict)} if roots else {}
+    return {"traits.csv": table, "traits.json": f"{content}\n", **single}
 
 
 def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:

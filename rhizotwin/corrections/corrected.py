@@ -20,7 +20,7 @@ from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Term
 from rhizotwin.recon.uncertainty.calibration import Calibration
-from rhizotwin.scenes import atomic, root_table, rsml, subject
+from rhizotwin.scenes import atomic, rsml, subject
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
@@ -84,9 +84,8 @@ def write(
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
-            atomic.write_text(building / "roots.csv", root_table.to_csv(roots))
         logs.write(building / logs.APPLIED_NAME, replace(session.log, earlier=logs.read_applied(session.folder)))
-        for name, text in result_traits.trait_files(traits, summary, mass_g=summary.get("mass_g")).items():
+        for name, text in result_traits.trait_files(traits, summary, roots, mass_g=summary.get("mass_g")).items():
             atomic.write_text(building / name, text)
         summary |= {"traits": to_plain(traits)}
         atomic.write_json(building / "result.json", summary)

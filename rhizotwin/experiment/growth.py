@@ -14,14 +14,14 @@ from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml_reader import read_rsml
-from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, format_exact
+from rhizotwin.scenes.trait_table import DEFINITIONS, SHOOT, csv_text, format_exact
 from rhizotwin.stored import result_files
 
-CURVES = ("total_length", "volume", "depth", "tips")
-"""Traits for which growth curves and comparisons are computed."""
+CURVES = ("total_length", "volume", "depth", "tips", "leaves", "leaf_area")
+"""Traits for which growth curves and comparisons are computed. Those of the shoot are known if pictures show it."""
 SIZES = ("total_length", "volume")
 """Traits that do not fall as long as a plant lives. The depth can, because roots bend, and tips hide each other."""
-_COLUMNS = {d.name: d.column for d in DEFINITIONS}
+_COLUMNS = {d.name: d.column for d in (*DEFINITIONS, *SHOOT)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,12 +16,12 @@ from rhizotwin.experiment.growth import Growth
 from rhizotwin.scenes import html_page
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.solution import UNIT
-from rhizotwin.scenes.trait_table import DEFINITIONS
+from rhizotwin.scenes.trait_table import DEFINITIONS, SHOOT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
+_HEADINGS = {definition.name: definition.heading for definition in (*DEFINITIONS, *SHOOT)}
 NO_TREATMENT = "plants without a treatment"
 
 

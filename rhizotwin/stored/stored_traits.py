@@ -1,4 +1,4 @@
-"""Measure the traits of stored results, and tabulate them for many results."""
+"""Read or measure the traits of stored results, and tabulate them for many results."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,12 +9,15 @@ from rhizotwin.recon.results.reasons import shorten
 from rhizotwin.recon.results.result_traits import describe_edits, measure_shape, traits_by_plant
 from rhizotwin.scenes import solution, subject, trait_table
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.traits import Traits
+from rhizotwin.scenes.schema import Place, from_plain
+from rhizotwin.scenes.traits import Traits, weighed
 from rhizotwin.stored import result_files
 
 
 def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a result folder. The default mass is the mass recorded in the result.
+    """Read the traits of a result folder. The default mass is the mass recorded in the result.
+
+    Traits that ``result.json`` does not contain are measured on the roots and the surface of the result.
 
     Raises
     ------
@@ -22,8 +25,12 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
         If a file of the result is missing or damaged.
     """
     summary = result_files.read_summary(result_folder)
-    mesh = result_files.read_mesh(result_folder / "shape.ply")
-    return of_summary(summary, mesh, result_files.read_roots(result_folder), mass_g=mass_g)
+    if "traits" not in summary:
+        return of_summary(
+            summary, result_files.read_mesh(result_folder / "shape.ply"), result_files.read_roots(result_folder), mass_g=mass_g
+        )
+    traits = from_plain(Traits, summary["traits"], Place(str(result_folder / "result.json")).at("traits"))
+    return traits if mass_g is None else weighed(traits, mass_g)
 
 
 def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:

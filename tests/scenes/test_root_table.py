@@ -49,7 +49,8 @@ def test_traits_of_the_whole_system() -> None:
 
 
 def test_csv_has_empty_cells_for_unknown_values() -> None:
-    rows = list(csv.DictReader(io.StringIO(root_table.to_csv(ROOTS))))
+    rows = list(csv.DictReader(io.StringIO(root_table.to_csv(ROOTS, verdict="reliable"))))
     assert [row["parent"] for row in rows] == ["", "1", "1", "1", "2"]
     assert [row["tip_seen"] for row in rows] == ["yes", "yes", "yes", "no", "yes"]
+    assert {row["verdict"] for row in rows} == {"reliable"}
     assert (rows[0]["next_branch_mm"], rows[1]["length_mm"]) == ("", "14")

@@ -6,11 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.neighbours import find_neighbours
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen
-from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS
+from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, PROFILES, to_csv
 from rhizotwin.scenes.traits import Traits, measure_traits
 from tests.roots import straight
 
@@ -38,6 +39,7 @@ def test_a_tree_of_three_roots():
     assert found.solidity == pytest.approx(140.0 / 2800.0)
     assert found.length_by_order_mm == pytest.approx((40.0, 20.0 + slanted))
     assert found.length_by_depth_mm == pytest.approx((10.0, 10.0 + 20.0 + 10.0 * np.sqrt(2.0), 10.0 + 5.0 * np.sqrt(2.0), 10.0))
+    assert found.width_by_depth_mm == pytest.approx((0.0, 30.0, 15.0, 0.0), abs=0.5)  # the next point is at most 0.5 mm away
     assert found.length_by_diameter_mm[5] == pytest.approx(slanted)
     assert found.angle_to_gravity_deg == pytest.approx((0.0 * 40.0 + 90.0 * 20.0 + 45.0 * slanted) / total, abs=1e-5)
     assert found.angle_to_parent_deg == pytest.approx((90.0 + 45.0) / 2.0, abs=1e-5)
@@ -86,8 +88,17 @@ def test_without_centre_lines_only_the_solid_is_measured():
 
 
 def test_every_trait_is_in_the_table_once():
-    named = [d.field for d in DEFINITIONS] + [h.field for h in HISTOGRAMS]
+    named = [d.field for d in DEFINITIONS] + [h.field for h in (*HISTOGRAMS, *PROFILES)]
     assert sorted(named) == sorted(field.name for field in fields(Traits))
+
+
+def test_lengths_by_depth_have_the_interval_of_the_length() -> None:
+    found = measure_traits([TAP], BOX, volume_mm3=140.0, surface_mm2=300.0)
+    judged = Assessment(verdict="not reliable", interval=(36.0, 50.0), codes=("thin_roots",))
+    rows = [line.split(",") for line in to_csv(found, {"total_length_mm": judged}).splitlines() if line.startswith("length_by_d")]
+    by_depth = [(float(row[4]), float(row[6]), float(row[7]), row[8], row[9]) for row in rows if row[0] == "length_by_depth_mm"]
+    assert by_depth == [(10.0, 9.0, 12.5, "not reliable", "thin_roots")] * 4
+    assert {(row[6], row[8]) for row in rows if row[0] == "length_by_diameter_mm"} == {("", "not assessed")}
 
 
 def rod(plant: str, *ends: tuple[float, float, float], diameter_mm: float = 1.0) -> Root:

@@ -16,6 +16,9 @@ from rhizotwin.stored import result_files, stored_traits
 from tests.roots import straight
 
 HEAD = "result,plant,treatment,day,{0} (mm),{0}_low (mm),{0}_high (mm),{0}_verdict,volume (mm3),trusted\n".format("total_length")
+LEAVES = "plant,treatment,day,leaves,leaf_area_mm2\n" + "".join(
+    f"p{k},{'ab'[k % 2]},{day},{day // 5 + 1},{day * (10.0 + k) / (1 + k % 2)}\n" for k in range(6) for day in (5, 10)
+)
 TERM = {"name": "noise", "less_mm3": 5.0, "more_mm3": 5.0, "why": "noise"}
 
 
@@ -48,6 +51,12 @@ def test_growth_compares_reliable_values_only(tmp_path: Path) -> None:
     assert "total_length" not in found.curves
     with pytest.raises(UserError, match=r"total_length: 12 of 12 .* volume: 12 of 12"):
         growth.measure(read_all([table(tmp_path, unreliable=every, trusted="no")]))
+
+
+def test_leaves_are_counted_and_measured_over_time(tmp_path: Path) -> None:
+    found = growth.measure(read_all([written(tmp_path, LEAVES)]))
+    assert [(point.day, round(point.mean, 9)) for point in found.curves["leaves"] if point.treatment == "a"] == [(5.0, 2.0), (10.0, 3.0)]
+    assert found.compared["leaf_area"][0].size == pytest.approx(0.5, abs=0.1)
 
 
 def test_rates_and_emergence_are_computed_from_reliable_days(ball_result: Callable[..., Path]) -> None:
