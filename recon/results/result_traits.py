@@ -127,7 +127,19 @@ def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTrai
 
 
 def trait_files(traits: Traits, summary: Json, roots: Sequence[Root], *, mass_g: float | None) -> dict[str, str]:
-    """Return the contents of ``traits.csv``, ``traits.json`` and, if there are roots, ``roots.csv``, by file name."""
+    """Return the contents of ``traits.csv``, ``traits.json`` and, if there are roots, ``roots.csv``, by file name.
+
+    Parameters
+    ----------
+    traits : Traits
+        Traits of the result.
+    summary : Json
+        Contents of ``result.json``.
+    roots : sequence of Root
+        Roots of the result.
+    mass_g : float or None
+        Mass of the roots, g.
+    """
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
     table = trait_table.to_csv(traits, whole)

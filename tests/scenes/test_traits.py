@@ -92,13 +92,17 @@ def test_every_trait_is_in_the_table_once():
     assert sorted(named) == sorted(field.name for field in fields(Traits))
 
 
-def test_lengths_by_depth_have_the_interval_of_the_length() -> None:
-    found = measure_traits([TAP], BOX, volume_mm3=140.0, surface_mm2=300.0)
-    judged = Assessment(verdict="not reliable", interval=(36.0, 50.0), codes=("thin_roots",))
-    rows = [line.split(",") for line in to_csv(found, {"total_length_mm": judged}).splitlines() if line.startswith("length_by_d")]
-    by_depth = [(float(row[4]), float(row[6]), float(row[7]), row[8], row[9]) for row in rows if row[0] == "length_by_depth_mm"]
-    assert by_depth == [(10.0, 9.0, 12.5, "not reliable", "thin_roots")] * 4
-    assert {(row[6], row[8]) for row in rows if row[0] == "length_by_diameter_mm"} == {("", "not assessed")}
+def test_bins_have_the_intervals_of_length_and_diameter() -> None:
+    found = measure_traits([line([0.0, 0.0, -10.0], [0.0, 0.0, -50.0], 0.55)], BOX, volume_mm3=140.0, surface_mm2=300.0)
+    length = Assessment(verdict="not reliable", interval=(36.0, 50.0), codes=("thin_roots",))
+    table = to_csv(found, {"total_length_mm": length, "mean_diameter_mm": Assessment(verdict="reliable", interval=(0.55, 0.60))})
+    rows = {name: [one.split(",") for one in table.splitlines() if one.startswith(name)] for name in ("length_by_de", "length_by_di")}
+    by_depth, by_diameter = ([(*map(float, row[6:8]), *row[8:10]) for row in own] for own in rows.values())
+    assert by_depth == [(9.0, 12.5, "not reliable", "thin_roots")] * 4
+    # within a bin of 0.1 mm, the length is assumed to be evenly distributed: 0.5 to 0.6 mm become up to 0.545 to 0.655 mm
+    assert by_diameter[5] == pytest.approx((36.0 * (0.6 - 0.6 / 0.55 * 0.5) / (0.1 * 0.6 / 0.55), 50.0, "not reliable", "thin_roots"))
+    unknown = [one.split(",") for one in to_csv(found, {"total_length_mm": length}).splitlines() if one.startswith("length_by_di")]
+    assert {(row[6], row[8]) for row in unknown} == {("", "not assessed")}
 
 
 def rod(plant: str, *ends: tuple[float, float, float], diameter_mm: float = 1.0) -> Root:
