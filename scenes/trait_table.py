@@ -91,8 +91,13 @@ DEFINITIONS = (
     Definition("roots", "roots", "", "number of roots, taproots and laterals of every order"),
     Definition("tips", "tips", "", "number of visible root tips; tips hidden by other roots are not counted"),
     Definition("branch_points", "branch_points", "", "number of points where laterals emerge, one for each lateral"),
-    Definition("branch_distance_mm", "branch_distance", "mm", "mean distance between successive branch points of a root (SmartRoot)"),
-    Definition("lateral_density_per_cm", "lateral_density", "1/cm", "laterals per length of the branched zones of all roots (SmartRoot)"),
+    Definition("branch_distance_mm", "branch_distance", "mm", "mean distance between successive branch points of taproots (SmartRoot)"),
+    Definition(
+        "lateral_density_per_cm",
+        "lateral_density",
+        "1/cm",
+        "laterals of taproots per length of their branched zones (Dubrovsky and Forde 2012)",
+    ),
     Definition("tortuosity", "tortuosity", "", "ratio of the length to the distance from base to tip, over all roots"),
     Definition(
         "angle_to_gravity_deg", "angle_to_gravity", "deg", "length-weighted mean angle to gravity; 0 is straight down, 90 is horizontal"

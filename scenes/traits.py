@@ -99,9 +99,11 @@ class Traits:
     tortuosity: float | None = None
     """Ratio of the total length to the sum of the distances between base and tip of all roots."""
     branch_distance_mm: float | None = None
-    """Mean distance between successive branch points of a root, mm. It is None if no root has two."""
+    """Mean distance between successive branch points of a root without a parent, mm. It is None if none has two."""
     lateral_density_per_cm: float | None = None
-    """Number of laterals per length of the zones from the first to the last branch point of each root, 1/cm."""
+    """Number of laterals of roots without a parent, per length of their zones from the first to the last branch point,
+    1/cm (Dubrovsky and Forde 2012, Plant Cell 24:4). Zones of laterals, most of which bear a few laterals of a few
+    millimetres, are not included."""
     width_by_depth_mm: tuple[float, ...] = ()
     """Largest horizontal distance between two centre-line points in each depth bin of 10 mm, mm."""
 
@@ -204,7 +206,7 @@ def _branching(roots: Sequence[Root]) -> dict[str, float | None]:
     """Return ``branch_distance_mm`` and ``lateral_density_per_cm``."""
     places: dict[int, list[float]] = {}
     for root, position in zip(roots, branch_positions_mm(roots), strict=True):
-        if position is not None:
+        if position is not None and roots[root.parent].parent < 0:
             places.setdefault(root.parent, []).append(position)
     zones = [(max(found) - min(found), len(found)) for found in places.values() if max(found) > min(found)]
     zone_mm = sum(length for length, _ in zones)
