@@ -22,8 +22,8 @@ from rhizotwin.steps.results import Paths, read_table
 
 if TYPE_CHECKING:
     from rhizotwin.experiment.biomass import Model
-    from rhizotwin.recon.results.result import Result
     from rhizotwin.scenes.dataset import Dataset
+    from rhizotwin.stored.save import Result
 
 log = logging.getLogger("rhizotwin")
 

@@ -2,36 +2,75 @@
 
 from pathlib import Path
 
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.steps import command_steps
-from rhizotwin.steps.arguments import Device, OutputFolder, Profile, Progress
+from rhizotwin.steps.arguments import Device, Flag, OutputFolder, Page, Profile, Progress
 
 
 def demo(
-    *, output: OutputFolder = Path("demo"), profile: Profile = "clean", device: Device = "auto", progress: Progress = Progress()
+    *,
+    output: OutputFolder | None = None,
+    small: Flag = False,
+    show: Flag = False,
+    profile: Profile = "clean",
+    device: Device = "auto",
+    page: Page = Page(),
+    progress: Progress = Progress(),
 ) -> None:
-    """Simulate, reconstruct and score a small printed root (a few minutes).
+    """Simulate, reconstruct and score a small printed root (about two minutes), or show a finished example.
 
     The demonstration renders pictures of a small 3D-printed root, reconstructs the root from these pictures, compares
-    the result with the true root, and writes a report.
+    the result with the true root, and writes a report. With --show, a finished example, a plant with a manual
+    correction, or the finished demonstration in the folder, is opened in the viewer, and its report is opened.
 
     Parameters
     ----------
-    output : Path
-        Folder for all files; a finished demonstration in the folder is replaced, and an interrupted one is continued.
+    output : Path, optional
+        Folder for all files; default: demo, or example with --show. A finished demonstration in the folder is replaced,
+        and an interrupted one is continued.
+    small : bool
+        Use fewer and smaller pictures, larger voxels and no figures (about half a minute).
+    show : bool
+        Show a finished example in the browser at once, without simulation.
     profile : str
         Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an
         ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file.
     device : str
         Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
+    page : Page
+        Address of the viewer with --show.
     progress : Progress
         Progress output.
 
     Examples
     --------
     rhizotwin demo
+    rhizotwin demo --small
+    rhizotwin demo --show
     rhizotwin demo -o my_demo --profile bench
     """
-    from rhizotwin.steps.demo import demo as run_demo
+    if show:
+        if small:
+            raise UserError("--show opens a finished example, and --small simulates one; give one of them")
+        _show(Path("example") if output is None else output, page)
+        return
+    from rhizotwin.steps import demo as steps
 
     command_steps.start_engine(device, quiet=progress.quiet)
-    run_demo(output, profile=profile, say=print, progress=progress)
+    folder = Path("demo") if output is None else output
+    steps.demo(folder, profile=profile, size=steps.SMALL if small else steps.FULL, say=print, progress=progress)
+
+
+def _show(folder: Path, page: Page) -> None:
+    """Show the result in a folder, which is the example if the folder is new or empty."""
+    from rhizotwin.commands.view import view
+    from rhizotwin.steps.example import write_example
+    from rhizotwin.viewer.private_page import open_page
+
+    result = folder / "result"
+    if not (result / "result.json").is_file():
+        write_example(folder)
+    print(f"report: {result / 'report.html'}", flush=True)
+    if not page.no_browser:
+        open_page((result / "report.html").resolve().as_uri())
+    view([result], page=page)

@@ -2,25 +2,38 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import temporary_path, write_json
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.figures import FigureFormat
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.steps.arguments import Progress
 from rhizotwin.steps.command_steps import reconstruct_whole, settings_of
 from rhizotwin.steps.scene_changes import change_scene
 
 SCENE = "printed_8ml"
-VIEWS = 41
-"""Number of views. It is odd, because opposite views of a ring with an even number of views have nearly identical
-silhouettes."""
-IMAGE_WH = (800, 600)
-VOXEL_MM = 0.27
 
 
-def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
+@dataclass(frozen=True)
+class Size:
+    """Size of a demonstration."""
+
+    views: int
+    """Number of views. It is odd, because opposite views of a ring with an even number of views have nearly identical
+    silhouettes."""
+    image_wh: tuple[int, int]
+    voxel_mm: float
+    figures: FigureFormat | None
+
+
+FULL = Size(41, (800, 600), 0.27, "png")
+SMALL = Size(15, (400, 300), 0.5, None)
+
+
+def demo(folder: Path, *, profile: str, size: Size, say: Callable[[str], None], progress: Progress) -> None:
     """Run the demonstration.
 
     An interrupted run in the same folder is continued, and a finished run is replaced.
@@ -31,6 +44,8 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Pr
         Output folder for ``dataset``, ``result`` and ``score.json``.
     profile : str
         Profile of simulated imperfections, see `scenes.files.load_profile`.
+    size : Size
+        Pictures and voxels: `FULL` or `SMALL`.
     say : callable
         Function that is called with each line of output.
     progress : Progress
@@ -42,18 +57,18 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Pr
         If the folder contains files of anything other than an earlier demonstration.
     """
     with lock_folder(folder):
-        _demo(folder, profile=profile, say=say, progress=progress)
+        _demo(folder, profile=profile, size=size, say=say, progress=progress)
 
 
-def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
+def _demo(folder: Path, *, profile: str, size: Size, say: Callable[[str], None], progress: Progress) -> None:
     """Implement `demo` in a locked folder."""
     from rhizotwin.scoring.score import score
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     _clear(folder)
     dataset, result = folder / "dataset", folder / "result"
-    scene = change_scene(files.load_scene(SCENE), views=VIEWS, image_wh=IMAGE_WH, profile=profile)
-    say(f"1. rendering {VIEWS} views of {SCENE} ({IMAGE_WH[0]}x{IMAGE_WH[1]} pixels) through air, acrylic and water")
+    scene = change_scene(files.load_scene(SCENE), views=size.views, image_wh=size.image_wh, profile=profile)
+    say(f"1. rendering {size.views} views of {SCENE} ({size.image_wh[0]}x{size.image_wh[1]} pixels) through air, acrylic and water")
     with progress.bar(render=1.0) as bar:
         try:
             simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
@@ -61,7 +76,8 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
             _remove(dataset)
             simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
     say("2. reconstructing the root from the pictures")
-    pictures = reconstruct_whole(dataset, result, settings=settings_of(None, voxel_mm=VOXEL_MM), figures="png", progress=progress)
+    settings = settings_of(None, voxel_mm=size.voxel_mm)
+    pictures = reconstruct_whole(dataset, result, settings=settings, figures=size.figures, progress=progress)
     say("3. comparing the result with the ground truth")
     with progress.bar(score=1.0) as bar, bar.stage("score"):
         scores = score(result, dataset)

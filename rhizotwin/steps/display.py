@@ -15,8 +15,8 @@ from rhizotwin.viewer import private_page
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rhizotwin.recon.results.result import Result
     from rhizotwin.scenes.dataset import Dataset
+    from rhizotwin.stored.save import Result
     from rhizotwin.viewer.app import Viewer
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
+from typing import Self
 
 from rhizotwin.recon.results import result as reconstructed
 from rhizotwin.scenes.errors import UserError
@@ -24,7 +25,7 @@ class Result(reconstructed.Result):
     """
 
     @classmethod
-    def of(cls, found: reconstructed.Result) -> Result:
+    def of(cls, found: reconstructed.Result) -> Self:
         """Return a result of the reconstruction as a result of the Python interface."""
         return cls(**{one.name: getattr(found, one.name) for one in fields(found)})
 

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -305,7 +305,7 @@ def stand_ins(*, save: bool) -> None:
 
     rhizotwin.recon.reconstruct.reconstruct = reconstruct
     rhizotwin.sim.simulate.Renderer = Renderer
-    rhizotwin.steps.demo.VIEWS, rhizotwin.steps.demo.IMAGE_WH = 2, (32, 24)
+    rhizotwin.steps.demo.FULL = replace(rhizotwin.steps.demo.FULL, views=2, image_wh=(32, 24))
     rhizotwin.batches.local.run = lambda jobs, **_: ((job, Outcome(**work(job.plain()))) for job in jobs)
     result_pictures.write_pictures = lambda *_, **__: []
     guard.serve = lambda **_: type("Served", (), {"address": "", "port": 0})()

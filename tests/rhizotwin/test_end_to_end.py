@@ -11,11 +11,13 @@ import pytest
 import trimesh
 
 import rhizotwin as rt
+from rhizotwin.corrections.session import Session
 from rhizotwin.importer.colmap_model import read_colmap
 from rhizotwin.importer.nerfstudio_file import read_cameras
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.truth import load_truth
+from rhizotwin.steps.example import write_example
 from tests.command import Command
 from tests.conftest import Reconstructed
 
@@ -93,3 +95,15 @@ def test_import_of_masks_with_cameras_gives_the_same_shape(made: Path, tmp_path:
     score = rt.score(result, out).to_dict()
     assert score["volume_error"] == pytest.approx(0.0, abs=0.03)
     assert score["iou"] > 0.93
+
+
+def test_the_example_has_the_present_format(tmp_path: Path, command: Command) -> None:
+    write_example(tmp_path / "example")
+    folder = tmp_path / "example" / "result"
+    loaded, session = rt.load_result(folder), Session(folder)
+    assert loaded.trusted
+    assert (len(session.log.edits), len(session.state.lines)) == (1, len(loaded.roots) - 1)
+    assert load_dataset(loaded.dataset).sha256 == loaded.dataset_sha256
+    assert (folder / "report.html").read_text(encoding="utf-8").count("data:image/jpeg") == 2
+    command.fails("demo", "--show", "--small", named=["--small"])
+    command.fails("demo", "--show", "-o", folder.parent / "dataset", "--no-browser", named=["not empty"])
