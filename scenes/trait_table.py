@@ -214,8 +214,8 @@ def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
         value, low, high = map(format_exact, numbers)
         rows.append((d.column, "", "", "", value, d.unit, low, high, one.verdict, ";".join(one.codes), d.meaning))
     for h, index, value, one in _bins(traits, assessed):
-        begin, end, length, low, high = map(format_exact, (*h.edges(index), value, *(one.interval or (None, None))))
-        rows.append((h.column, begin, end, h.bin_unit, length, "mm", low, high, one.verdict, ";".join(one.codes), h.meaning))
+        cells = [format_exact(number) for number in (*h.edges(index), value, *(one.interval or (None, None)))]
+        rows.append((h.column, *cells[:2], h.bin_unit, cells[2], "mm", *cells[3:], one.verdict, ";".join(one.codes), h.meaning))
     return rows
 
 
@@ -240,7 +240,7 @@ def _assess_bins(h: Histogram, values: Sequence[float], traits: Traits, assessed
         return [NOT_ASSESSED] * len(values)
     above = np.append(0.0, np.cumsum(values))
     limits = h.bin_width * np.arange(len(above))
-    scales = [1.0] if len(factors) == 1 else [1.0, *np.linspace(*factors[1], SCALES)]
+    scales = [1.0, *(float(scale) for low, high in factors[1:] for scale in np.linspace(max(low, 1e-6), high, SCALES))]
     scaled = [np.diff(np.interp(limits / scale, limits, above)) for scale in scales]
     worst = next((one for one in judged if one.verdict != "reliable"), judged[0])
     low, high = factors[0][0] * np.min(scaled, axis=0), factors[0][1] * np.max(scaled, axis=0)
