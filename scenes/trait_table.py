@@ -213,8 +213,8 @@ def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
     for d, *numbers, one in _trait_rows(traits, assessed):
         value, low, high = map(format_exact, numbers)
         rows.append((d.column, "", "", "", value, d.unit, low, high, one.verdict, ";".join(one.codes), d.meaning))
-    for h, index, value, one in _bins(traits, assessed):
-        cells = [format_exact(number) for number in (*h.edges(index), value, *(one.interval or (None, None)))]
+    for h, index, length, one in _bins(traits, assessed):
+        cells = [format_exact(number) for number in (*h.edges(index), length, *(one.interval or (None, None)))]
         rows.append((h.column, *cells[:2], h.bin_unit, cells[2], "mm", *cells[3:], one.verdict, ";".join(one.codes), h.meaning))
     return rows
 
