@@ -32,6 +32,7 @@ COMMANDS = {
     "growth": "Compute growth curves of plants and individual roots, and compare treatments.",
     "biomass": "Predict the mass of living plants with a model fitted to harvested plants.",
     "biomass tables": "Write the example tables of masses and volumes from Kliman's thesis (2022).",
+    "biomass example": "Write the results of eighteen simulated plants, scanned several times, and a table of their masses.",
     "biomass fit": "Fit a model that predicts mass from volume or another trait, with errors in both variables.",
     "biomass predict": "Predict the mass of plants that were not weighed, with 90 % intervals.",
     "export": "Convert a result to other file formats, or publish datasets and results.",

@@ -5,6 +5,7 @@ The model relates the weighed mass of harvested plants to the volume or another 
 Examples
 --------
 rhizotwin biomass tables -o thesis
+rhizotwin biomass example -o eighteen_plants
 rhizotwin biomass fit my_results my_masses.csv -o radish.json
 rhizotwin biomass predict my_other_results --model radish.json
 """
@@ -44,6 +45,29 @@ def tables(*, output: OutputFolder) -> None:
 
     for path in write_shipped(output):
         print(f"wrote {path}")
+
+
+def example(*, output: OutputFolder) -> None:
+    """Write the results of eighteen simulated plants, scanned several times, and a table of their masses.
+
+    The plants are those of Kliman's thesis (2022), three of which were harvested and weighed every five days. The scans
+    are simulated and reconstructed. The results contain the traits and the roots, but no pictures.
+
+    Parameters
+    ----------
+    output : Path
+        Output folder, with the results in the subfolder results and the masses in masses.csv.
+
+    Examples
+    --------
+    rhizotwin biomass example -o eighteen_plants
+    rhizotwin growth eighteen_plants/results eighteen_plants/masses.csv -o my_growth
+    """
+    from rhizotwin.experiment.thesis_tables import write_example
+
+    write_example(output)
+    print(f"wrote {output}")
+    print(f"next: rhizotwin growth {output / 'results'} {output / 'masses.csv'} -o my_growth")
 
 
 def fit(
