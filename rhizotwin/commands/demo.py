@@ -20,7 +20,7 @@ def demo(
     """Simulate, reconstruct and score a small printed root (about two minutes), or show a finished example.
 
     The demonstration renders pictures of a small 3D-printed root, reconstructs the root from these pictures, compares
-    the result with the true root, and writes a report. With --show, a finished example, a plant with a manual
+    the result with the true root, and writes a report. With --show, a finished example, a print with a manual
     correction, or the finished demonstration in the folder, is opened in the viewer, and its report is opened.
 
     Parameters
@@ -29,7 +29,7 @@ def demo(
         Folder for all files; default: demo, or example with --show. A finished demonstration in the folder is replaced,
         and an interrupted one is continued.
     small : bool
-        Use fewer and smaller pictures, larger voxels and no figures (about half a minute).
+        Use fewer and smaller pictures, larger voxels and no figures (under a minute).
     show : bool
         Show a finished example in the browser at once, without simulation.
     profile : str

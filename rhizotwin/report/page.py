@@ -50,6 +50,7 @@ SAVED = {
 """Contents of the files that a report can save, keyed by file type."""
 
 
+_REFUSED = "These traits are not reliable, because the scan is not reliable."
 _NO_INTERVAL = "The uncertainty of these traits is not estimated. They are computed from the reconstructed shape and centre lines."
 
 
@@ -266,7 +267,7 @@ def _traits(report: ReportData) -> str:
         if value is None:
             continue
         label, shown, interval, meaning = words.trait_text(definition, value, found)
-        if found.verdict == "not assessed":
+        if found.interval is None:
             others.append([label, shown, meaning])
         else:
             assessed.append([label, shown, interval, meaning])
@@ -274,7 +275,10 @@ def _traits(report: ReportData) -> str:
     if assessed:
         text += table(assessed, head=("trait", "value", "90 % interval", "definition"), numbers=(1,), kind="traits")
     if others:
-        more = f"<p class=soft>{_NO_INTERVAL}</p>" + table(others, head=("trait", "value", "definition"), numbers=(1,), kind="traits")
+        refused = any(found.verdict == "not reliable" and found.interval is None for found in report.assessed.values())
+        more = f"<p class=soft>{_REFUSED if refused else _NO_INTERVAL}</p>" + table(
+            others, head=("trait", "value", "definition"), numbers=(1,), kind="traits"
+        )
         text += f"<details><summary>Traits without an interval</summary>{more}</details>" if assessed else more
     return text
 

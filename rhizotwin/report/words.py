@@ -56,6 +56,7 @@ CAUSES = {
     "cameras": "Cameras without markers",
     "canister": "Shape of the canister",
     "flat roots": "Roots side by side",
+    "hairs": "Root hairs",
     "merged roots": "Roots merged into others",
     "missing roots": "Roots that were not found",
     "occluded": "Hidden by the net pot",

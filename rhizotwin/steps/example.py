@@ -1,4 +1,4 @@
-"""Finished example: simulated scan of a plant with its reconstruction and a correction (``packaging/example.py``)."""
+"""Finished example: simulated scan of a print with its reconstruction and a correction (``packaging/example.py``)."""
 
 from __future__ import annotations
 
