@@ -1,5 +1,6 @@
 """What the documents tell people to type exists; their links lead somewhere; their scenes load."""
 
+import importlib.util
 import re
 import shlex
 import tomllib
@@ -119,3 +120,13 @@ def test_no_address_or_package_is_named_before_it_exists() -> None:
     files = [*files, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CITATION.cff"))]
     texts = {path: path.read_text(encoding="utf-8") for path in files if path.name != "releasing.md"}
     assert [(path, name) for path, text in texts.items() for name in unpublished if name in text] == []
+
+
+def test_pictures_of_the_output_are_those_of_the_present_code() -> None:
+    place = ROOT / "packaging" / "pictures.py"
+    spec = importlib.util.spec_from_file_location("pictures", place)
+    assert spec is not None
+    assert spec.loader is not None
+    pictures = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pictures)
+    assert pictures.outdated() == [], "make them again: python packaging/pictures.py"
