@@ -235,6 +235,8 @@ class Carved:
     """Lengths along x, y and z between the outermost faces of the voxels (T3.5)."""
     grid_cpu_s: float | None = None
     """Processor time with a full grid; None if it was not measured."""
+    grid_ml: float | None = None
+    """Volume with a full grid, counted as that of the octree; None if it was not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,21 +305,25 @@ def _timed(carved: CarvedHull, assumed: Assumptions) -> tuple[Carved, int]:
     slabs = _slabs(grid)
     is_thesis = assumed == Assumptions()
 
-    def seconds(lattices: Sequence[Grid]) -> float:
-        began = time.process_time()
-        for lattice in lattices:
-            carve.carve(
-                carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, min_votes=carved.bank.count if assumed.blind_carves else None
-            )
-        return time.process_time() - began
+    votes = carved.bank.count if assumed.blind_carves else None
 
+    def measure(lattices: Sequence[Grid]) -> tuple[float, float]:
+        """Return processor time, s, and volume with partial voxels kept, ml."""
+        began, kept_mm3 = time.process_time(), 0.0
+        for lattice in lattices:
+            hull = carve.carve(carved.bank, carved.maps, lattice, carved.water, slack_px=0.0, min_votes=votes)
+            kept_mm3 += _volumes(hull.leaves)["kept"]
+        return time.process_time() - began, kept_mm3 / 1e3
+
+    full_s, full_ml = measure(slabs) if is_thesis else (None, None)
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
     found = Carved(
         ml=mm3["kept" if is_thesis else "shared"] / 1e3,
-        cpu_s=min(seconds([grid]), seconds([grid])),
+        cpu_s=min(measure([grid])[0], measure([grid])[0]),
         voxels=len(leaves.size),
         extents_mm=_triple((high - low) * grid.size_mm),
-        grid_cpu_s=seconds(slabs) if is_thesis else None,
+        grid_cpu_s=full_s,
+        grid_ml=full_ml,
     )
     return found, sum(math.prod(slab.coarse_shape) for slab in slabs)
 
