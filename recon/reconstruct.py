@@ -225,7 +225,8 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
 
 def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | None, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
-    unseen = root_uncertainty.Unseen(
+    known = root_uncertainty.Known(
+        bulges=solid.bulges,
         flat=sum(term.less_mm3 for term in solid.volume.terms if term.name == "flat roots") / max(solid.volume.mm3, 1e-9),
         hidden_mm=solid.hidden_mm,
         scattered=scattered or 0.0,
@@ -237,7 +238,7 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | 
             carved.silhouettes,
             mu_per_mm=solid.mu_per_mm,
             lost=_volume_objections(solid),
-            unseen=unseen,
+            known=known,
             calibration=solid.volume.calibration,
         )
 

@@ -88,3 +88,9 @@ class RootSystem(RootTree):
                 root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=0, parent=parent, tip_seen=tip_seen)
                 roots.append(root)
         return thickened_roots.trim_buried(hierarchy.arrange(roots))
+
+    def bulges(self) -> tuple[Root, ...]:
+        """Return the bulges as lines without parents and tips."""
+        lines = [(nodes, self.tubes.radii(k)) for k, nodes in enumerate(self.tubes.branches) if self.bulge[nodes[-1]]]
+        points = self.tubes.centre_mm
+        return tuple(Root(points_mm=points[n], diameters_mm=2.0 * radii, order=0, parent=-1, tip_seen=False) for n, radii in lines)

@@ -64,9 +64,11 @@ LEAST_VIEWS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unseen:
-    """Roots that the comparison with the pictures does not show, according to the volume's budget."""
+class Known:
+    """Facts about a scan that the comparison of its roots with the pictures does not show."""
 
+    bulges: Sequence[Root] = ()
+    """Nodules and other bulges, which the pictures show beside the roots."""
     flat: float = 0.0
     """Fraction of the volume by which flat roots may be too large, if they are two roots side by side."""
     hidden_mm: float = 0.0
@@ -83,7 +85,7 @@ def estimates(
     *,
     mu_per_mm: float | None,
     lost: Sequence[str],
-    unseen: Unseen | None = None,
+    known: Known | None = None,
     calibration: Calibration = NOT_CALIBRATED,
 ) -> tuple[Estimate, ...]:
     """Compare roots with the pictures.
@@ -98,8 +100,8 @@ def estimates(
         Attenuation of the roots; None for opaque roots.
     lost : sequence of str
         Reasons for which the scan as a whole is not trusted; empty if it is.
-    unseen : Unseen, optional
-        Roots that the comparison does not show; by default, there are none.
+    known : Known, optional
+        Facts that the comparison does not show; by default, there are none.
     calibration : Calibration, optional
         Calibration of the scan's intervals.
 
@@ -110,9 +112,9 @@ def estimates(
     """
     if not roots:
         return ()
-    unseen = unseen or Unseen()
+    known = known or Known()
     count = min(VIEWS, bank.count)
-    places = root_residual.Places.project(roots, bank.select(range(count)))
+    places = root_residual.Places.project([*roots, *known.bulges], bank.select(range(count)))
     drawn = root_residual.render(places, silhouettes[:count], mu_per_mm)
     lost = (*lost, *_thin_objections(places.thin_share(_THIN_PX)))
     views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
@@ -124,19 +126,19 @@ def estimates(
         f"thick roots hide about {100.0 * hidden:.0f} % of the thin roots in most pictures (add a ring that looks from above)": hidden,
     }
     bundled = bundles.bundled_length_mm(roots, places.px_a_mm) / max(rsml.length_mm(roots), 1e-9)
-    flat = _OF_FLAT * unseen.flat
+    flat = _OF_FLAT * known.flat
     paired = max(0.0, flat - merged - bundled)  # all three are roots that are not separated
     unseparated = {
         f"roots spread from common points, where {100.0 * bundled:.0f} % of the length may be hidden (take larger pictures)": bundled,
         f"roots appear flat, so that {100.0 * flat:.0f} % of the length may be hidden in pairs (take larger pictures)": paired,
     }
-    changes = _changes(roots, residuals, lacking=lacking, bundled=unseparated, unseen=unseen)
+    changes = _changes(roots, residuals, lacking=lacking, bundled=unseparated, known=known)
     factors = {name: calibration.factor(name) for name in changes}
     return tuple(_estimate(name, change, lost, factor=factors[name]) for name, change in changes.items())
 
 
 def _changes(
-    roots: Sequence[Root], residuals: Sequence[Residual], *, lacking: Mapping[str, float], bundled: Mapping[str, float], unseen: Unseen
+    roots: Sequence[Root], residuals: Sequence[Residual], *, lacking: Mapping[str, float], bundled: Mapping[str, float], known: Known
 ) -> dict[str, _Change]:
     """Return the changes that the pictures suggest, keyed by the name of the trait.
 
@@ -146,13 +148,13 @@ def _changes(
         Differences between the pictures and the rendered roots.
     lacking, bundled : mapping
         Fractions of the roots, and of their length alone, that may be missing, keyed by the cause.
-    unseen : Unseen
+    known : Known
         Hidden roots, which add to the length, and scattered light.
     """
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
-    along, darker = {**lacking, **bundled}, unseen.scattered
-    above = {f"the net pot may hide up to {unseen.hidden_mm:.0f} mm": ANYWHERE * unseen.hidden_mm / max(length_mm, 1e-9)}
+    along, darker = {**lacking, **bundled}, known.scattered
+    above = {f"the net pot may hide up to {known.hidden_mm:.0f} mm": ANYWHERE * known.hidden_mm / max(length_mm, 1e-9)}
     missing, missing_length, width = sum(lacking.values()), sum(along.values()), [view.width for view in residuals]
     wider = _mean_of(width)
     less_wide, more_wide = max(0.0, -wider) + missing_length + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)

@@ -8,7 +8,7 @@ import pytest
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty import root_residual, root_uncertainty
-from rhizotwin.recon.uncertainty.root_uncertainty import Unseen
+from rhizotwin.recon.uncertainty.root_uncertainty import Known
 from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.hull.exact_pictures import ring_of
 from tests.recon.strings import blank_of
@@ -114,10 +114,10 @@ def test_crowded_roots_below_half_a_pixel_may_have_more_volume(taken, diameter_m
 
 def test_flat_roots_and_the_net_pot_may_hide_length(taken) -> None:
     bank, pictures = taken
-    hidden = Unseen(hidden_mm=8.0 * 0.02 / 0.9 * length_mm(TRUE))  # the end is anywhere in the hidden length
+    hidden = Known(hidden_mm=8.0 * 0.02 / 0.9 * length_mm(TRUE))  # the end is anywhere in the hidden length
     found = [
-        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), unseen=unseen)}
-        for unseen in (Unseen(), Unseen(flat=0.02), Unseen(flat=0.04), hidden)
+        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), known=known)}
+        for known in (Known(), Known(flat=0.02), Known(flat=0.04), hidden)
     ]
     high = [one["total_length_mm"].interval[1] / length_mm(TRUE) for one in found]
     assert high[1] == pytest.approx(1.0 + 8.0 * 0.02, abs=0.02)
