@@ -314,7 +314,7 @@ def benchmark(
     Returns
     -------
     pandas.DataFrame
-        One row per case, with the state of the run and one column per quantity in the unit of its heading.
+        One row per case, with the state of the run and one column per quantity. Relative errors are fractions.
     """
     import pandas as pd
 
@@ -328,7 +328,7 @@ def benchmark(
         options = commands.RunOptions(cases=chosen, cameras=cameras)
         commands.run(name, Path(folder), method=method, output=Path(output), options=options, device=device, progress=quiet)
     rows = results.read(Path(output)).rows
-    numbers = {case: {one.heading: results.value(row, one) for one in results.QUANTITIES} for case, row in rows.items()}
+    numbers = {case: {one.name: results.value(row, one) for one in results.QUANTITIES} for case, row in rows.items()}
     return pd.DataFrame([{"case": case, "state": row["state"], **numbers[case]} for case, row in rows.items()])
 
 
