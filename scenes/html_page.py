@@ -38,10 +38,12 @@ def document(title: str, *parts: str, script: str = "") -> str:
     style = files("rhizotwin.scenes").joinpath("page.css").read_text(encoding="utf-8")
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'" + ("; script-src 'unsafe-inline'" if script else "")
     code = f"<script>{script}</script>" if script else ""
+    content = "".join(parts)
+    body = content if "<main" in content else f"<main>{content}</main>"
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}"><link rel="icon" href="data:,">'
-        f"<title>{html.escape(title)}</title><style>{style}</style></head><body>{''.join(parts)}{code}</body></html>\n"
+        f"<title>{html.escape(title)}</title><style>{style}</style></head><body>{body}{code}</body></html>\n"
     )
 
 
@@ -63,7 +65,7 @@ def table(rows: Sequence[Cells], *, head: Cells = (), numbers: Collection[int] =
     """
     top = f"<thead><tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr></thead>" if head else ""
     body = "".join(f"<tr{' class=out' if k in marked else ''}>{cells(row, numbers=numbers)}</tr>" for k, row in enumerate(rows))
-    return f'<div class=wide><table class="{kind}">{top}<tbody>{body}</tbody></table></div>'
+    return f'<div class=wide tabindex=0><table class="{kind}">{top}<tbody>{body}</tbody></table></div>'
 
 
 def cells(row: Cells, *, numbers: Collection[int] = ()) -> str:

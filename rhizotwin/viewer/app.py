@@ -26,6 +26,9 @@ from rhizotwin.viewer.picking import Ray, Screen
 
 Array = NDArray[np.float64]
 
+CLICK_SHARE = 0.01
+"""Maximum distance between a click into a picture and the root that it selects, as a fraction of the picture's height.
+It is nine pixels of a screen of 900 pixels."""
 _PREPARE_AFTER_S = 3.0
 """Time between the connection of the first browser and the preparation of corrections, s. The browser needs this time
 to draw a plant of day 30, and the preparation must not delay it."""
@@ -48,6 +51,7 @@ class Viewer(Drawing):
         """
         with self.lock:
             if self.picture is not None:
+                self._click_picture(ray, more=more)
                 return
             if self.look.click == CLICKS[1]:
                 self._click_voxel(ray, more=more)
@@ -58,12 +62,7 @@ class Viewer(Drawing):
                 return
             number, point = hit
             if self.look.click == CLICKS[0]:
-                if more and number in self.roots:
-                    self.roots.remove(number)
-                else:
-                    self.roots = [*self.roots, number] if more else [number]
-                    if not more:
-                        self.voxels.clear()
+                self._select(number, more=more)
             elif self.look.click == CLICKS[2]:
                 self._measure_at(point)
             else:
@@ -71,6 +70,34 @@ class Viewer(Drawing):
                 self.correct(kind, roots=[number], point_mm=tuple(float(x) for x in point))
                 return
             self.show_selection()
+
+    def _select(self, number: int, *, more: bool) -> None:
+        """Select a root. If ``more``, it is added to the selection, or removed if it is selected."""
+        if more and number in self.roots:
+            self.roots.remove(number)
+        else:
+            self.roots = [*self.roots, number] if more else [number]
+            if not more:
+                self.voxels.clear()
+
+    def _click_picture(self, ray: Ray, *, more: bool) -> None:
+        """Select the root that is projected through the water to the clicked point of the displayed picture."""
+        pictures, place, parts = self.shown.pictures, self.picture, self.visible()
+        if pictures is None or place is None or not parts:
+            return
+        view = pictures.views[place]
+        toward = view.cam_from_canister[:3, :3] @ ray.direction
+        clicked_px = toward[:2] / toward[2] * view.camera.focal_px + view.camera.principal_px
+        numbers = np.concatenate([np.full(sum(len(one.points_mm) for one in lines), number) for number, lines in parts.items()])
+        px = pictures.pixels(place, np.concatenate([one.points_mm for lines in parts.values() for one in lines]))
+        away_px = np.nan_to_num(np.linalg.norm(px - clicked_px, axis=1), nan=np.inf)
+        nearest = int(away_px.argmin())
+        if away_px[nearest] <= CLICK_SHARE * view.camera.image_wh[1]:
+            self._select(int(numbers[nearest]), more=more)
+        elif not more:
+            self.roots = []
+        self.show_selection()
+        self._draw_picture()
 
     def _click_background(self, ray: Ray, *, more: bool) -> None:
         """Handle a click that hits no root.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import threading
 import time
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import viser
 from numpy.typing import NDArray
+from PIL import Image
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.drawing import root_colours
@@ -39,6 +41,8 @@ CLICKS = ("select a root", "select a voxel", "measure a distance", "cut the root
 """Click modes of the 3D view."""
 TRUTH = ("overlaid", "beside", "as colours of distance")
 """Display modes of the true shape."""
+BESIDE_PX = 960
+"""Maximum width of the picture beside the 3D view, px. A panel has 360 px, or 720 on a fine screen."""
 _ASIDE_MM = 60.0
 """Distance between the reconstructed and the true shape if they are displayed side by side, mm."""
 _APART_S = 0.02
@@ -93,7 +97,11 @@ class Drawing:
         self.measured: list[Array] = []
         """Points (3,) of the distance measurement, mm."""
         self.picture: int | None = None
-        """Index of the displayed picture. It is None while the 3D view is displayed."""
+        """Index of the picture that is displayed in place of the 3D view. It is None while the 3D view is displayed."""
+        self.beside = 0
+        """Index of the picture beside the 3D view."""
+        self._followed: tuple[int, ...] = ()
+        """Selection for which the picture beside the 3D view was chosen."""
         self._visible: tuple[object, Parts] | None = None
         self._nodes: tuple[Parts, Nodes] | None = None
         self._keys: dict[str, object] = {}
@@ -103,6 +111,8 @@ class Drawing:
         """Functions to call after a change that the panels may have to show."""
         self.on_measured: list[Callable[[], None]] = []
         """Functions to call when traits may have changed. They run in the background."""
+        self.on_beside: list[Callable[[bytes], None]] = []
+        """Functions to call with the picture beside the 3D view (JPEG) when it has changed, in the background."""
         self._background = Worker(name="surface", on_error=self.report)
         """Background thread that draws surfaces. Corrections do not wait for this thread."""
         self.message = ""
@@ -137,7 +147,7 @@ class Drawing:
             self.roots, self.voxels, self.measured = [], set(), []
             self.scene.clear()
             self._keys.clear()
-            self.picture = None
+            self.picture, self.beside, self._followed = None, 0, ()
             self.served.server.scene.set_background_image(None)
             lines = self.shown.session.state.lines.values()
             points = np.concatenate([line.points_mm for line in lines] or [self.shown.session.measure().solid.centre_mm])
@@ -183,8 +193,40 @@ class Drawing:
     def show_selection(self) -> None:
         """Update the panels and highlight the selection."""
         with self.lock:
+            self._choose_picture()
             self._update_panels()
             self._draw_selection()
+        self._background.submit(self._draw_beside)
+
+    def _choose_picture(self) -> None:
+        """Choose the picture in which a newly selected root appears longest as the picture beside the 3D view."""
+        pictures, selected = self.shown.pictures, tuple(self.roots)
+        if len(selected) == 1 and selected != self._followed and pictures is not None and self.picture is None:
+            self.beside = pictures.best_for(self.shown.session.state.lines[selected[0]], 1)[0]
+        self._followed = selected
+
+    def _draw_beside(self) -> None:
+        """Draw the picture beside the 3D view, with the selected roots. This method runs in the background."""
+        pictures, shown, place = self.shown.pictures, self.shown, self.beside
+        if pictures is None or not self._is_new("beside", (place, tuple(self.roots), *self._edited)):
+            return
+        image = pictures.draw_outline(place, shown.surface(), shown.session.state.lines, selected=self.roots, thickness=2)
+        stream, small = io.BytesIO(), Image.fromarray(image)
+        small.thumbnail((BESIDE_PX, BESIDE_PX))
+        small.save(stream, "JPEG", quality=85)
+        for follow in self.on_beside:
+            follow(stream.getvalue())
+
+    def step_picture(self, step: int) -> None:
+        """Go a number of pictures forward, or backward if it is negative."""
+        pictures = self.shown.pictures
+        if pictures is None:
+            return
+        self.beside = (self.beside + step) % len(pictures.views)
+        if self.picture is None:
+            self._background.submit(self._draw_beside)
+        else:
+            self.enter_picture(self.beside)
 
     def _update_panels(self) -> None:
         """Update the panels with a separate message. Browsers apply this message before they draw the next frame."""
@@ -204,6 +246,7 @@ class Drawing:
     def _finish(self) -> None:
         """Draw surfaces and update traits. This method runs in the background."""
         self._draw_surface()
+        self._draw_beside()
         for follow in self.on_measured:
             follow()
 
@@ -350,6 +393,7 @@ class Drawing:
             if pictures is None or (place is None and self.picture is None):
                 return
             self.picture = None if place is None else place % len(pictures.views)
+            self.beside = self.beside if self.picture is None else self.picture
         if self.picture is not None:
             self.shown.surface()  # may take seconds, therefore computed without the lock
         with self.lock:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+import viser
 
 from rhizotwin.viewer import words
 from rhizotwin.viewer.app import Viewer
@@ -29,22 +31,28 @@ def add(viewer: Viewer) -> None:
 
 @dataclass(frozen=True)
 class _Button:
-    """Button that applies a correction, with its keyboard shortcut."""
+    """Button that applies a correction. It is also a command in the list that the key ? opens."""
 
     label: str
     """Text on the button."""
+    icon: viser.IconName
+    """Icon before the text."""
     act: Callable[[], object]
     """Function that is called when a user presses the button."""
     enabled: Callable[[], bool]
     """Function that returns whether the button is enabled."""
-    hint: str = ""
-    """Tooltip of the button."""
+    hint: str
+    """Description in the list of commands."""
     red: bool = False
     """Whether the button is red. Buttons that delete something are red."""
     key: Literal["delete", "escape", "Z", "Y", "S"] | None = None
     """Key of the keyboard shortcut."""
     modifier: Literal["cmd/ctrl"] | None = None
     """Modifier key of the keyboard shortcut."""
+
+
+def _ctrl(key: str) -> dict[str, Any]:
+    return {"key": key, "modifier": "cmd/ctrl"}
 
 
 def _add_buttons(viewer: Viewer) -> None:
@@ -62,27 +70,43 @@ def _add_buttons(viewer: Viewer) -> None:
     def deleted() -> bool:
         return bool(viewer.shown.session.state.deletions)
 
+    def pictures() -> bool:
+        return viewer.shown.dataset is not None
+
+    def chosen() -> bool:
+        return some() or bool(viewer.measured)
+
+    def with_laterals() -> None:
+        viewer.delete(laterals=True)
+
     lateral, join = "make the first selected root a lateral of the second", "append the second selected root to the end of the first"
-    clear = "clear the selection and the measurement"
-    listed = [
-        _Button("Delete (Del)", viewer.delete, some, "delete the selection", red=True, key="delete"),
-        _Button(
-            "Delete with laterals", lambda: viewer.delete(laterals=True), roots, "delete the selected roots and their laterals", red=True
-        ),
-        _Button("Restore the last deletion", viewer.restore, deleted, "restore the roots, parts of roots or voxels that were deleted last"),
-        _Button("Join two", lambda: viewer.pair("join"), two, join),
-        _Button("Make lateral of the second", lambda: viewer.pair("parent"), two, lateral),
-        _Button("Refit", viewer.refit, lambda: viewer.shown.dataset is not None, "refit centre lines and diameters to the pictures"),
-        _Button("Deselect (Esc)", viewer.deselect, lambda: some() or bool(viewer.measured), clear, key="escape"),
-    ]
-    _add_all(viewer, listed)
+    restored = "restore the roots, parts of roots or voxels that were deleted last"
+    icons = viser.Icon
+    _add_all(
+        viewer,
+        [
+            _Button("Join two", icons.LINK, lambda: viewer.pair("join"), two, join),
+            _Button("Make lateral", icons.GIT_BRANCH, lambda: viewer.pair("parent"), two, lateral),
+            _Button("Refit", icons.TARGET, viewer.refit, pictures, "refit centre lines and diameters to the pictures"),
+            _Button("Deselect", icons.X, viewer.deselect, chosen, "clear the selection and the measurement", key="escape"),
+        ],
+    )
+    viewer.served.server.gui.add_divider()
+    _add_all(
+        viewer,
+        [
+            _Button("Delete", icons.TRASH, viewer.delete, some, "delete the selection", red=True, key="delete"),
+            _Button("With laterals", icons.TRASH, with_laterals, roots, "delete the selected roots and their laterals", red=True),
+            _Button("Restore", icons.RESTORE, viewer.restore, deleted, restored),
+        ],
+    )
 
 
 def _add_all(viewer: Viewer, listed: list[_Button]) -> None:
     gui = viewer.served.server.gui
     buttons = []
     for one in listed:
-        button = gui.add_button(one.label, hint=one.hint or None, color="red" if one.red else None)
+        button = gui.add_button(one.label, color="red" if one.red else None, icon=one.icon)
 
         def press(_: object, one: _Button = one) -> None:
             if one.enabled():
@@ -90,8 +114,7 @@ def _add_all(viewer: Viewer, listed: list[_Button]) -> None:
 
         button.on_click(press)
         buttons.append(button)
-        if one.key is not None:
-            gui.add_command(one.label.partition(" (")[0], hotkey=one.key, modifier=one.modifier).on_trigger(press)
+        gui.add_command(one.label, description=one.hint, hotkey=one.key, modifier=one.modifier, icon=one.icon).on_trigger(press)
 
     def follow() -> None:
         for button, one in zip(buttons, listed, strict=True):
@@ -106,8 +129,8 @@ def _add_box(viewer: Viewer) -> None:
     with gui.add_folder("Box", expand_by_default=False):
         low = gui.add_vector3("From (mm)", initial_value=(-10.0, -10.0, -60.0), step=0.1)
         high = gui.add_vector3("To (mm)", initial_value=(10.0, 10.0, -50.0), step=0.1)
-        select = gui.add_button("Select voxels in the box")
-        clear = gui.add_button("Delete all roots and voxels in the box", color="red")
+        select = gui.add_button("Select voxels", icon=viser.Icon.BOX)
+        clear = gui.add_button("Delete all", color="red", icon=viser.Icon.TRASH)
 
     @select.on_click
     def _(_: object) -> None:
@@ -122,12 +145,20 @@ def _add_history(viewer: Viewer) -> None:
     """Add the buttons that undo, redo and save corrections, and the list of corrections."""
     gui = viewer.served.server.gui
 
+    icons = viser.Icon
+    gui.add_divider()
     _add_all(
         viewer,
         [
-            _Button("Undo (Ctrl+Z)", viewer.undo, lambda: viewer.shown.session.can_undo, key="Z", modifier="cmd/ctrl"),
-            _Button("Redo (Ctrl+Y)", viewer.redo, lambda: viewer.shown.session.can_redo, key="Y", modifier="cmd/ctrl"),
-            _Button("Save corrections (Ctrl+S)", viewer.save, lambda: viewer.shown.session.unsaved > 0, key="S", modifier="cmd/ctrl"),
+            _Button(
+                "Undo", icons.ARROW_BACK_UP, viewer.undo, lambda: viewer.shown.session.can_undo, "undo the last correction", **_ctrl("Z")
+            ),
+            _Button(
+                "Redo", icons.ARROW_FORWARD_UP, viewer.redo, lambda: viewer.shown.session.can_redo, "redo the correction", **_ctrl("Y")
+            ),
+            _Button(
+                "Save", icons.DEVICE_FLOPPY, viewer.save, lambda: viewer.shown.session.unsaved > 0, "save the corrections", **_ctrl("S")
+            ),
         ],
     )
     back = gui.add_dropdown("Undo to", (_NOW,), hint="undo this correction and all later corrections")

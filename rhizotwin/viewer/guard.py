@@ -27,6 +27,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.viewer import html_page
 
 LOCAL = "127.0.0.1"
 """Address that only accepts connections from the same computer."""
@@ -118,6 +119,8 @@ def answer(token: str, inner: Answer, connection: Any, request: Request) -> Resp
     if not (_are_equal(given, token) or _are_equal(_cookie(request, name), token)):
         return _refusal()
     found = inner(connection, request)
+    if found is not None and found.status_code == http.HTTPStatus.OK and found.headers.get("Content-Type", "").startswith("text/html"):
+        html_page.extend(found)
     if found is not None and _are_equal(given, token):
         found.headers["Set-Cookie"] = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
     if found is not None:

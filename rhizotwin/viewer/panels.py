@@ -1,9 +1,8 @@
-"""Panel of the viewer: volume, list of results, selection, and the tabs "Pictures" and "Traits"."""
+"""Panels of the viewer: volume, list of results, selection, the tab "Traits", and the picture beside the 3D view."""
 
 from __future__ import annotations
 
 import re
-from pathlib import PurePosixPath
 
 import viser
 
@@ -13,8 +12,8 @@ from rhizotwin.viewer import edit_tab, view_tab, words
 from rhizotwin.viewer.app import Viewer, ray_of, screen_of
 from rhizotwin.viewer.drawing import set_value
 
-BEST_PICTURES = 3
-"""Number of pictures that are offered for a selected root."""
+_PICTURE_PX = 360
+"""Width of the panel with a picture, px. The 3D view keeps half of a screen of 1280 pixels."""
 _NO_ROOT = "none"
 
 
@@ -30,9 +29,11 @@ def build(viewer: Viewer) -> None:
         _add_results(viewer)
     _add_selection(viewer)
     tabs = gui.add_tab_group()
-    for name, add in (("View", view_tab.add), ("Edit", edit_tab.add), ("Pictures", _add_pictures), ("Traits", _add_traits)):
+    for name, add in (("View", view_tab.add), ("Edit", edit_tab.add), ("Traits", _add_traits)):
         with tabs.add_tab(name):
             add(viewer)
+    _add_pictures(viewer)
+    gui.add_html(words.note("Press ? for all commands and keys."))
 
     def follow() -> None:
         session = viewer.shown.session
@@ -75,14 +76,11 @@ def _add_results(viewer: Viewer) -> None:
 
 
 def _add_selection(viewer: Viewer) -> None:
-    """Add the list of roots, the description of the selection, and buttons for the best pictures of a root."""
+    """Add the list of roots, and the description of the selection."""
     gui = viewer.served.server.gui
-    roots = gui.add_dropdown("Root", (_NO_ROOT,), hint="select a root from the list, or click it in the 3D view")
+    roots = gui.add_dropdown("Root", (_NO_ROOT,), hint="select a root from the list, or click it in the 3D view or in a picture")
     selection = gui.add_html("")
     root = gui.add_html("", visible=False)
-    best = [gui.add_button("", visible=False, hint="show this picture with the root outlined in blue") for _ in range(BEST_PICTURES)]
-    back = gui.add_button("Back to 3D", visible=False)
-    places: list[int] = []
 
     @roots.on_update
     def _(_: object) -> None:
@@ -91,14 +89,6 @@ def _add_selection(viewer: Viewer) -> None:
             viewer.select_root(int(picked[1]))
         elif not picked and viewer.roots:
             viewer.deselect()
-
-    for rank, button in enumerate(best):
-
-        def enter(_: object, rank: int = rank) -> None:
-            viewer.enter_picture(places[rank])
-
-        button.on_click(enter)
-    back.on_click(lambda _: viewer.enter_picture(None))
 
     def follow() -> None:
         session = viewer.shown.session
@@ -118,48 +108,41 @@ def _add_selection(viewer: Viewer) -> None:
             a, b = viewer.measured
             text += words.note(f"Distance: {float(((a - b) ** 2).sum()) ** 0.5:.2f} mm")
         selection.content = text
-        single = len(there) == 1
-        pictures = viewer.shown.pictures
-        places[:] = pictures.best_for(lines[there[0]], BEST_PICTURES) if single and pictures is not None else []
-        if single:
-            root.content = words.root(there[0], lines, orders[there[0]]) + words.profile(lines[there[0]])
-        root.visible, back.visible = single, viewer.picture is not None
-        for rank, button in enumerate(best):
-            button.visible = rank < len(places)
-            if pictures is not None and rank < len(places):
-                button.label = f"Best seen in {PurePosixPath(pictures.files[places[rank]]).stem}"
+        root.visible = len(there) == 1
+        if root.visible:
+            root.content = words.root(there[0], lines, orders[there[0]])
 
     viewer.on_change.append(follow)
 
 
 def _add_pictures(viewer: Viewer) -> None:
-    """Add the buttons that switch between the pictures."""
+    """Add the panel with a picture beside the 3D view, and the buttons that switch between the pictures."""
     gui = viewer.served.server.gui
     missing = gui.add_html(words.note("The dataset was not found. Restart the viewer with 'rhizotwin view RESULT DATASET'."))
-    about = gui.add_html(words.note("The outline of the reconstruction is projected through the water into each picture."))
-    step = gui.add_button_group("Picture", ("Previous", "Next", "Back to 3D"))
-    name = gui.add_html("")
+    panel = gui.add_panel()
+    with panel.add_tab("Picture", viser.Icon.PHOTO):
+        image = gui.add_html("")
+        gui.add_html(words.note("Outline of the reconstruction, projected through the water; selected roots are blue."))
+        gui.add_button("Previous", icon=viser.Icon.CHEVRON_LEFT).on_click(lambda _: viewer.step_picture(-1))
+        gui.add_button("Next", icon=viser.Icon.CHEVRON_RIGHT).on_click(lambda _: viewer.step_picture(1))
+        enter = gui.add_button("View from its camera", icon=viser.Icon.CAMERA)
+        back = gui.add_button("Back to 3D", icon=viser.Icon.CUBE)
+    panel.dock_left()
+    panel.set_width(_PICTURE_PX)
+    enter.on_click(lambda _: viewer.enter_picture(viewer.beside))
+    back.on_click(lambda _: viewer.enter_picture(None))
 
-    @step.on_click
-    def _(_: object) -> None:
-        here = viewer.picture
-        if step.value == "Back to 3D":
-            viewer.enter_picture(None)
-        else:
-            viewer.enter_picture(0 if here is None else here + (1 if step.value == "Next" else -1))
+    def show(jpeg: bytes) -> None:
+        pictures, place = viewer.shown.pictures, viewer.beside
+        if pictures is not None:
+            image.content = words.picture(pictures.files[place], jpeg, pictures.table_deg[place])
 
     def follow() -> None:
-        now = viewer.shown.pictures
-        missing.visible = now is None
-        about.visible = step.visible = name.visible = now is not None
-        if viewer.picture is not None and now is not None:
-            angle = now.table_deg[viewer.picture]
-            name.content = words.note(
-                now.files[viewer.picture] + ("" if angle is None else f", table at {round(angle, 1) % 360.0:.1f} degrees")
-            )
-        else:
-            name.content = words.note(f"{0 if now is None else len(now.views)} pictures with cameras")
+        there = viewer.shown.pictures is not None
+        panel.visible, missing.visible = there, not there
+        enter.disabled, back.disabled = viewer.picture is not None, viewer.picture is None
 
+    viewer.on_beside.append(show)
     viewer.on_change.append(follow)
 
 

@@ -17,10 +17,10 @@ from rhizotwin.viewer.scene3d import VIEWS
 _LABELS = {
     "surface": "Surface",
     "centre lines": "Centre lines",
-    "tubes": "Roots as tubes",
+    "tubes": "Tubes",
     "voxels": "Voxels",
-    "canister": "Canister, water and net pot",
-    "cameras": "Cameras (click one to see its picture)",
+    "canister": "Canister",
+    "cameras": "Cameras",
     "truth": "True shape",
     "scale bar": "Scale bar",
 }
@@ -95,8 +95,8 @@ def _add_colours(viewer: Viewer) -> None:
 def _add_capture(viewer: Viewer) -> None:
     """Add the buttons that save a screenshot and a turntable movie."""
     gui = viewer.served.server.gui
-    picture = gui.add_button("Save screenshot (PNG)")
-    movie = gui.add_button("Save turntable movie (GIF)", hint="one rotation about the vertical axis, from the current distance and height")
+    picture = gui.add_button("Screenshot (PNG)", icon=viser.Icon.CAMERA)
+    movie = gui.add_button("Turntable (GIF)", icon=viser.Icon.MOVIE)
     bar = gui.add_progress_bar(0.0, visible=False)
     recording = threading.Lock()
 

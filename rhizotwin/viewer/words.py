@@ -15,14 +15,16 @@ from rhizotwin.corrections.session import Measured
 from rhizotwin.drawing.root_colours import Key, half_widths, order_name
 from rhizotwin.recon.results import assessments
 from rhizotwin.report import words
+from rhizotwin.report.charts import ticks
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.formatting import ml, round_digits
+from rhizotwin.scenes.html_page import data_uri, items
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.scenes.traits import Traits, emergence_deg
 
 Array = NDArray[np.float64]
 
-_PADDED = "<div style='padding:0.3em 0.8em'>"
+_PADDED = "<div class=note>"
 
 
 def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
@@ -31,20 +33,21 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
     If there are corrections, the text also states the corrected volume.
     """
     found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
-    headline, beside = words.headline(summary)
-    text = f"<b>{headline.removeprefix('volume ')}</b>, {beside}"
-    if not summary["volume_trusted"]:
-        text += f"<details style='font-size:0.85em'><summary>Why</summary>{html.escape(str(summary['volume_verdict']))}</details>"
+    headline, beside = words.verdict(summary)
+    state, meaning, advice = words.traffic_light(summary)
+    text = f"<h1><b class={state} role=img aria-label={state}></b>{html.escape(headline)}</h1>{html.escape(beside)}"
+    if advice:
+        text += f"<details><summary>{html.escape(meaning)}</summary>{items(advice)}</details>"
     roots = f"{measured.length_mm:.0f} mm in {measured.roots} root{'' if measured.roots == 1 else 's'}"
     if edits:
         moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
         by = f"{moved:+.2f} %" if abs(moved) >= 0.005 else "changed by less than 0.01 %"
         shown = f"{ml(measured.volume_mm3, half_mm3=0.5 * (high - low))} ml"
         shown = f"<b>{shown}</b> ({by})" if summary["volume_trusted"] else f"{shown} ({by}), which is not reliable"
-        text += f"<br>after corrections: {shown}, {roots}"
+        text += f"<div>after corrections: {shown}, {roots}</div>"
     elif measured.roots:
-        text += f"<br>{roots}"
-    return f"{_PADDED}{text}</div>"
+        text += f"<div>{roots}</div>"
+    return f"<div class=head>{text}</div>"
 
 
 def root_name(number: int, line: Line, order: int) -> str:
@@ -65,9 +68,8 @@ def root(number: int, lines: Lines, order: int) -> str:
         ("angle", angles if to_parent is None else f"{angles}, {to_parent:.0f}° to its parent"),
         ("diameter", _mean_diameter_text(line)),
     ]
-    cell = "padding-right:0.8em;white-space:nowrap;vertical-align:top"
-    table = "".join(f"<tr><td style='{cell}'>{name}</td><td>{value}</td></tr>" for name, value in rows)
-    return f"<div style='padding:0 0.8em;font-size:0.85em'><b>Root {number}</b><table>{table}</table></div>"
+    table = "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows)
+    return f"{_PADDED}<b>Root {number}</b><table>{table}</table>{profile(line)}</div>"
 
 
 def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
@@ -110,7 +112,7 @@ def colour_key(key: Key) -> str:
         low, high = (html.escape(end) for end in key.ends)
         colours = "#440154,#3b528b,#21918c,#5ec962,#fde725"
         scale = f"{low} <span style='{box};width:5em;margin:0 0.3em;background:linear-gradient(90deg,{colours})'></span>{high}"
-    return f"<div style='padding:0.1em 0.8em;font-size:0.85em'>{swatches}{scale}</div>"
+    return f"{_PADDED}{swatches}{scale}</div>"
 
 
 def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
@@ -138,10 +140,7 @@ def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
         if edited:
             reliability = "not reliable" if assessment.verdict == "not reliable" else "not assessed after corrections"
         below = f"<br><small>{html.escape(reliability)}</small>"
-        rows.append(
-            f"<tr title='{html.escape(meaning)}'><td style='padding-right:0.8em'>{html.escape(name)}</td>"
-            f"<td>{html.escape(shown)}{below}</td></tr>"
-        )
+        rows.append(f"<tr title='{html.escape(meaning)}'><td>{html.escape(name)}</td><td>{html.escape(shown)}{below}</td></tr>")
     head = "<b>After corrections</b>" if edited else "Move the mouse over a trait to see its definition."
     return f"{_PADDED}{head}<table>{''.join(rows)}</table></div>"
 
@@ -151,18 +150,41 @@ def note(text: str) -> str:
     return f"{_PADDED}{html.escape(text)}</div>"
 
 
-def profile(line: Line, *, width: int = 300, height: int = 76) -> str:
-    """Return a plot of the diameter along a root as SVG."""
-    way, most = line.way_mm, max(float(line.diameters_mm.max()), 1e-6)
-    x = 30 + (width - 40) * way / max(float(way[-1]), 1e-6)
-    y = 8 + (height - 28) * (1.0 - line.diameters_mm / most)
-    dots = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
-    return (
-        f"<svg width='{width}' height='{height}' style='font:10px sans-serif'><polyline points='{dots}' fill='none' stroke='#1f77b4' "
-        f"stroke-width='1.5'/><text x='0' y='14' fill='currentColor'>{most:.2f}</text>"
-        f"<text x='0' y='{height - 20}' fill='currentColor'>0</text>"
-        f"<text x='30' y='{height - 5}' fill='currentColor'>diameter (mm) along {way[-1]:.1f} mm</text></svg>"
+def profile(line: Line) -> str:
+    """Return a plot of the diameter along a root as SVG, with the 90 % interval as a band."""
+    half_mm = half_widths(line)
+    low, high = (line.diameters_mm, line.diameters_mm) if half_mm is None else (line.diameters_mm - half_mm, line.diameters_mm + half_mm)
+    left, right, top, base = 34.0, 292.0, 6.0, 92.0
+    across, up = (right - left) / max(float(line.way_mm[-1]), 1e-6), (base - top) / max(float(high.max()), 1e-6)
+
+    def at(way_mm: Array, diameter_mm: Array) -> str:
+        x, y = left + across * way_mm, base - up * np.maximum(diameter_mm, 0.0)
+        return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+
+    marks = "".join(
+        f"<path d='M{left:g} {base - up * value:.1f}H{right:g}' stroke='#d8dee3'/>"
+        f"<text x='{left - 4:g}' y='{base - up * value + 3.5:.1f}' text-anchor='end'>{value:g}</text>"
+        for value in ticks(0.0, float(high.max()), most=4)
     )
+    marks += "".join(
+        f"<path d='M{left + across * value:.1f} {base:g}v4' stroke='#5b6770'/>"
+        f"<text x='{left + across * value:.1f}' y='{base + 14:g}' text-anchor='middle'>{value:g}</text>"
+        for value in ticks(0.0, float(line.way_mm[-1]), most=6)
+    )
+    band = f"{at(line.way_mm, high)} {at(line.way_mm[::-1], low[::-1])}"
+    return (
+        f"<svg viewBox='0 0 300 122' role='img' aria-label='Diameter along the root'>{marks}<polygon points='{band}' fill='#1f77b4' "
+        f"fill-opacity='0.25'/><polyline points='{at(line.way_mm, line.diameters_mm)}' fill='none' stroke='#1f77b4' stroke-width='1.5'/>"
+        f"<text x='{(left + right) / 2:g}' y='{base + 27:g}' text-anchor='middle'>distance from the base (mm)</text>"
+        f"<text transform='translate(8 {(top + base) / 2:g}) rotate(-90)' text-anchor='middle'>diameter (mm)</text></svg>"
+    )
+
+
+def picture(name: str, jpeg: bytes, angle_deg: float | None) -> str:
+    """Return a picture with the outline of the reconstruction as an HTML element, with its name and the table angle."""
+    angle = "" if angle_deg is None else f", table at {round(angle_deg, 1) % 360.0:.1f}°"
+    text = html.escape(name)
+    return f"<div class=beside><img alt='Outline of the reconstruction on {text}' src='{data_uri('image/jpeg', jpeg)}'>{text}{angle}</div>"
 
 
 def _to_vertical_deg(line: Line) -> float:

@@ -24,8 +24,12 @@ def test_a_click_finds_the_root_it_meets_first(viewer: Viewer, plant: plants.Pla
     assert viewer.roots == []
     viewer.enter_picture(2)  # hides the 3D view
     assert viewer.picture == 2
-    viewer.clicked(ray_to(plant.roots[0].points_mm[30]))
-    assert viewer.roots == []
+    view, point = viewer.shown.pictures.views[2], plant.roots[3].points_mm[20]
+    for off_px, expected in ((1.0, [3]), (-60.0, [])):  # through the water, in which the straight ray to the root does not lead
+        px = viewer.shown.pictures.pixels(2, point[None])[0] + [0.0, off_px]
+        toward = np.append((px - view.camera.principal_px) / view.camera.focal_px, 1.0) @ view.cam_from_canister[:3, :3]
+        viewer.clicked(picking.Ray(view.centre_mm, toward / np.linalg.norm(toward)))
+        assert viewer.roots == expected
     viewer.enter_picture(None)
     assert viewer.picture is None
 

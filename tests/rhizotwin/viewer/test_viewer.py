@@ -88,7 +88,7 @@ def test_each_result_has_its_own_pictures_and_layers(plant: plants.Plant, tmp_pa
     moved = Path(shutil.copytree(plant.result, tmp_path / "moved")) / "result.json"
     moved.write_text(moved.read_text().replace(str(plant.dataset), str(tmp_path / "nowhere")))
     with started([moved.parent, plant.result], None) as running:
-        shown = [inputs(running)[name] for name in ("Picture", "Canister, water and net pot", "Surface")]
+        shown = [inputs(running)[name] for name in ("Canister", "Cameras", "Surface")]
         assert [one.visible for one in shown] == [False, False, True]
         running.load(1)
         assert [one.visible for one in shown] == [True, True, True]

@@ -29,6 +29,7 @@ def test_colours_tell_uncertainty(shown: Shown):
     unknown = {number: replace(line, sigma_mm=None) for number, line in lines.items()}
     assert "±" in words.root(1, lines, 1)
     assert "±" not in words.root(1, unknown, 1)
+    assert "distance from the base (mm)" in words.root(1, unknown, 1)
 
 
 def test_unreliable_traits_are_not_called_unassessed(shown: Shown):
@@ -49,7 +50,9 @@ def test_unreliable_traits_are_not_called_unassessed(shown: Shown):
 def test_a_corrected_volume_is_as_reliable_as_that_of_the_result(trusted: bool, shown: str):
     summary = {"volume_mm3": 1000.0, "volume_interval_mm3": [900.0, 1100.0], "volume_trusted": trusted, "volume_verdict": "blurred"}
     measured = session.Measured(volume_mm3=950.0, length_mm=12.0, roots=2, volumes_mm3=np.zeros(0), solid=None)
-    assert f"after corrections: {shown}" in words.volume(summary, measured, edits=1)
+    head = words.volume(summary | {"checks": [], "warnings": []}, measured, edits=1)
+    assert f"after corrections: {shown}" in head
+    assert f"aria-label={'good' if trusted else 'bad'}" in head
 
 
 def test_traits_follow_corrections(viewer: Viewer):
