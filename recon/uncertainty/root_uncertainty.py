@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -161,11 +161,13 @@ def _changes(
     longer = [_LEVEL * view.missing + missing_length + sum(above.values()) for view in residuals]
     shorter = [_LEVEL * view.surplus + shared for view in residuals]
     tips = float(sum(root.tip_seen for root in roots))
-    more_tips, less_tips = [view.missing_tips + missing for view in residuals], [view.surplus_tips for view in residuals]
+    ends = {f"{len(known.bulges)} nodules or other bulges may hide that roots continue": len(known.bulges) / max(tips, 1.0)}
+    more_tips = [view.missing_tips + missing for view in residuals]
+    less_tips = [view.surplus_tips + sum(ends.values()) for view in residuals]
     return {
         "total_length_mm": _Change(length_mm, shorter, longer, {**along, **above}),
-        "tips": _Change(tips, less_tips, more_tips, lacking),
-        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], along, width),
+        "tips": _Change(tips, less_tips, more_tips, lacking, surplus=ends),
+        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], along, scatter=width),
     }
 
 
@@ -229,6 +231,8 @@ class _Change:
     """Amount by which the trait may be larger, by picture."""
     lacking: Mapping[str, float]
     """Fractions of the trait that may be missing, which are included, by cause."""
+    surplus: Mapping[str, float] = field(default_factory=dict)
+    """Fractions of the trait that may not be there, which are included, by cause."""
     scatter: Sequence[float] | None = None
     """Changes whose standard error is used; ``more`` minus ``less`` for None."""
 
@@ -261,8 +265,9 @@ def _estimate(name: str, change: _Change, lost: Sequence[str], *, factor: float)
     if max(less, more) > WIDEST:
         causes = {
             **change.lacking,
+            **change.surplus,
             f"the pictures show {100.0 * over:.0f} % more than the reconstructed roots": over - lacking,
-            f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - lacking,
+            f"the pictures show {100.0 * under:.0f} % less than the reconstructed roots": under - sum(change.surplus.values()),
             f"the pictures disagree by {100.0 * error:.0f} %": error,
         }
         reasons.append(max(causes, key=causes.__getitem__))

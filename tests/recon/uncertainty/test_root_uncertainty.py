@@ -126,3 +126,14 @@ def test_flat_roots_and_the_net_pot_may_hide_length(taken) -> None:
     assert "appear flat" in found[2]["total_length_mm"].verdict
     assert found[0]["mean_diameter_mm"] == found[3]["mean_diameter_mm"]
     assert found[0]["tips"] == found[2]["tips"]
+
+
+def test_roots_may_continue_beyond_their_nodules(taken) -> None:
+    bank, _ = taken
+    nodules = [line((0.0, 0.0, z), (1.0, 0.0, z), diameter_mm=2.0, parent=-1) for z in (-30.0, -40.0)]
+    pictures = drawn([*TRUE, *nodules], *taken)
+    known = Known(bulges=nodules)
+    found = {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), known=known)}
+    tips = sum(root.tip_seen for root in TRUE)
+    assert found["tips"].interval[0] <= max(0, tips - len(nodules))
+    assert "bulges" in found["tips"].verdict
