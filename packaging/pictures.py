@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,18 +38,24 @@ LONG_MM = 30.0
 """Minimum length of the lateral that is selected in the picture of the viewer."""
 
 
+@cache
+def drawn(demo: Path) -> Path:
+    """Draw the figures and the report of the demonstration again, and return the report."""
+    import rhizotwin as rt
+
+    return Path(rt.write_report(demo / "result", dataset=demo / "dataset", figures="png"))
+
+
 def figure(demo: Path, goal: Path) -> None:
     """Copy a figure of the demonstration."""
-    shutil.copyfile(demo / "result" / "pictures" / goal.name, goal)
+    shutil.copyfile(drawn(demo).parent / "pictures" / goal.name, goal)
 
 
 def report(demo: Path, goal: Path) -> None:
     """Photograph the top of the report."""
-    from rhizotwin.report import page
-
     with browser() as opened:
         shown = opened.new_page(viewport={"width": 1000, "height": 1150})
-        shown.goto(page.write(demo / "result", dataset=demo / "dataset").as_uri())
+        shown.goto(drawn(demo).resolve().as_uri())
         shown.locator("canvas[data-drawn]").wait_for(state="attached", timeout=PATIENCE_MS)
         photograph(shown, goal)
 

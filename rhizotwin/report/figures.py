@@ -103,12 +103,13 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
     lines = as_lines(roots)
     colour, key = root_colours.colour_roots(by, lines)
     drawn = figure(PAGE_IN, 3.8)
-    both = drawn.subplots(1, 2)
+    both = drawn.subplots(1, 2, sharey=True)
     for axes, side, box in zip(both, _SIDES, boxes(shape.vertices_mm, _SIDES), strict=True):
         seen, px_mm = raster(shape, side, box)
         shades = _colours_of_pixels(seen, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
         picture = shading.shade(seen, shades, px_mm=px_mm, shrink=SHRINK)
         _show_rendering(axes, side, box, picture)
+    both[1].set_ylabel("")
     if lines and key.swatches:
         handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
         drawn.legend(handles=handles, loc="outside right center", frameon=False)

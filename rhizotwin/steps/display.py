@@ -38,14 +38,14 @@ def plot(result: Result | str | Path, *, by: Colouring = "order") -> Figure:
     matplotlib.figure.Figure
         Figure with both drawings; notebooks display it, and its method ``savefig`` writes it to a file.
     """
-    from rhizotwin.report import figures
+    from rhizotwin.report import figures, words
     from rhizotwin.scenes.figures import png
 
     loaded = load_result(result) if isinstance(result, str | Path) else result
     if not len(loaded.solid.surface.faces):
         raise UserError(f"the result of {loaded.scene} has no surface to plot")
     drawn: Any = figures.shape_close_up(loaded.solid.surface, loaded.roots, by=by)
-    drawn.suptitle(loaded.scene, fontsize=11, parse_math=False)
+    drawn.suptitle(words.title(loaded.scene), fontsize=figures.TEXT_PT, parse_math=False)
     drawn._repr_png_ = lambda: png(drawn, dpi=90)  # notebooks need this method for figures that pyplot did not create
     return drawn
 
