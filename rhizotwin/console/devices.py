@@ -45,11 +45,15 @@ class DeviceStates:
         return [asdict(device) for device in self._devices.values()]
 
     def read_check(self, line: str) -> None:
-        """Parse an output line of `rig.bench.check`. A line consists of name, verdict and text."""
+        """Parse an output line of `rig.bench.check`. A line consists of name, verdict and text.
+
+        The state of what is not required, and was therefore not found, is unknown.
+        """
         name, _, rest = line.partition(" ")
         verdict, _, text = rest.strip().partition(" ")
         if name in self._devices and verdict in ("ok", "WRONG"):
-            self._set(name, "ok" if verdict == "ok" else "wrong", text.strip())
+            known: State = "unknown" if text.strip().startswith("not required") else "ok"
+            self._set(name, known if verdict == "ok" else "wrong", text.strip())
 
     def read_report(self, line: str) -> None:
         """Parse an output line of the checks before a scan, which consists of name and text.

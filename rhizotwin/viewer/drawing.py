@@ -269,6 +269,8 @@ class Drawing:
             if with_tubes and here:
                 key = look.colour if look.colour in root_colours.PER_ROOT else f"{look.colour} {len(session.log.edits)}"
                 self.scene.show_roots(self.visible(), shade, key=key)
+                if self._is_new("links", (look.is_unclipped, *self._edited)):
+                    self.scene.show_links(session.state.lines if look.is_unclipped else {})
             if self._is_new("lines", ("centre lines" in look.layers, look.colour, look.low_mm, look.high_mm, *self._edited)):
                 self.scene.show_centre_lines(self.visible() if "centre lines" in look.layers else {}, shade)
             self._draw_voxels()

@@ -121,7 +121,7 @@ def _add_pictures(viewer: Viewer) -> None:
     missing = gui.add_html(words.note("The dataset was not found. Restart the viewer with 'rhizotwin view RESULT DATASET'."))
     panel = gui.add_panel()
     with panel.add_tab("Picture", viser.Icon.PHOTO):
-        image = gui.add_html("")
+        image = gui.add_html(words.note("Drawing the outline ..."))
         gui.add_html(words.note("Outline of the reconstruction, projected through the water; selected roots are blue."))
         gui.add_button("Previous", icon=viser.Icon.CHEVRON_LEFT).on_click(lambda _: viewer.step_picture(-1))
         gui.add_button("Next", icon=viser.Icon.CHEVRON_RIGHT).on_click(lambda _: viewer.step_picture(1))

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rhizotwin.corrections.lines import Line
+from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.drawing import root_colours
 from rhizotwin.drawing.normals import unit_normals
 from rhizotwin.drawing.root_colours import Colouring
@@ -37,6 +37,7 @@ _SELECTED_RGB = (255, 210, 0)
 _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
+_LINK_RGB = (130, 130, 130)
 _AMBIENT = 1.6
 """Intensity of the ambient light. It is added to the lights of viser (3.0 from above, 0.4 from below), so that colours
 can be recognized on the sides of roots."""
@@ -113,6 +114,26 @@ class Scene3d:
                 continue
             self._add_triangles(f"/roots/{chunk}", tubes.mesh_lines(now, [colours(*one) for one in named], most=most))
             self._chunks[chunk] = (now, key)
+
+    def show_links(self, lines: Lines) -> None:
+        """Draw thin lines across the gaps between laterals and their parents.
+
+        Laterals whose first part no picture shows begin beside their parents. Each line leads to the parent's nearest
+        point. An empty mapping removes the lines.
+        """
+        self.drop("/roots/links")
+        ends = []
+        for line in lines.values():
+            parent = lines.get(line.parent)
+            if parent is None:
+                continue
+            away_mm = np.linalg.norm(parent.points_mm - line.points_mm[0], axis=1)
+            nearest = int(away_mm.argmin())
+            if away_mm[nearest] > parent.diameters_mm[nearest] / 2.0 + tubes.OFF_MM:
+                ends.append((line.points_mm[0], parent.points_mm[nearest]))
+        if ends:
+            add = self._server.scene.add_line_segments
+            self._keep("/roots/links", add("/roots/links", np.array(ends), _LINK_RGB, thickness=1.5, thickness_units="screen"))
 
     def show_selected(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
         """Highlight the selected roots and voxels."""

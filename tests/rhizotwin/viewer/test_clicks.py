@@ -32,6 +32,11 @@ def test_a_click_finds_the_root_it_meets_first(viewer: Viewer, plant: plants.Pla
         assert viewer.roots == expected
     viewer.enter_picture(None)
     assert viewer.picture is None
+    viewer.look.layers |= {"tubes"}
+    for there in (False, True):  # a lateral that begins beside its parent is linked with it
+        viewer.refresh()
+        assert ("/roots/links" in viewer.scene) == there
+        viewer.correct("parent", roots=[3, 1])
 
 
 def test_clicks_measure_cut_and_end(viewer: Viewer, plant: plants.Plant):
