@@ -226,7 +226,7 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
 def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | None, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
     known = root_uncertainty.Known(
-        bulges=solid.bulges,
+        nodules=solid.nodules,
         flat=sum(term.less_mm3 for term in solid.volume.terms if term.name == "flat roots") / max(solid.volume.mm3, 1e-9),
         hidden_mm=solid.hidden_mm,
         scattered=scattered or 0.0,

@@ -117,7 +117,7 @@ def make_solid(
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     attenuation = system.attenuation
     sigma = None if attenuation.mu_per_mm is None else attenuation.sigma * attenuation.mu_per_mm
-    return replace(solid, roots=roots, bulges=system.bulges(), mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
+    return replace(solid, roots=roots, nodules=system.nodules(), mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
 def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[Root], monitor: Monitor) -> UnitedShape:

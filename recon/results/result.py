@@ -88,8 +88,8 @@ class Solid:
     """Standard deviation of the attenuation coefficient, 1/mm, or None if it could not be estimated from thin roots."""
     roots: tuple[Root, ...] = ()
     """Centre lines and diameters of the roots. Parents come before children. Empty if there are no roots."""
-    bulges: tuple[Root, ...] = ()
-    """Centre lines and diameters of nodules and other bulges, which are not roots."""
+    nodules: tuple[Root, ...] = ()
+    """Centre lines and diameters of nodules and other swellings, which are not roots."""
     warnings: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
     """Checks of the consistency between the views and the shape."""

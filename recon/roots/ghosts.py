@@ -61,6 +61,8 @@ kept only if its pixels remain unexplained after its neighbours have been fitted
 _LONG_MM, _TIP_NODES = 8.0, 5
 """Length above which the end of a branch is always accepted as a root tip, mm, and number of last nodes from which the
 residual at a tip is computed."""
+_THICKER, _LONGEST = 1.5, 2.0
+"""Minimum ratio of the radius of a nodule to that of its parent, and maximum length as a multiple of its diameter."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
 """Parameters of the evidence for a tip, which is v + 0.25 d - 0.1 ln(r + 0.25). Here, v is the visible fraction of the
 last node. d is its distance from the surface of other roots, limited to 1 mm. r is the residual at the tip as a
@@ -227,7 +229,8 @@ def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Ma
     An end comprises the nodes from a branch's last lateral to its last node. The evidence for a tip combines three
     measures, since a false tip may pass any single measure: the fraction of the last node that other roots do not hide,
     its distance from other roots, and the residual around it. The residual is compared with that of other ends, which
-    accounts for noise and blur.
+    accounts for noise and blur. An end that protrudes from its parent by less than its own diameter is a bulge and
+    never a tip.
 
     Parameters
     ----------
@@ -250,23 +253,32 @@ def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Ma
     usual = max(float(np.median(share)), 1e-6)
     shown = visible[[line[-1] for _, line in ends]]
     evidence = shown + _OF_FREE * free_mm / _FREE_MM - _OF_LEFT * np.log(share / usual + _LEAST_TIMES)
-    for (_, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
+    for (k, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
         if weak and _length(tubes, line) < _LONG_MM:
             gone[line[1:]] = ~organ[line[1:]]
+        if _protrudes(tubes, k, line) < 2.0 * radius[line[1:]].mean():  # also on taproot and hypocotyl
+            gone[line[1:]] = True
     return gone
 
 
-def find_bulges(tubes: Tubes) -> Mask:
-    """Return the mask (N,) of nodes of bulges, which protrude from their parents by less than their own diameter.
+def find_nodules(tubes: Tubes) -> Mask:
+    """Return the mask (N,) of nodes of nodules: short branches that are thicker than their parents.
 
-    Nodules and thickenings of roots are bulges. They are parts of the plant, but not roots.
+    Roots taper from base to tip and from parent to lateral. Nodules and other swellings are parts of the plant, but not
+    roots.
     """
-    bulge = np.zeros(len(tubes.radius_mm), bool)
+    nodule = np.zeros(len(tubes.radius_mm), bool)
     for k, line in _free_ends(tubes):
-        own = line[1:]
-        whole = len(line) == len(tubes.branches[k])
-        bulge[own] = whole and _length(tubes, line) - tubes.radius_mm[line[0]] < 2.0 * tubes.radius_mm[own].mean()
-    return bulge
+        thick_mm = float(np.median(tubes.radius_mm[line[1:]]))
+        is_thicker = thick_mm > _THICKER * float(tubes.radius_mm[line[0]])
+        nodule[line[1:]] = is_thicker and _protrudes(tubes, k, line) < _LONGEST * 2.0 * thick_mm
+    return nodule
+
+
+def _protrudes(tubes: Tubes, branch: int, line: Index) -> float:
+    """Return the length by which an end protrudes from its parent, mm; infinite if it is not the whole branch."""
+    whole = len(line) == len(tubes.branches[branch])
+    return _length(tubes, line) - float(tubes.radius_mm[line[0]]) if whole else np.inf
 
 
 def _free_ends(tubes: Tubes) -> list[tuple[int, Index]]:

@@ -78,8 +78,7 @@ class TreeRefinement:
         """Link branch ends that are probably not root tips to the branches in which they continue."""
         drawn = Rendering.draw(self.evidence, tree)
         visible = tube_profiles.profiles(drawn).residual_gradient().visible
-        uncertain = ghosts.find_uncertain_ends(tree, visible, node_support.compute_support(drawn), self.thick(tree))
-        tree, _ = linking.link(tree, uncertain | ghosts.find_bulges(tree))
+        tree, _ = linking.link(tree, ghosts.find_uncertain_ends(tree, visible, node_support.compute_support(drawn), self.thick(tree)))
         return link_pieces(tree.keep(tree.prune_mask(self.find_overlapping(tree))))
 
     def fit(self, tree: Tubes) -> Fit:

@@ -60,8 +60,8 @@ class RootSystem(RootTree):
 
     uncertain: Mask
     """Mask of nodes at branch ends that are probably not root tips, shape (N,)."""
-    bulge: Mask
-    """Mask of nodes of bulges, such as nodules, which are not roots, shape (N,)."""
+    nodule: Mask
+    """Mask of nodes of nodules and other swellings, which are not roots, shape (N,)."""
 
     @cached_property
     def rendering(self) -> Rendering:
@@ -80,7 +80,7 @@ class RootSystem(RootTree):
             diameters = 2.0 * self.tubes.radii(k)
             for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
                 own = nodes[run]
-                if self.solid[own[0]] or len(own) < 2 or self.bulge[own[-1]]:
+                if self.solid[own[0]] or len(own) < 2 or self.nodule[own[-1]]:
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
                 number[own[number[own] < 0]] = len(roots)
@@ -89,8 +89,8 @@ class RootSystem(RootTree):
                 roots.append(root)
         return thickened_roots.trim_buried(hierarchy.arrange(roots))
 
-    def bulges(self) -> tuple[Root, ...]:
-        """Return the bulges as lines without parents and tips."""
-        lines = [(nodes, self.tubes.radii(k)) for k, nodes in enumerate(self.tubes.branches) if self.bulge[nodes[-1]]]
+    def nodules(self) -> tuple[Root, ...]:
+        """Return the nodules as lines without parents and tips."""
+        lines = [(nodes, self.tubes.radii(k)) for k, nodes in enumerate(self.tubes.branches) if self.nodule[nodes[-1]]]
         points = self.tubes.centre_mm
         return tuple(Root(points_mm=points[n], diameters_mm=2.0 * radii, order=0, parent=-1, tip_seen=False) for n, radii in lines)

@@ -208,8 +208,8 @@ def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         stays = found.prune_mask(gone)
         found = found.keep(stays)
         thick = organs.is_thick(found, tree.px_a_mm)
-        bulge = ghosts.find_bulges(found)
-        uncertain = ghosts.find_uncertain_ends(found, fit.residual.visible[stays], proved.select(stays), thick) & ~bulge
+        nodule = ghosts.find_nodules(found)
+        uncertain = ghosts.find_uncertain_ends(found, fit.residual.visible[stays], proved.select(stays), thick) & ~nodule
     return RootSystem(
         tubes=found,
         solid=tree.solid[stays],
@@ -223,5 +223,5 @@ def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         evidence=fit.evidence,
         cameras=tree.cameras,
         uncertain=uncertain,
-        bulge=bulge,
+        nodule=nodule,
     )

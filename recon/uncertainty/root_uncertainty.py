@@ -67,8 +67,8 @@ LEAST_VIEWS = 4
 class Known:
     """Facts about a scan that the comparison of its roots with the pictures does not show."""
 
-    bulges: Sequence[Root] = ()
-    """Nodules and other bulges, which the pictures show beside the roots."""
+    nodules: Sequence[Root] = ()
+    """Nodules and other swellings, which the pictures show beside the roots."""
     flat: float = 0.0
     """Fraction of the volume by which flat roots may be too large, if they are two roots side by side."""
     hidden_mm: float = 0.0
@@ -114,7 +114,7 @@ def estimates(
         return ()
     known = known or Known()
     count = min(VIEWS, bank.count)
-    places = root_residual.Places.project([*roots, *known.bulges], bank.select(range(count)))
+    places = root_residual.Places.project([*roots, *known.nodules], bank.select(range(count)))
     drawn = root_residual.render(places, silhouettes[:count], mu_per_mm)
     lost = (*lost, *_thin_objections(places.thin_share(_THIN_PX)))
     views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
@@ -161,7 +161,7 @@ def _changes(
     longer = [_LEVEL * view.missing + missing_length + sum(above.values()) for view in residuals]
     shorter = [_LEVEL * view.surplus + shared for view in residuals]
     tips = float(sum(root.tip_seen for root in roots))
-    ends = {f"{len(known.bulges)} nodules or other bulges may hide that roots continue": len(known.bulges) / max(tips, 1.0)}
+    ends = {f"{len(known.nodules)} nodules or other swellings may hide that roots continue": len(known.nodules) / max(tips, 1.0)}
     more_tips = [view.missing_tips + missing for view in residuals]
     less_tips = [view.surplus_tips + sum(ends.values()) for view in residuals]
     return {

@@ -94,6 +94,6 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, blur_px: float = 0.0, seen: E
         evidence=replace(nothing() if seen is None else seen, blur_px=blur_px),
         cameras=standing(),
         uncertain=no_nodes,
-        bulge=no_nodes,
+        nodule=no_nodes,
         has_crown=False,
     )

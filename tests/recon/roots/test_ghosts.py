@@ -28,14 +28,18 @@ def test_hidden_ends_near_others_are_uncertain(branch: int, shown: float, share:
     np.testing.assert_array_equal(judged, own & expected)
 
 
-@pytest.mark.parametrize(("radius_mm", "roots"), [(0.3, 2), (1.0, 1)], ids=["a short lateral", "a nodule"])
-def test_a_nodule_is_no_root(radius_mm: float, roots: int):
-    found = strung(TRUNK, line((0.0, 0.0, -30.0), (2.0, 0.0, -30.5)), radius_mm=0.3)
+@pytest.mark.parametrize(
+    ("radius_mm", "end", "roots"),
+    [(0.3, 2.0, 2), (1.0, 2.0, 1), (0.4, 0.6, 2), (1.0, 8.0, 2)],
+    ids=["a short lateral", "a nodule", "a stub as thick as the root", "a tuber"],
+)
+def test_a_nodule_is_no_root(radius_mm: float, end: float, roots: int):
+    found = strung(TRUNK, line((0.0, 0.0, -30.0), (end, 0.0, -30.5)), radius_mm=0.3)
     found = tubes.with_geometry(found, found.centre_mm, np.where(found.owner == 1, radius_mm, 0.3))
-    bulge = ghosts.find_bulges(found)
-    np.testing.assert_array_equal(bulge, (found.owner == 1) & (roots == 1))
-    system = replace(at_rest(found, px_a_mm=3.2), bulge=bulge)
-    assert (len(system.roots()), len(system.bulges())) == (roots, 2 - roots)
+    nodule = ghosts.find_nodules(found)
+    np.testing.assert_array_equal(nodule, (found.owner == 1) & (roots == 1))
+    system = replace(at_rest(found, px_a_mm=3.2), nodule=nodule)
+    assert (len(system.roots()), len(system.nodules())) == (roots, 2 - roots)
 
 
 def test_a_second_tube_and_a_detour_beside_one_explain_little():

@@ -127,7 +127,7 @@ def test_a_root_that_enters_a_solid_has_no_tip_there(first: int, end: int, tips:
     nodes = np.arange(40)
     solid = (nodes >= first) & (nodes < end)
     tubes = Tubes(np.outer(-10.0 - 0.6 * nodes, [0.0, 0.0, 1.0]), np.full(40, 0.4), (nodes,))
-    tree = SimpleNamespace(tubes=tubes, solid=solid, uncertain=np.zeros(40, bool), bulge=np.zeros(40, bool))
+    tree = SimpleNamespace(tubes=tubes, solid=solid, uncertain=np.zeros(40, bool), nodule=np.zeros(40, bool))
     found = [root.tip_seen for root in RootSystem.roots(cast(RootSystem, tree))]
     assert json.dumps(found) == json.dumps(tips)  # NumPy's values cannot be written as JSON
 

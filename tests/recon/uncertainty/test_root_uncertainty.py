@@ -132,8 +132,8 @@ def test_roots_may_continue_beyond_their_nodules(taken) -> None:
     bank, _ = taken
     nodules = [line((0.0, 0.0, z), (1.0, 0.0, z), diameter_mm=2.0, parent=-1) for z in (-30.0, -40.0)]
     pictures = drawn([*TRUE, *nodules], *taken)
-    known = Known(bulges=nodules)
+    known = Known(nodules=nodules)
     found = {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), known=known)}
     tips = sum(root.tip_seen for root in TRUE)
     assert found["tips"].interval[0] <= max(0, tips - len(nodules))
-    assert "bulges" in found["tips"].verdict
+    assert "nodules" in found["tips"].verdict
