@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _HEADINGS = {definition.name: definition.heading for definition in (*DEFINITIONS, *SHOOT)}
 NO_TREATMENT = "plants without a treatment"
+MOST_SHOWN = 3.0
+"""Largest end of the axis of a curve, relative to the largest mean. Intervals of two plants can be ten times wider."""
 
 
 def draw(growth: Growth) -> bytes:
@@ -35,9 +37,14 @@ def draw(growth: Growth) -> bytes:
             plot_curve(axes, own, label=treatment or (NO_TREATMENT if len(treatments) > 1 else "all plants"), marker="o")
         axes.set_xlabel("day")
         axes.set_ylabel(_HEADINGS[trait])
-        axes.set_ylim(bottom=0.0)
+        limit_axis(axes, points)
     drawn.axes[0].legend()
     return png(drawn, dpi=110)
+
+
+def limit_axis(axes: "Axes", points: Sequence[Point]) -> None:
+    """Let the axis of sizes begin at 0 and end at most at `MOST_SHOWN` times the largest mean."""
+    axes.set_ylim(0.0, min(axes.get_ylim()[1], MOST_SHOWN * max(point.mean for point in points)))
 
 
 def plot_curve(axes: "Axes", points: Sequence[Point], *, label: str, **style: Any) -> None:
@@ -102,7 +109,9 @@ def page(growth: Growth | None, masses: bytes | None = None, solution: bytes | N
     if growth is not None:
         parts.append(f"<h1>Growth of {len(growth.plants)} plants</h1>")
         if growth.curves:
-            parts.append(_figure("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval."))
+            parts.append(
+                _figure("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval; wide intervals are cut.")
+            )
         else:
             parts.append("<p>No trait is reliable enough for a curve.</p>")
         if growth.responses:
@@ -112,7 +121,7 @@ def page(growth: Growth | None, masses: bytes | None = None, solution: bytes | N
             parts.append("<h2>Dose response</h2>" + _figure("dose responses", draw_responses(growth), caption))
         parts.append(html_page.items(sentences(growth)))
     if masses is not None:
-        caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
+        caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval; wide intervals are cut."
         parts.append("<h1>Masses</h1>" + _figure("mass curves", masses, caption))
     if solution is not None:
         caption = "Readings of each plant's solution, and net uptake per root length between readings, with their 90 % intervals."

@@ -7,14 +7,15 @@ predict``. If both tables contain a mass of the same plant and day, the weighed 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import inf
+from dataclasses import dataclass, field
+from math import inf, log
 from pathlib import Path
 
 from rhizotwin.experiment import falls
 from rhizotwin.experiment.compare import Observation, Point, means
-from rhizotwin.experiment.growth_page import plot_curve
+from rhizotwin.experiment.growth_page import limit_axis, plot_curve
 from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, Weighed, has_masses, read_masses
+from rhizotwin.experiment.measured import IN_90
 from rhizotwin.scenes import assessment, subject, table_file
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
@@ -40,6 +41,8 @@ class Masses:
     """Name of the treatment."""
     grams: Mapping[str, float]
     """Masses in g, keyed by kind of mass, such as ``root_fresh``."""
+    log_sigma: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of the logarithm of predicted masses, keyed by kind of mass."""
 
     def value(self, part: str, quantity: str) -> float | None:
         """Return a quantity of a part of the plant.
@@ -96,6 +99,7 @@ def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> 
     weighed = [one for path in paths if path not in predicted for one in read_masses(path, balance_g=BALANCE_G)]
     known = {plant: name for plant, name in (treatments or {}).items() if name}
     grams: dict[tuple[str, float], dict[str, float]] = {}
+    errors: dict[tuple[str, float], dict[str, float]] = {}
     undated = 0
     for group in (_read_predicted(rows), weighed):  # weighed masses replace predicted ones
         listed: set[tuple[str, float, str]] = set()
@@ -111,7 +115,11 @@ def read(paths: Sequence[Path], treatments: Mapping[str, str] | None = None) -> 
                     raise UserError(f"{one.where}: the mass {kind} of plant {plant} on day {day:g} is listed twice; remove one of them")
                 listed.add((plant, day, kind))
             grams.setdefault((plant, day), {}).update(one.grams)
-    masses = [Masses(plant=plant, day=day, treatment=known.get(plant, ""), grams=own) for (plant, day), own in grams.items()]
+            errors.setdefault((plant, day), {}).update(dict.fromkeys(one.grams, one.log_sigma))
+    masses = [
+        Masses(plant=plant, day=day, treatment=known.get(plant, ""), grams=own, log_sigma=errors[plant, day])
+        for (plant, day), own in grams.items()
+    ]
     notes = [f"{count(undated, 'row')} of masses without a plant or day cannot be used for curves; enter plant and day"] if undated else []
     return masses, [*_notes(rows), *notes, *falls.sentences(_falls(masses))]
 
@@ -121,7 +129,12 @@ def _falls(masses: Sequence[Masses]) -> dict[str, list[falls.Fall]]:
     found = {}
     for kind in KINDS:
         weighed = [one for one in sorted(masses, key=lambda one: one.day) if kind in one.grams]
-        sizes = [Observation(plant=one.plant, treatment=one.treatment, day=one.day, value=one.grams[kind]) for one in weighed]
+        sizes = [
+            Observation(
+                plant=one.plant, treatment=one.treatment, day=one.day, value=one.grams[kind], log_sigma=one.log_sigma.get(kind, 0.0)
+            )
+            for one in weighed
+        ]
         found[f"{kind}_g"] = falls.find_falls(sizes)
     return found
 
@@ -171,7 +184,7 @@ def draw(curves: Curves) -> bytes:
         axes.set_xlabel("day")
         axes.set_ylabel(QUANTITIES[quantity])
         if quantity != "water":
-            axes.set_ylim(bottom=0.0)
+            limit_axis(axes, [point for key, own in curves.items() if key[1] == quantity for point in own])
     drawn.axes[0].legend()
     return png(drawn, dpi=110)
 
@@ -186,8 +199,11 @@ def _read_predicted(rows: Sequence[table_file.Row]) -> list[Weighed]:
         kind, grams = row.cells.get("mass", ""), table_file.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
             raise UserError(f"{row.where}: the row is not a predicted mass; specify a table written by 'rhizotwin biomass predict'")
+        low, high = (table_file.number(row, f"{end} (g)") for end in ("low", "high"))
+        log_sigma = log(high / low) / (2.0 * IN_90) if low is not None and high is not None and 0.0 < low <= high else 0.0
         if not _is_unreliable(row):
-            found.append(Weighed(where=row.where, subject=subject.from_cells(row.cells, row.where), grams={kind: grams}, residue_g={}))
+            whose = subject.from_cells(row.cells, row.where)
+            found.append(Weighed(where=row.where, subject=whose, grams={kind: grams}, residue_g={}, log_sigma=log_sigma))
     return found
 
 

@@ -38,6 +38,8 @@ class Weighed:
     """Masses including the residues on the foil, in g, keyed by the names in `KINDS`."""
     residue_g: Mapping[str, float]
     """Residues on the foil that were added to the dry masses, in g, keyed by the names in `KINDS`."""
+    log_sigma: float = 0.0
+    """Standard deviation of the logarithm of predicted masses. It is 0 for weighed ones."""
 
 
 def has_masses(head: Collection[str]) -> bool:

@@ -37,6 +37,8 @@ def test_what_was_weighed_counts_before_what_was_predicted(tmp_path: Path) -> No
     assert masses["P1"].value("root", "water") == pytest.approx(90.0)
     assert masses["P2"].value("root", "water") is None
     assert masses["P1"].value("plant", "fresh") is None  # its shoot is not known
+    (tmp_path / "later.csv").write_text("plant,day,root_dry_g\nP1,9,0.08\n")
+    assert mass_curves.read([*paths, tmp_path / "later.csv"])[1] == []  # within the error of the prediction of day 5
 
 
 def test_intervals_are_inside_the_limits_and_falls_are_named(tmp_path: Path) -> None:
