@@ -11,6 +11,8 @@ from pathlib import Path
 from benchmarks.arguments import parser as benchmarks_parser
 from rhizotwin.commands import COMMANDS, GROUPS, command_line
 from rhizotwin.recon.settings import Settings
+from rhizotwin.rig.arm.placement import compute_joints_from_direction
+from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile, load_scene, scene_from_dict
 from rhizotwin.scenes.schema import Place, from_plain
@@ -69,6 +71,14 @@ def test_links_lead_somewhere() -> None:
         assert "://" in target or (page.parent / target).exists()
 
     assert failures(check, [(page, target) for page in PAGES for target in LINK.findall(page.read_text(encoding="utf-8"))]) == []
+
+
+def test_the_arm_reaches_the_poses_in_the_documents() -> None:
+    lines = re.findall(r"^poses = .+$", (ROOT / "docs" / "scanning.md").read_text(encoding="utf-8"), re.MULTILINE)
+    poses = [pose for line in lines for pose in tomllib.loads(line)["poses"]]
+    assert poses
+    for pose in poses:  # raises an error where the arm cannot reach
+        compute_joints_from_direction(RigFile(arm=ArmPart()), tuple(pose["position_mm"]), tuple(pose["direction"]))
 
 
 def test_scenes_and_settings_in_the_documents_load() -> None:
