@@ -32,7 +32,7 @@ HARVEST = {plant: 5 * ((plant + 2) // 3) for plant in range(1, 19)}
 """Day of the harvest of each plant, as in table A.1."""
 DENSE = {10, 13, 18}
 """Plants whose roots overlap so much at the harvest that the length is not reliable: not scanned on that day."""
-LIVING = ((18, 5), (13, 5), (10, 5), (17, 10), (8, 10), (9, 10), (14, 10), (12, 10))
+LIVING = ((18, 5), (13, 5), (10, 5), (17, 10), (8, 10), (9, 10), (14, 10), (12, 10), (7, 10), (16, 10))
 """Plants that are scanned while they live, and day of the scan."""
 RINGS = {1: (20, 20), 5: (40, 40)}
 """Pictures of each ring for plants whose volume or length is not reliable in a ring of 40 at the harvest."""

@@ -14,7 +14,7 @@ def test_growth_and_biomass_run_on_the_example(tmp_path: Path) -> None:
     grown = growth.measure(found)
     assert {f"radish {k}" for k in range(1, 19)} == grown.plants.keys()
     assert not [note for note in grown.notes if "excluded" in note]
-    assert grown.tracked
+    assert len(grown.tracked) == 7
     weighed = read_masses(tmp_path / "example" / "masses.csv", balance_g=BALANCE_G)
     pairs, notes = biomass.pairs(found, weighed)
     assert len({pair.measured.subject.plant for pair in pairs}) >= 15
