@@ -102,7 +102,7 @@ class PictureSettings:
 class HullSettings:
     """Settings for the carving of the visual hull from the silhouettes."""
 
-    finest_mm: float = bounded(0.14, 0.01, 5.0)
+    finest_mm: float = bounded(0.15, 0.01, 5.0)
     """Maximum edge length of carved voxels, mm. Larger output voxels are assembled from carved voxels, so that their
     occupancy is measured."""
     slack_px: float = bounded(0.3, 0.01, 5.0)
