@@ -181,6 +181,8 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"pictures to make; default: all ({', '.join(PICTURES)})")
     parser.add_argument("--demo", type=Path, help="folder of a finished demonstration; default: it is computed")
     given = parser.parse_args(words)
+    if unknown := [name for name in given.names if name not in PICTURES]:
+        parser.error(f"no picture {unknown[0]}; choose from {', '.join(PICTURES)}")
     with tempfile.TemporaryDirectory() as temporary:
         demo = given.demo or Path(temporary) / "demo"
         if given.demo is None:

@@ -44,7 +44,7 @@ COMMANDS = {
     "bench score": "Score output that a method has written on another computer, such as a cluster.",
     "bench table": "Show the results of several methods in one table.",
     "bench gate": "Compare results with a baseline; the exit code is 1 if a value is worse.",
-    "demo": "Simulate, reconstruct and score a small printed root (a few minutes).",
+    "demo": "Simulate, reconstruct and score a small printed root (about two minutes), or show a finished example.",
     "markers": "Write the strip of printed markers around the net pot, for printing at true scale.",
     "parts": "Write the mechanical parts of a rig for 3D printing.",
     "calibrate": "Calibrate the camera: print a calibration board and fit the lens to pictures of it.",

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.report.sides import Rendering
 from rhizotwin.scenes.html_page import Markup, data_uri, escape
+
+if TYPE_CHECKING:
+    from rhizotwin.report.sides import Rendering
 
 _BARS_WH = 320.0, 190.0
 """Size of a bar chart, in the unit of its coordinates."""

@@ -53,7 +53,7 @@ def test_report_viewer_terminal_csv_and_api_agree(plant: plants.Plant, tmp_path:
         assert float(in_unit[0]) == pytest.approx(value / scale, abs=1.001 * digits(in_unit[0]))
     headline = words.headline(summary)[0].removeprefix("volume ")
     assert f"<p class=volume>{headline}</p>" in report
-    assert f"<b>{headline}</b>" in panel.volume(summary, shown.session.measure(), edits=0)
+    assert f"</b>{headline}</h1>" in panel.volume(summary, shown.session.measure(), edits=0)
     assert headline in repr(result)
     assert headline in result._repr_html_()
 
