@@ -21,7 +21,8 @@ from rhizotwin.corrections.lines import descendants
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import guard, picking
-from rhizotwin.viewer.drawing import CLICKS, Drawing
+from rhizotwin.viewer.drawing import Drawing
+from rhizotwin.viewer.look import CLICKS
 from rhizotwin.viewer.picking import Ray, Screen
 
 Array = NDArray[np.float64]

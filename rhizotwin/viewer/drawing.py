@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,21 +25,15 @@ from rhizotwin.scenes.formatting import continued, error_sentence, is_expected
 from rhizotwin.scenes.threads import Worker
 from rhizotwin.stored import result_names
 from rhizotwin.viewer.guard import Served
+from rhizotwin.viewer.look import FAR_MM, TRUTH, Look
 from rhizotwin.viewer.picking import Nodes
 from rhizotwin.viewer.scene3d import CANISTER, Scene3d, field_of_view, quaternion
 from rhizotwin.viewer.shown import Shown
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-Triple = tuple[float, float, float]
 Parts = Mapping[int, tuple[Line, ...]]
 
-LAYERS = ("surface", "centre lines", "tubes", "voxels", "canister", "cameras", "truth", "scale bar")
-"""Layers of the 3D view that can be displayed."""
-CLICKS = ("select a root", "select a voxel", "measure a distance", "cut the root here", "end the root here", "set the base of the plant")
-"""Click modes of the 3D view."""
-TRUTH = ("overlaid", "beside", "as colours of distance")
-"""Display modes of the true shape."""
 BESIDE_PX = 960
 """Maximum width of the picture beside the 3D view, px. A panel has 360 px, or 720 on a fine screen."""
 _ASIDE_MM = 60.0
@@ -48,35 +41,6 @@ _ASIDE_MM = 60.0
 _APART_S = 0.02
 """Time between two messages that browsers must receive separately, s. It is longer than the interval in which viser
 collects messages (1/60 s)."""
-_FAR_MM = 1e9
-"""Coordinate of a limit of the clipping box that clips nothing, mm."""
-
-
-@dataclass
-class Look:
-    """Display settings of a result."""
-
-    layers: set[str] = field(default_factory=lambda: {"surface", "canister", "scale bar"})
-    """Displayed layers. Cameras are not displayed by default, because their pictures would delay every frame."""
-    colour: str = "order"
-    """Property of the roots that determines their colour, one of `root_colours.CHOICES`."""
-    truth: str = TRUTH[0]
-    """Display mode of the true shape, one of `TRUTH`."""
-    low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
-    """Lowest corner of the clipping box, mm, canister frame."""
-    high_mm: Triple = (_FAR_MM, _FAR_MM, _FAR_MM)
-    """Highest corner of the clipping box, mm, canister frame."""
-    click: str = CLICKS[0]
-    """Effect of a click into the 3D view, one of `CLICKS`."""
-
-    @property
-    def is_unclipped(self) -> bool:
-        """Return whether the clipping box has no limits."""
-        return max(self.low_mm) <= -_FAR_MM and min(self.high_mm) >= _FAR_MM
-
-    def inside(self, points_mm: Array) -> NDArray[np.bool_]:
-        """Return which points (N, 3) lie inside the clipping box."""
-        return np.asarray(((points_mm >= self.low_mm) & (points_mm <= self.high_mm)).all(axis=1))
 
 
 class Drawing:
@@ -295,7 +259,7 @@ class Drawing:
 
     def clip(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
         """Limit the display to a range of coordinates along an axis, mm. None stands for no limit."""
-        for name, value, none in (("low_mm", low_mm, -_FAR_MM), ("high_mm", high_mm, _FAR_MM)):
+        for name, value, none in (("low_mm", low_mm, -FAR_MM), ("high_mm", high_mm, FAR_MM)):
             corner = list(getattr(self.look, name))
             corner[axis] = none if value is None else value
             setattr(self.look, name, tuple(corner))

@@ -10,7 +10,8 @@ import viser
 
 from rhizotwin.viewer import words
 from rhizotwin.viewer.app import Viewer
-from rhizotwin.viewer.drawing import CLICKS, set_value
+from rhizotwin.viewer.drawing import set_value
+from rhizotwin.viewer.look import CLICKS
 
 _NOW = "now"
 

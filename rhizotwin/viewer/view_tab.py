@@ -11,7 +11,8 @@ import viser
 from rhizotwin.drawing import root_colours
 from rhizotwin.viewer import capture, words
 from rhizotwin.viewer.app import Viewer
-from rhizotwin.viewer.drawing import LAYERS, TRUTH, set_value
+from rhizotwin.viewer.drawing import set_value
+from rhizotwin.viewer.look import LAYERS, TRUTH
 from rhizotwin.viewer.scene3d import VIEWS
 
 _LABELS = {

@@ -5,7 +5,7 @@ import pytest
 
 from rhizotwin.viewer import picking
 from rhizotwin.viewer.app import Viewer
-from rhizotwin.viewer.drawing import CLICKS
+from rhizotwin.viewer.look import CLICKS
 from tests.rhizotwin import plant as plants
 
 
