@@ -129,10 +129,9 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre, density, depth_mm) for top, plant in members.items()}
-    found = find_paths(lattice, density, np.array(list(starts.values())))
-    highest_mm = float(centre[list(starts.values()), 2].min())
-    _bridge_net_pot(cells, lattice, density, dense, found, highest_mm)
     begun = np.array(list(starts.values()))
+    found = find_paths(lattice, density, begun)
+    _bridge_net_pot(cells, lattice, density, dense, found, float(centre[begun, 2].min()))
     separate = [_start(root, centre, density, depth_mm) for root in _find_separate(cells, dense, found, begun)]
     _extend(lattice, density, np.array(separate, np.int64), found)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * size_mm)

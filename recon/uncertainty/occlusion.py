@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -72,7 +73,8 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, solids: L
     tips = _hidden_tips(bank, maps, roots, water)
     hidden = {
         axis: [tips * (axis != _UP)] + [_hidden_columns(bank, maps, part, water, axis, side) for side in (-1, 1)]
-        for axis, part in enumerate((solids, solids, leaves))
+        for part, axes in ((_Voxels.of(solids), (0, 1)), (_Voxels.of(leaves), (_UP,)))
+        for axis in axes
     }
     axis = max(hidden, key=lambda a: sum(hidden[a]))
     where = _WHERE[-1 if hidden[axis][1] >= hidden[axis][2] else 1] if axis == _UP else _describe_side(bank)
@@ -84,16 +86,32 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, solids: L
     )
 
 
-def _hidden_columns(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water, axis: int, side: int) -> float:
+@dataclass(frozen=True)
+class _Voxels:
+    """Parts of a shape as voxels, whose rows are the columns that may continue."""
+
+    cells: NDArray[np.int64]
+    """Indices (N, 3) of the voxels."""
+    full: NDArray[np.float32]
+    """Occupied fraction (N,) of each voxel."""
+    origin_mm: Array
+    """Position (3,) of the corner of the voxel with index 0, canister frame, mm."""
+    edge_mm: float
+
+    @classmethod
+    def of(cls, leaves: Leaves) -> _Voxels:
+        """Merge leaves into voxels."""
+        units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
+        index, size, occupancy = to_voxels(leaves, units)
+        cells, edge_mm = to_unit_cubes(index, size).astype(np.int64), units * leaves.grid.size_mm
+        return cls(cells, spread_values(occupancy, size), np.asarray(leaves.grid.origin_mm), edge_mm)
+
+
+def _hidden_columns(bank: ViewBank, maps: DistanceMaps, part: _Voxels, water: Water, axis: int, side: int) -> float:
     """Return the volume of the columns of voxels that may continue on one side (-1 or 1) of an axis, mm3."""
-    units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
-    index, size, occupancy = to_voxels(leaves, units)
-    cells = to_unit_cubes(index, size).astype(np.int64)
-    full = spread_values(occupancy, size)
-    edge_mm, direction = units * leaves.grid.size_mm, side * np.eye(3)[axis]
+    cells, full, edge_mm, direction = part.cells, part.full, part.edge_mm, side * np.eye(3)[axis]
     last = _ends(cells, full, axis, side)
-    end_mm = np.asarray(leaves.grid.origin_mm) + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
-    gap_mm = gaps_mm(bank, maps, end_mm, direction, water)
+    gap_mm = gaps_mm(bank, maps, part.origin_mm + (cells[last] + 0.5 + 0.5 * direction) * edge_mm, direction, water)
     wider = _widening(cells[:, 2], full, last, gap_mm / edge_mm) if (axis, side) == (_UP, 1) else 1.0
     before = CellSet.from_cells(cells).find(cells[last] - direction.astype(np.int64))  # a flat end cuts the last voxels
     section = np.where(before >= 0, np.maximum(full[last], full[before]), full[last])
