@@ -1,5 +1,6 @@
 """Validate the types of the values in ``result.json``."""
 
+import math
 from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, TypeAlias, get_args
@@ -11,6 +12,8 @@ from rhizotwin.scenes import trait_table
 
 Fits: TypeAlias = Callable[[Any], bool]
 """Type of a validator: a function that returns whether a value is valid."""
+_TWICE = {"total_length_mm": "length_mm", "volume_mm3": "volume_mm3", "tips": "tips"}
+"""Traits that ``result.json`` contains twice, and the keys of their other values."""
 LARGEST = 1e15
 """Limit for the absolute value of every number in ``result.json``, in any unit. Larger numbers are regarded as
 invalid."""
@@ -22,7 +25,14 @@ def find_fault(summary: Json) -> str:
     if missing:
         return f"contains no value of {missing[0]!r}"
     unfit = [key for key, fits in (_REQUIRED | _OPTIONAL).items() if key in summary and not fits(summary[key])]
-    return f"contains an invalid value of {unfit[0]!r}" if unfit else ""
+    if unfit:
+        return f"contains an invalid value of {unfit[0]!r}"
+    apart = [f"traits.{key}" for key, other in _TWICE.items() if not _agree(summary.get("traits", {}).get(key), summary.get(other))]
+    return f"contains a value of {apart[0]!r} that is not the one of {_TWICE[apart[0].removeprefix('traits.')]!r}" if apart else ""
+
+
+def _agree(value: Any, other: Any) -> bool:
+    return None in (value, other) or math.isclose(value, other, rel_tol=1e-6)
 
 
 def _number(value: Any) -> bool:
@@ -31,6 +41,11 @@ def _number(value: Any) -> bool:
 
 def _positive(value: Any) -> bool:
     return _number(value) and value > 0.0
+
+
+def _measured(value: Any) -> bool:
+    """Return whether a value is that of a trait: none is negative, and distributions are lists."""
+    return value is None or (all(map(_measured, value)) if isinstance(value, list) else _number(value) and value >= 0.0)
 
 
 def _text(value: Any) -> bool:
@@ -163,6 +178,7 @@ _OPTIONAL: dict[str, Fits] = {
     "plants": _or_none(_list(_with({}))),
     "settings": _with({}, {"finest_mm": _positive}),
     "versions": _with({}),
+    "traits": lambda value: isinstance(value, dict) and all(map(_measured, value.values())),
     "bands": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
     "checks": _list(_CHECK),
     "estimates": _list(_ESTIMATE),

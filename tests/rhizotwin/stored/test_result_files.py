@@ -115,6 +115,8 @@ OTHER_KINDS = [
     ("plants", 2),
     ("settings", {"finest_mm": "fine"}),
     ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
+    ("traits", {"total_length_mm": -5.0}),
+    ("traits", {"length_by_depth_mm": [1.0, "none"]}),
 ]
 
 
@@ -127,6 +129,9 @@ def test_a_value_of_another_kind_is_named(scan) -> None:
             load_result(made.result)
         said.append(str(caught.value))
     assert [key for (key, _), one in zip(OTHER_KINDS, said, strict=True) if f"invalid value of '{key}'" not in one] == []
+    made.edit_summary(**(good | {"traits": {"volume_mm3": 1.5 * good["volume_mm3"]}}))
+    with pytest.raises(UserError, match="'traits.volume_mm3' that is not the one of 'volume_mm3'"):
+        load_result(made.result)
 
 
 LEAVES = Leaves(
