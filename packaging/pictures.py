@@ -15,7 +15,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -142,22 +143,16 @@ def outdated() -> list[str]:
     return [name for name, picture in PICTURES.items() if stored.get(name) != picture.stamp()]
 
 
-class browser:  # noqa: N801
-    """Context with a running browser."""
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Provide a running browser."""
+    from playwright.sync_api import sync_playwright
 
-    def __enter__(self) -> Any:
-        """Start the browser."""
-        from playwright.sync_api import sync_playwright
-
-        path = next(filter(None, map(shutil.which, BROWSERS)), None)
-        self.playwright = sync_playwright().start()
-        self.opened = self.playwright.chromium.launch(executable_path=path, args=list(FLAGS))
-        return self.opened
-
-    def __exit__(self, *_: object) -> None:
-        """Close the browser."""
-        self.opened.close()
-        self.playwright.stop()
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    with sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=path, args=list(FLAGS))
+        yield opened
+        opened.close()
 
 
 def photograph(shown: Any, goal: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from zipfile import ZIP_STORED, ZipFile, ZipInfo
@@ -11,19 +10,22 @@ BLOCK = 1 << 20
 """Number of bytes that are read at a time."""
 
 
-class _Sent(io.RawIOBase):
+class _Sent:
     """Stream without positions, from which written bytes are taken."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
 
-    def writable(self) -> bool:
-        return True
+    def write(self, data: bytes, /) -> int:
+        """Append bytes, and return their number."""
+        self._waiting += data
+        return len(data)
 
-    def write(self, data: object) -> int:
-        before = len(self._waiting)
-        self._waiting += memoryview(data)  # type: ignore[arg-type]
-        return len(self._waiting) - before
+    def flush(self) -> None:
+        """Do nothing: all bytes can be taken at once."""
+
+    def close(self) -> None:
+        """Do nothing: the bytes are taken after the archive is complete."""
 
     def take(self) -> bytes:
         """Return and forget the bytes that were written."""

@@ -1,6 +1,6 @@
 """Tables A.1 and 4.1 of Kliman's thesis (2022), and results of its simulated plants, which are part of the package."""
 
-import tarfile
+import shutil
 from importlib.resources import files
 from pathlib import Path
 
@@ -38,6 +38,5 @@ def write_example(folder: Path) -> None:
         If the folder is not empty or cannot be written.
     """
     with new_folder(folder) as building:
-        with tarfile.open(shipped(EXAMPLE)) as archive:
-            archive.extractall(building, filter="data")
+        shutil.unpack_archive(shipped(EXAMPLE), building, filter="data")
         atomic.write_bytes(building / "masses.csv", shipped(SHIPPED[0]).read_bytes())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import tarfile
+import shutil
 from importlib.resources import files
 from pathlib import Path
 
@@ -27,8 +27,7 @@ def write_example(folder: Path) -> None:
     from rhizotwin.report.result_pictures import write_pictures
 
     with new_folder(folder) as building:
-        with tarfile.open(str(files(__package__).joinpath(ARCHIVE))) as archive:
-            archive.extractall(building, filter="data")
+        shutil.unpack_archive(str(files(__package__).joinpath(ARCHIVE)), building, filter="data")
         result = building / "result"
         report = ReportData.read(result, building / "dataset")
         write_pictures(report)
