@@ -130,7 +130,7 @@ def test_a_value_of_another_kind_is_named(scan) -> None:
         said.append(str(caught.value))
     assert [key for (key, _), one in zip(OTHER_KINDS, said, strict=True) if f"invalid value of '{key}'" not in one] == []
     made.edit_summary(**(good | {"traits": {"volume_mm3": 1.5 * good["volume_mm3"]}}))
-    with pytest.raises(UserError, match="'traits.volume_mm3' that is not the one of 'volume_mm3'"):
+    with pytest.raises(UserError, match=r"'traits\.volume_mm3' that is not the one of 'volume_mm3'"):
         load_result(made.result)
 
 
