@@ -241,7 +241,7 @@ def is_complete(origin: Mapping[str, Any]) -> bool:
 
 
 def is_sketch(origin: Mapping[str, Any]) -> bool:
-    """Return whether the pictures of a dataset of this origin are sketches of the emulated rig, which show no roots."""
+    """Return whether the pictures of a dataset of this origin are sketches, which do not show the plant."""
     settings = origin.get("settings")
     twin = settings.get("twin") if isinstance(settings, dict) else None
     return isinstance(twin, dict) and twin.get("fidelity") == "sketch"

@@ -84,7 +84,7 @@ class Scan:
     complete: bool
     """Whether the scan is complete. It is False if the scan was interrupted."""
     sketch: bool
-    """Whether the pictures are sketches of the emulated rig, which show the marker strip but no roots."""
+    """Whether the pictures are sketches of the emulated rig, which do not show the plant."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,7 @@ def is_catalogue(path: Path | str) -> bool:
 def expand_scans(sources: Sequence[str]) -> list[str]:
     """Replace each catalogue among the sources of a batch by the scans that it lists.
 
-    Interrupted scans are omitted, and so are sketches of the emulated rig, which show no roots. Other sources are not
-    changed.
+    Interrupted scans are omitted, and so are sketches, which do not show the plant. Other sources are not changed.
 
     Raises
     ------

@@ -26,8 +26,8 @@ class TwinPorts(rigs.TwinPictures):
     """Options for the imperfections and ports of the emulated rig."""
 
     fidelity: rigs.Fidelity = "sketch"
-    """Pictures of the emulated rig: render (realistic, as in 'rhizotwin simulate') or sketch (fast, with only the \
-marker strip and the light panel)."""
+    """Pictures of the emulated rig: render (realistic, as in 'rhizotwin simulate') or sketch (fast, of \
+light panel and marker strip but not of the plant)."""
     speed: Annotated[float, option(read_speed, "X")] = 1.0
     """Speed of the emulation relative to real time."""
     protocol: Literal["lx", "lsc"] = "lx"

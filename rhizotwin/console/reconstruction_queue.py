@@ -135,7 +135,7 @@ class Queue:
         if not entry.complete:
             raise UserError(f"{scan}: {entry.error or 'the scan is not complete; finish it first'}")
         if entry.sketch:
-            raise UserError(f"{scan}: the pictures are sketches of the emulated rig, which show no roots; scan with --fidelity render")
+            raise UserError(f"{scan}: the pictures are sketches, which do not show the plant; scan with --fidelity render")
         with self._wake:
             if any(job.scan == scan and job.state in ("waiting", "running") for job in self._jobs):
                 raise UserError(f"the scan {scan} is already in the queue")

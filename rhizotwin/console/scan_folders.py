@@ -55,7 +55,7 @@ class ScanEntry:
     complete: bool
     """Whether all planned views were taken."""
     sketch: bool = False
-    """Whether the emulated rig made the pictures with the fidelity ``sketch``, which does not draw roots."""
+    """Whether the emulated rig made the pictures with the fidelity ``sketch``, which does not show the plant."""
     error: str = ""
     """Reason why the dataset cannot be read. It is empty if the dataset is readable."""
 

@@ -59,8 +59,8 @@ class TwinPictures(TwinErrors):
     """Options for the emulated rig: simulated imperfections, and rendering of its pictures."""
 
     fidelity: Fidelity = "render"
-    """Pictures of the emulated rig: render (realistic, as in 'rhizotwin simulate') or sketch (fast, with only the \
-marker strip and the light panel)."""
+    """Pictures of the emulated rig: render (realistic, as in 'rhizotwin simulate') or sketch (fast, of \
+light panel and marker strip but not of the plant)."""
     device: Device = "auto"
     """Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
 

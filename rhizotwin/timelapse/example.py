@@ -26,7 +26,7 @@ pause_min = 5               # pause between two attempts
 
 [twin]                      # options of the emulated rig
 profile = "bench"
-fidelity = "sketch"         # sketch: marker strip only; render: pictures that can be reconstructed (minutes per scan)
+fidelity = "sketch"         # sketch: pictures without the plant; render: pictures that can be reconstructed (minutes per scan)
 
 [reconstruction]
 run = true

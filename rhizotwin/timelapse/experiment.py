@@ -100,8 +100,8 @@ class TwinPart:
     seed: int = bounded(0, 0, 2**31)
     """Random seed for all simulated errors and noise."""
     fidelity: Literal["render", "sketch"] = "sketch"
-    """Rendering of the pictures. It is render (realistic, as by `rhizotwin simulate`), or sketch (only the marker strip
-    and the panel, so that the pictures cannot be reconstructed)."""
+    """Pictures: render (realistic, as by `rhizotwin simulate`) or sketch (fast, of panel and marker strip but not of
+    the plant, so that they cannot be reconstructed)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,7 @@ class Reconstructor:
         self._longest_s = 0.0
         """Longest duration of a reconstruction so far, also if it was stopped. It predicts the next one."""
         self._tried: set[Path] = set()
-        """Datasets whose reconstruction ended, also if it failed, or that show no roots."""
+        """Datasets whose reconstruction ended, also if it failed, or that are sketches."""
         self._charted: list[Path] = []
         """Results for which growth curves were computed last."""
 
@@ -69,13 +69,11 @@ class Reconstructor:
         return self._update_growth(catalogue)
 
     def _waiting(self, catalogue: Catalogue) -> list[Scan]:
-        """Return the complete scans without a result whose pictures show roots."""
+        """Return the complete scans without a result whose pictures show the plant."""
         known = {one.scan for one in catalogue.results()} | self._tried
         waiting = [one for one in catalogue.scans() if one.complete and one.path not in known and (one.path / "dataset.json").is_file()]
         if sketches := [one for one in waiting if one.sketch]:
-            self._say(
-                f"the reconstruction of {count(len(sketches), 'scan')} was skipped, because sketches of the emulated rig show no roots"
-            )
+            self._say(f"the reconstruction of {count(len(sketches), 'scan')} was skipped, because sketches do not show the plant")
             self._tried.update(one.path for one in sketches)
         return [one for one in waiting if not one.sketch]
 

@@ -87,7 +87,7 @@ def true_scene(experiment: Experiment, member: Member, expected: Subject) -> Sce
     """Return the true scene of a canister on the emulated rig.
 
     The plant has grown to its age at the scan of the expected plant. Simulated plants of the experiment are grown from
-    different seeds. Growth is not simulated for sketches, because they show no roots.
+    different seeds. Growth is not simulated for sketches, because they do not show the plant.
     """
     older = (experiment.sown(experiment.member(expected.plant)) - experiment.sown(member)).days
     day = max(0.0, (expected.day or 0.0) + older)

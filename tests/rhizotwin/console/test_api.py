@@ -125,7 +125,7 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
         console.start_scan(name=name)
     console.finish_scan(name, reconstruct=False)
     assert console.wait_for_scan(timeout_s=LONG_S)["done"] == VIEWS
-    with pytest.raises(UserError, match="the pictures are sketches of the emulated rig, which show no roots; scan with --fidelity render"):
+    with pytest.raises(UserError, match="the pictures are sketches, which do not show the plant; scan with --fidelity render"):
         console.reconstruct(name)
     dataset = load_dataset(lab.folder / "scans" / name)
     assert dataset.origin["complete"]
