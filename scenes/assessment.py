@@ -1,31 +1,49 @@
 """Assessment of the reliability of a trait: 90 % interval and verdict."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["reliable", "not reliable", "not assessed"]
+Verdict = Literal["reliable", "not reliable", "no interval"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Assessment:
     """Reliability of one trait in one result."""
 
-    verdict: Verdict = "not assessed"
-    """Verdict on the trait. ``not assessed`` means that the method does not estimate an uncertainty of the trait."""
+    verdict: Verdict = "no interval"
+    """Verdict on the trait. ``no interval`` means that the uncertainty of the trait is not estimated."""
     interval: tuple[float, float] | None = None
-    """90 % interval in the unit of the trait. It is None if the trait is not assessed."""
+    """90 % interval in the unit of the trait. It is None if it is not estimated."""
     reason: str = ""
-    """Reason why the trait is not reliable, as a sentence. It is empty if the trait is reliable or not assessed."""
+    """Reason why the trait is not reliable or has no interval, as a sentence. It is empty if the trait is reliable."""
     codes: tuple[str, ...] = ()
     """Codes of the reasons (`recon.results.reasons`), for use by other programs. There are none if the trait is
-    reliable or not assessed."""
+    reliable or has no interval."""
 
 
-NOT_ASSESSED = Assessment()
+NO_INTERVAL = Assessment(reason="the uncertainty is not estimated; measured on the reconstructed shape and centre lines")
+MOST_NAMED = 4
+"""Maximum number of traits that the reason for a verdict names. More traits are those of the whole result."""
 MOST_REASONS = 3
 """Maximum number of reasons in a sentence about several results. All reasons are stated in the individual results."""
+
+
+def reasons(assessed: Mapping[str, Assessment]) -> list[str]:
+    """Return a sentence for each reason why traits are not reliable or have no interval.
+
+    Parameters
+    ----------
+    assessed : mapping of str to Assessment
+        Assessments of traits, keyed by name for display.
+    """
+    named: dict[tuple[str, str], list[str]] = {}
+    for name, one in assessed.items():
+        if one.reason:
+            named.setdefault((one.verdict, one.reason), []).append(name)
+    whose = {key: f" ({', '.join(names)})" if len(names) <= MOST_NAMED else "" for key, names in named.items()}
+    return [f"{verdict}{whose[verdict, reason]}: {reason}" for verdict, reason in named]
 
 
 def left_out(trait: str, reasons: Iterable[str], *, total: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import polyline
-from rhizotwin.scenes.assessment import NOT_ASSESSED, Verdict
+from rhizotwin.scenes.assessment import NO_INTERVAL, Verdict
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.trait_table import csv_text, format_exact
 from rhizotwin.scenes.traits import branch_positions_mm, emergence_deg
@@ -68,7 +68,7 @@ def root_rows(roots: Sequence[Root]) -> list[RootRow]:
     return [_row(roots, index, positions, on_parent) for index in range(len(roots))]
 
 
-def to_csv(roots: Sequence[Root], *, verdict: Verdict = NOT_ASSESSED.verdict) -> str:
+def to_csv(roots: Sequence[Root], *, verdict: Verdict = NO_INTERVAL.verdict) -> str:
     """Return the rows as a CSV table; cells of unknown values are empty, and yes and no stand for a seen tip.
 
     The last column is the verdict on the total length of the scan.

@@ -7,7 +7,7 @@ from dataclasses import replace
 from rhizotwin.recon.results import reasons
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME
-from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment
+from rhizotwin.scenes.assessment import NO_INTERVAL, Assessment
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.scenes.traits import Traits
 
@@ -21,7 +21,7 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     """Return the assessment of each trait, keyed by its field in `Traits`.
 
     Volume, length, tips and mean diameter have their own intervals. The intervals of specific root length and tissue
-    density are derived from those of length and volume. All other traits are not assessed. They are not reliable if the
+    density are derived from those of length and volume. All other traits have no interval. They are not reliable if the
     volume is not reliable. If a length, number of tips or mean diameter of the whole scan is not reliable, that of each
     of its plants is not reliable either.
 
@@ -39,7 +39,7 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     codes = reasons.reasons_for_volume(summary)
     refused = Assessment(verdict="not reliable", reason=f"the scan is not reliable: {reason}", codes=codes)
     is_assessed = bool(summary["volume_budget"])
-    found = dict.fromkeys((d.field for d in DEFINITIONS), refused if is_assessed and not summary["volume_trusted"] else NOT_ASSESSED)
+    found = dict.fromkeys((d.field for d in DEFINITIONS), refused if is_assessed and not summary["volume_trusted"] else NO_INTERVAL)
     if is_assessed:
         low, high = summary["volume_interval_mm3"] if volume_interval_mm3 is None else volume_interval_mm3
         found["volume_mm3"] = _judge(summary["volume_trusted"], (low, high), reason, codes)
@@ -71,6 +71,6 @@ def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -
 def _derive(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
     """Return the assessment of a trait that is proportional to a power of another trait."""
     if value is None or derived is None or base.interval is None or not base.interval[0] > 0.0:
-        return replace(base, interval=None, verdict="not reliable" if base.verdict == "not reliable" else "not assessed")
+        return replace(base, interval=None) if base.verdict == "not reliable" else NO_INTERVAL
     low, high = sorted(derived * (end / value) ** power for end in base.interval)
     return replace(base, interval=(low, high))

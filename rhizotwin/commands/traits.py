@@ -24,9 +24,10 @@ def traits(
     """Print the traits of results, or write them to a table.
 
     Each trait (length, diameter, depth, width, angles, ...) is printed with its unit and its 90 % interval, or with the
-    remark "not reliable" or "not assessed". With -o the traits are written to a file: a .csv table with one row per
-    result (per plant in a shared canister) and one column per trait, followed by intervals, verdicts and reasons; or a
-    .json file that also contains histograms. Traits of roots are empty if no roots were found, such as for a sphere.
+    remark "not reliable" or "no interval" and the reason. With -o the traits are written to a file: a .csv table with
+    one row per result (per plant in a shared canister) and one column per trait, followed by intervals, verdicts and
+    reasons; or a .json file that also contains histograms. Traits of roots are empty if no roots were found, such as
+    for a sphere.
 
     Parameters
     ----------
@@ -89,6 +90,8 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
         print("\n".join(f"  {line}" for line in trait_table.lines(own.traits, own.assessed)))
     for pair in result_files.read_neighbours(folder) if len(plants) > 1 else ():
         print("\n".join(pair.lines(assessed["total_length_mm"].verdict)))
+    if one.tissue_density_g_per_ml is None:
+        print("  traits of the mass are shown as a dash, because no mass is given (--mass-g)")
     if one.total_length_mm is None:
         print("  no roots were found, so traits of roots are shown as a dash")
 

@@ -80,12 +80,8 @@ def measure(found: Sequence[Measured]) -> Growth:
     seen = {trait: values for trait in CURVES if (values := [one for one in _trusted(plants, trait) if one.value > 0.0])}
     if not seen and not tracked:
         raise UserError("; ".join(exclusion_notes(found, CURVES)) or f"the results contain none of the traits {', '.join(CURVES)}")
-    unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "not assessed" for one in found)]
-    notes += (
-        [f"the errors of these traits are unknown, because their reliability was not assessed: {', '.join(unassessed)}"]
-        if unassessed
-        else []
-    )
+    unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "no interval" for one in found)]
+    notes += [f"the errors of these traits are unknown, because they have no intervals: {', '.join(unassessed)}"] if unassessed else []
     fallen = {_COLUMNS[trait]: falls.find_falls(_trusted(plants, trait)) for trait in SIZES}
     suspects = falls.suspects(fallen)
     doses = read_doses(plants)

@@ -13,7 +13,7 @@ from typing import get_args
 
 from rhizotwin.recon.results import result_traits
 from rhizotwin.scenes import assessment, solution, subject, table_file, trait_table
-from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment, Verdict
+from rhizotwin.scenes.assessment import NO_INTERVAL, Assessment, Verdict
 from rhizotwin.scenes.compounds import IONS
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
@@ -37,7 +37,7 @@ class Measured:
     traits: Mapping[str, float]
     """Measured traits, keyed by trait name as in tables. Units are those of `scenes.trait_table`."""
     assessed: Mapping[str, Assessment] = field(default_factory=dict)
-    """Assessments of the traits, keyed by trait name as in tables. A trait without an entry is not assessed."""
+    """Assessments of the traits, keyed by trait name as in tables. A trait without an entry has no interval."""
     ions: Mapping[str, float] = field(default_factory=dict)
     """Ion concentrations of the nutrient solution in mmol/l, keyed by ion. The mapping is empty if they are unknown."""
     folder: Path | None = None
@@ -45,7 +45,7 @@ class Measured:
 
     def assessment(self, trait: str) -> Assessment:
         """Return the assessment of a trait: reliability and 90 % interval."""
-        return self.assessed.get(trait, NOT_ASSESSED)
+        return self.assessed.get(trait, NO_INTERVAL)
 
     def usable(self, trait: str) -> float | None:
         """Return the value of a trait. It is None if the value is not positive or is marked as not reliable."""
@@ -233,17 +233,18 @@ def _ions(row: table_file.Row) -> dict[str, float]:
 def _assessment(row: table_file.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
     """Read the interval and the verdict of a trait.
 
-    In tables of earlier versions, the verdict on the volume is the column ``trusted`` (yes or no).
+    In tables of earlier versions, the verdict on the volume is the column ``trusted`` (yes or no), and
+    ``not assessed`` is the verdict on a trait without an interval.
     """
     columns = [f"{column}_verdict" for column, own in trait_table.definitions_by_column().items() if own.name == name]
     word = next((row.cells[column] for column in columns if row.cells.get(column)), "")
     if name == "volume" and not word:
         word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")
-    verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)}
+    verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)} | {"not assessed": "no interval"}
     if word and word not in verdicts:
         raise UserError(f"{row.where}: the verdict on {name} is {word!r}; a verdict must be one of: {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
     interval = None if ends[0] is None or ends[1] is None else (max(ends[0], 0.0), ends[1])
     if interval is not None and interval[0] > interval[1]:
         raise UserError(f"{row.where}: the interval of {name} begins at {interval[0]:g}, but ends at {interval[1]:g}; correct the columns")
-    return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)
+    return Assessment(verdict=verdicts.get(word, "no interval"), interval=interval)

@@ -22,6 +22,7 @@ from rhizotwin.recon.results import result_traits
 from rhizotwin.report import charts, rig_figure, shape_data, tables, words
 from rhizotwin.report.report_data import TRIANGLES_OF_MANY, ReportData
 from rhizotwin.scenes import atomic, html_page, subject, trait_table
+from rhizotwin.scenes.assessment import Assessment, reasons
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
@@ -48,10 +49,6 @@ SAVED = {
     "glb": "closed surface with colours, with fewer triangles than shape.ply",
 }
 """Contents of the files that a report can save, keyed by file type."""
-
-
-_REFUSED = "These traits are not reliable, because the scan is not reliable."
-_NO_INTERVAL = "The uncertainty of these traits is not estimated. They are computed from the reconstructed shape and centre lines."
 
 
 def write(result: Path | ReportData, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
@@ -261,12 +258,13 @@ def _plants(report: ReportData) -> str:
 
 def _traits(report: ReportData) -> str:
     """Return a table of the scalar traits with 90 % intervals or verdicts, and a table of all others, as HTML."""
-    assessed, others = [], []
+    assessed, others, judged = [], [], dict[str, Assessment]()
     for definition in trait_table.DEFINITIONS:
         value, found = getattr(report.traits, definition.field), report.assessed[definition.field]
         if value is None:
             continue
         label, shown, interval, meaning = words.trait_text(definition, value, found)
+        judged[label] = found
         if found.interval is None:
             others.append([label, shown, meaning])
         else:
@@ -274,11 +272,11 @@ def _traits(report: ReportData) -> str:
     text = "" if report.roots else "<p>No centre lines were found, so that lengths, diameters and angles are not available.</p>"
     if assessed:
         text += table(assessed, head=("trait", "value", "90 % interval", "definition"), numbers=(1,), kind="traits")
+    if refused := reasons({name: one for name, one in judged.items() if one.interval is not None}):
+        text += items(refused)
     if others:
-        refused = any(found.verdict == "not reliable" and found.interval is None for found in report.assessed.values())
-        more = f"<p class=soft>{_REFUSED if refused else _NO_INTERVAL}</p>" + table(
-            others, head=("trait", "value", "definition"), numbers=(1,), kind="traits"
-        )
+        why = reasons({name: one for name, one in judged.items() if one.interval is None})
+        more = items(why) + table(others, head=("trait", "value", "definition"), numbers=(1,), kind="traits")
         text += f"<details><summary>Traits without an interval</summary>{more}</details>" if assessed else more
     return text
 

@@ -138,7 +138,7 @@ def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
         assessment = assessed[definition.field]
         name, shown, reliability, meaning = words.trait_text(definition, value, assessment)
         if edited:
-            reliability = "not reliable" if assessment.verdict == "not reliable" else "not assessed after corrections"
+            reliability = "not reliable" if assessment.verdict == "not reliable" else "no interval after corrections"
         below = f"<br><small>{html.escape(reliability)}</small>"
         rows.append(f"<tr title='{html.escape(meaning)}'><td>{html.escape(name)}</td><td>{html.escape(shown)}{below}</td></tr>")
     head = "<b>After corrections</b>" if edited else "Move the mouse over a trait to see its definition."

@@ -40,7 +40,7 @@ def test_report_viewer_terminal_csv_and_api_agree(plant: plants.Plant, tmp_path:
         assert getattr(shown.traits(), definition.field) == pytest.approx(value, rel=1e-6)
         name, text, interval, _ = words.trait_text(definition, value, assessed[definition.field])
         row = f"<td>{html.escape(name)}</td><td class=number>{html.escape(text)}</td><td>"
-        assert (row if interval == "not assessed" else f"{row}{html.escape(interval)}</td>") in report
+        assert (row if interval == "no interval" else f"{row}{html.escape(interval)}</td>") in report
         assert f"{html.escape(name)}</td><td>{html.escape(text)}<br><small>{html.escape(interval)}</small>" in viewer
         for table in tables:
             assert float(table[k]["value"]) == pytest.approx(value, rel=1e-6)

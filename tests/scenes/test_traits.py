@@ -102,7 +102,7 @@ def test_bins_have_the_intervals_of_length_and_diameter() -> None:
     # within a bin of 0.1 mm, the length is assumed to be evenly distributed: 0.5 to 0.6 mm become up to 0.545 to 0.655 mm
     assert by_diameter[5] == pytest.approx((36.0 * (0.6 - 0.6 / 0.55 * 0.5) / (0.1 * 0.6 / 0.55), 50.0, "not reliable", "thin_roots"))
     unknown = [one.split(",") for one in to_csv(found, {"total_length_mm": length}).splitlines() if one.startswith("length_by_di")]
-    assert {(row[6], row[8]) for row in unknown} == {("", "not assessed")}
+    assert {(row[6], row[8]) for row in unknown} == {("", "no interval")}
 
 
 def rod(plant: str, *ends: tuple[float, float, float], diameter_mm: float = 1.0) -> Root:

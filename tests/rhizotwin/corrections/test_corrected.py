@@ -81,7 +81,7 @@ def test_a_trait_that_was_not_reliable_stays_so(own: Path, tmp_path: Path):
     (left,) = load_result(tmp_path / "new").estimates
     assert (left.name, left.value, left.interval) == ("total_length_mm", pytest.approx(now), pytest.approx((now, 2.0 * length)))
     judged = assessments.assess(summary, stored_traits.read(tmp_path / "new"))
-    assert (judged["total_length_mm"].verdict, judged["mean_diameter_mm"].verdict) == ("not reliable", "not assessed")
+    assert (judged["total_length_mm"].verdict, judged["mean_diameter_mm"].verdict) == ("not reliable", "no interval")
     assert judged["total_length_mm"].reason == "the roots are too thin"
 
 

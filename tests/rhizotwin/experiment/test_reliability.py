@@ -112,10 +112,10 @@ def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
     found = assessments.assess(summary, traits)
     assert (found["volume_mm3"].verdict, found["volume_mm3"].interval) == ("reliable", (850.0, 950.0))
     assert (found["tips"].verdict, found["tips"].reason) == ("not reliable", reason)
-    assert (found["branch_points"].verdict, found["branch_points"].interval) == ("not assessed", None)
+    assert (found["branch_points"].verdict, found["branch_points"].interval) == ("no interval", None)
     text = stored_traits.spreadsheet([("one", summary, traits)]).splitlines()
     row = dict(zip(text[0].split(","), text[1].split(","), strict=True))
-    assert (row["volume_mm3_low"], row["volume_mm3_verdict"], row["depth_mm_verdict"]) == ("850", "reliable", "not assessed")
+    assert (row["volume_mm3_low"], row["volume_mm3_verdict"], row["depth_mm_verdict"]) == ("850", "reliable", "no interval")
     assert [one.assessment("volume").interval for one in read_all([folder])] == [(850.0, 950.0)]
     folder = ball_result("refused", volume_budget=[TERM], volume_trusted=False, volume_verdict="this scan cannot give a volume: too dark")
     (one,) = read_all([folder])

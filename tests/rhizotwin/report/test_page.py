@@ -16,7 +16,7 @@ from rhizotwin.corrections.corrected import write as write_corrected
 from rhizotwin.corrections.session import Session
 from rhizotwin.report import page, words
 from rhizotwin.scenes import frames, trait_table
-from rhizotwin.scenes.assessment import NOT_ASSESSED
+from rhizotwin.scenes.assessment import NO_INTERVAL
 from rhizotwin.scenes.subject import Subject
 from tests.command import Command
 from tests.conftest import Reconstructed
@@ -190,8 +190,8 @@ def test_names_are_written_as_words():
 def test_a_definition_does_not_repeat_the_name():
     hull = next(definition for definition in trait_table.DEFINITIONS if definition.field == "convex_hull_mm3")
     roots = next(definition for definition in trait_table.DEFINITIONS if definition.field == "roots")
-    assert words.trait_text(hull, 8000.0, NOT_ASSESSED)[3] == ""
-    assert words.trait_text(roots, 3, NOT_ASSESSED)[3] == "taproots and laterals of every order"
+    assert words.trait_text(hull, 8000.0, NO_INTERVAL)[3] == ""
+    assert words.trait_text(roots, 3, NO_INTERVAL)[3] == "taproots and laterals of every order"
 
 
 def test_the_methods_of_a_baseline_are_its_own():
