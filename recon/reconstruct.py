@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rhizotwin.recon import carved_hull, passes, shaping
-from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.calibration.cameras import HELD_OUT, Cameras
 from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, remeasure_coverage
@@ -134,7 +134,8 @@ def _measure_scan(dataset: Dataset | Path | str, settings: Settings, stages: Sta
     """Read the pictures, find the cameras, and measure the coverage."""
     read = read_pictures(dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings=settings.pictures, monitor=monitor)
     pictures = verify_curve(read, monitor=monitor)
-    marked = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
+    found = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
+    marked = stages.keep("cameras", found.hold_out(settings.pictures.hold_out))
     cameras, coverage = measure_coverage(pictures, marked, settings=settings.coverage, monitor=monitor)
     return _Scan(
         pictures=replace(pictures, images=(), measured={}),  # they take as much memory as all later stages
@@ -293,7 +294,7 @@ def _checks(scan: _Scan, cameras: Cameras) -> tuple[Check, ...]:
     made = [
         picture_checks.check_scan(dataset.origin, pictures.frames),
         picture_checks.check_resolution(width_px, dataset.scene.camera.image_wh, trust),
-        picture_checks.check_views(azimuth_deg, len(cameras.all), trust),
+        picture_checks.check_views(azimuth_deg, len(cameras.all) - len(cameras.held_out), trust),
     ]
     if not dataset.masks:
         exposures = coverage.select_exposures(order)
@@ -347,7 +348,7 @@ def gather(
         The result, not yet written to a folder.
     """
     dataset, files = pictures.dataset, [camera.file for camera in cameras.all]
-    used = {camera.file for camera in cameras.all if camera.used}  # other cameras may have no readable file
+    used = {camera.file for camera in cameras.all if camera.used or camera.reason == HELD_OUT}  # other cameras may have no readable file
     contents = {frame.file: picture_hash(dataset, frame) for frame in dataset.frames if frame.sha256 or frame.file in used}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(

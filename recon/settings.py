@@ -83,6 +83,9 @@ class PictureSettings:
     tolerant: bool = False
     """Whether pictures that are missing or cannot be read are excluded. By default, such pictures stop the
     reconstruction with an error."""
+    hold_out: int = bounded(0, 0, 1000)
+    """Number n, so that every n-th picture is held out for `rhizotwin verify`; 0 to use all pictures. The markers in
+    these pictures are used for the calibration of the cameras, but their roots are not used."""
     band: str = ""
     """Name of the camera band used for the roots. By default, the band with the largest signal-to-noise ratio is used.
     """
@@ -91,10 +94,13 @@ class PictureSettings:
         """Combine these settings with other settings.
 
         A picture is excluded if either of them excludes it, and unreadable pictures are tolerated if either tolerates
-        them. The band of these settings takes precedence.
+        them. The band of these settings and their ``hold_out`` take precedence.
         """
         return PictureSettings(
-            leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant, band=self.band or other.band
+            leave_out=(*self.leave_out, *other.leave_out),
+            tolerant=self.tolerant or other.tolerant,
+            hold_out=self.hold_out or other.hold_out,
+            band=self.band or other.band,
         )
 
 

@@ -14,7 +14,13 @@ from rhizotwin.recon.optics.cameras import STILL, Sway, View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.read_pictures import LeftOut
 from rhizotwin.scenes import model
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
+
+LEAST_VIEWS = 3
+"""Minimum number of views for a reconstruction. Two silhouettes do not bound a shape."""
+HELD_OUT = "it is held out for rhizotwin verify"
+"""Reason why a view is excluded that was held out (`recon.settings.PictureSettings.hold_out`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,6 +280,35 @@ class Cameras:
         every += tuple(Camera(file=frame.file, ring=frame.ring, used=False, reason=reason) for frame, reason in unread)
         return replace(self, all=every, order=order, warnings=(*self.warnings, *notes))
 
+    def hold_out(self, every: int) -> Cameras:
+        """Exclude every ``every``-th of the used views, and keep their poses. None is excluded if ``every`` is 0.
+
+        Raises
+        ------
+        UserError
+            If too few views remain, or if the cameras were estimated from the roots of all pictures.
+        """
+        if not every:
+            return self
+        if self.bare is not None:
+            raise UserError(
+                "without markers, the cameras are estimated from the roots of all pictures, so that none can be held out; "
+                "remove --hold-out, and compare the result with another scan by 'rhizotwin score --pictures'"
+            )
+        held = frozenset(sorted(self.order)[every - 1 :: every])
+        if len(self.order) - len(held) < LEAST_VIEWS:
+            raise UserError(
+                f"--hold-out {every} leaves {len(self.order) - len(held)} of {len(self.order)} pictures, but at least {LEAST_VIEWS} are "
+                "required; use a larger number"
+            )
+        cameras = tuple(replace(camera, used=False, reason=HELD_OUT) if k in held else camera for k, camera in enumerate(self.all))
+        return replace(self, all=cameras, order=tuple(k for k in self.order if k not in held))
+
+    @property
+    def held_out(self) -> dict[int, Camera]:
+        """Return the cameras of the pictures that were held out, keyed by frame number."""
+        return {k: camera for k, camera in enumerate(self.all) if camera.reason == HELD_OUT}
+
     def with_views(self, views: Sequence[View], optics: Optics) -> Cameras:
         """Return the cameras with other poses of the used views (V,) and with other optics.
 
@@ -282,4 +317,4 @@ class Cameras:
         every = list(self.all)
         for k, view in zip(self.order, views, strict=True):
             every[k] = replace(every[k], cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank, sway=view.sway)
-        return replace(self, lens=views[0].camera, optics=optics, all=tuple(every))
+        return replace(self, lens=views[0].camera if views else self.lens, optics=optics, all=tuple(every))

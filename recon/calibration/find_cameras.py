@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration import bare_canister, markers, poses
-from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, StripCalibration
+from rhizotwin.recon.calibration.cameras import LEAST_VIEWS, Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
 from rhizotwin.recon.optics.refraction import Optics
@@ -20,8 +20,6 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
-LEAST_VIEWS = 3
-"""Minimum number of views for a reconstruction. Two silhouettes do not bound a shape."""
 FOCUS_GIVEN = 1e-4
 """Relative standard deviation of the focal length of a calibrated lens. A calibration reached 0.009 %
 (`docs/calibration.md`)."""

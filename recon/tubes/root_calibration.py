@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras, RootCalibration
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import rig_derivatives, tube_fit
 from rhizotwin.recon.tubes.rig_derivatives import QUANTITIES
@@ -151,9 +152,13 @@ def apply_change(cameras: Cameras, change: Array) -> Cameras:
         return replace(cameras, optics=optics)
     stations = known.stations
     camera, turn = change[6 : 6 + 6 * stations].reshape(-1, 6), change[6 + 6 * stations :]
-    moved = []
-    for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True)):
-        canister = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
+
+    def move(frame: int, view: View, turn_rad: float) -> View:
+        canister = np.array([change[2], change[3], turn_rad, change[4], change[5], 0.0])
         view = rig_derivatives.move_camera(rig_derivatives.move_canister(view, canister), camera[known.station[frame]])
-        moved.append(replace(view, camera=view.camera.focused(1.0 + float(change[1]))))
-    return cameras.with_views(moved, optics)
+        return replace(view, camera=view.camera.focused(1.0 + float(change[1])))
+
+    held_out = cameras.reorder(tuple(cameras.held_out))  # their table angles have no estimate from the roots
+    held_out = held_out.with_views([move(frame, view, 0.0) for frame, view in zip(held_out.order, held_out.views, strict=True)], optics)
+    moved = [move(frame, view, turn[v]) for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True))]
+    return replace(cameras, all=held_out.all).with_views(moved, optics)

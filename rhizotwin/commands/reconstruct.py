@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rhizotwin.steps import command_steps
-from rhizotwin.steps.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, option, with_metavar
+from rhizotwin.steps.arguments import (
+    DatasetFolder,
+    Device,
+    Flag,
+    MassG,
+    OutputResult,
+    Progress,
+    VoxelMm,
+    list_of,
+    option,
+    read_integer,
+    with_metavar,
+)
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings
@@ -40,12 +52,15 @@ class PictureChoice:
     tolerant: Flag = False
     """Exclude pictures that are missing or unreadable, instead of stopping with an error."""
 
+    hold_out: Annotated[int | None, option(lambda text: read_integer(text, 2, 1000, "give 2 to 1000"), "N")] = None
+    """Hold out every N-th picture, with which 'rhizotwin verify' compares the result."""
+
     @property
     def settings(self) -> "PictureSettings":
         """Settings of the reconstruction that select the pictures."""
         from rhizotwin.recon.settings import PictureSettings
 
-        return PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant)
+        return PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant, hold_out=self.hold_out or 0)
 
 
 def reconstruct(
@@ -92,6 +107,7 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
     rhizotwin reconstruct my_dataset -o my_hull --method hull
     rhizotwin reconstruct my_dataset -o my_result --leave-out view_007.png,view_012.png
+    rhizotwin reconstruct my_dataset -o my_result --hold-out 5
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     command_steps.start_engine(device, quiet=progress.quiet)

@@ -128,6 +128,7 @@ def _carve_strictly(
     """
     pictures = read_pictures(dataset, settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
+    cameras = cameras.hold_out(settings.pictures.hold_out)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=outline)
     cameras = cameras.leave_out({}, unread=pictures.left_out)
     everyone = len(cameras.order)  # a view that does not show a cell removes it
@@ -152,7 +153,7 @@ def _hull(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
     spurious volume that no silhouette excludes.
     """
     pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=watch), monitor=watch)
-    cameras = find_cameras(pictures, settings=settings.calibration, monitor=watch)
+    cameras = find_cameras(pictures, settings=settings.calibration, monitor=watch).hold_out(settings.pictures.hold_out)
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=watch)
     cameras = cameras.leave_out({}, unread=pictures.left_out)
     carved = carved_hull.find_hull(pictures.dataset, cameras, coverage, settings, monitor=watch)
