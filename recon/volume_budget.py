@@ -93,7 +93,7 @@ def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings, *,
         *(() if scattered is None else (scattered_light.scattered_term(scattered, max(volume_mm3 - shape.thick.volume_mm3(), 0.0)),)),
     )
     budget = Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, trust=settings.trust)
-    hidden = _hidden_top(carved, shape.roots)
+    hidden = _hidden_top(carved, shape.roots, shape.leaves)
     if hidden is not None:
         budget = _add_hidden_top(budget, hidden, extrapolate=settings.hull.extrapolate_taproot)
     budget = replace(budget, calibration=_calibration(carved, shape, budget, missed))
@@ -144,8 +144,8 @@ def _merged_term(carved: CarvedHull, roots: Sequence[Root], volume_mm3: float) -
     return Term(name="merged roots", less_mm3=less * volume_mm3, more_mm3=more * volume_mm3, why=why)
 
 
-def _hidden_top(carved: CarvedHull, roots: Sequence[Root]) -> HiddenTop | None:
-    """Estimate the parts of main roots that the net pot hides.
+def _hidden_top(carved: CarvedHull, roots: Sequence[Root], leaves: Leaves) -> HiddenTop | None:
+    """Estimate the parts of main roots that the net pot hides, above the top of their shape in the leaves.
 
     Main roots are roots without a parent. The result is None if there are no main roots, or if no part of them is
     hidden.
@@ -153,17 +153,27 @@ def _hidden_top(carved: CarvedHull, roots: Sequence[Root]) -> HiddenTop | None:
     main = [root for root in roots if root.parent < 0]
     if not main:
         return None
-    # the rounded ends of the tubes, whose centre lines begin a radius below
-    tops_mm = np.array([root.points_mm[0] + [0.0, 0.0, 0.5 * root.diameters_mm[0]] for root in main])
+    tops_mm = _tops_mm(main, leaves)
     return hidden_top.estimate_hidden(main, occlusion.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
+
+
+def _tops_mm(roots: Sequence[Root], leaves: Leaves) -> NDArray[np.float64]:
+    """Return the points (R, 3) at which the shapes of roots end above: level, or rounded by the radius."""
+    tops_mm, radii_mm = np.array([root.points_mm[0] for root in roots]), np.array([0.5 * root.diameters_mm[0] for root in roots])
+    middles_mm, half_mm = leaves.middles_mm, 0.5 * leaves.size * leaves.grid.size_mm
+    high = (leaves.occupancy > 0.5) & (middles_mm[:, 2] > (tops_mm[:, 2] - radii_mm).min())
+    middles_mm, upper_mm = middles_mm[high], (middles_mm[:, 2] + half_mm)[high]
+    for top_mm, radius_mm in zip(tops_mm, radii_mm, strict=True):
+        beside, above = np.hypot(*(middles_mm - top_mm)[:, :2].T), np.abs(upper_mm - top_mm[2])
+        top_mm[2] = upper_mm[(beside <= radius_mm) & (above <= 2.0 * radius_mm)].max(initial=top_mm[2] - radius_mm)
+    return tops_mm
 
 
 def _add_hidden_top(budget: Budget, hidden: HiddenTop, *, extrapolate: bool) -> Budget:
     """Return a budget with the hidden tops of taproots: in the volume if extrapolated, else in the occluded parts."""
     if extrapolate:
         return replace(budget, volume_mm3=budget.volume_mm3 + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
-    most_mm3 = occlusion.ANYWHERE * hidden.interval_mm3[1]
-    terms = [replace(t, more_mm3=max(t.more_mm3, most_mm3)) if t.name == "occluded" else t for t in budget.terms]
+    terms = [replace(t, more_mm3=max(t.more_mm3, hidden.interval_mm3[1])) if t.name == "occluded" else t for t in budget.terms]
     return replace(budget, terms=tuple(terms))
 
 

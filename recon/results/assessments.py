@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from rhizotwin.recon.results import reasons
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME
@@ -14,16 +16,27 @@ from rhizotwin.scenes.traits import Traits
 Pair = tuple[float, float]
 
 
+_DERIVED = {
+    "specific_root_length_m_per_g": {"total_length_mm": 1},
+    "tissue_density_g_per_ml": {"volume_mm3": -1},
+    "surface_mm2": {"total_length_mm": 1, "mean_diameter_mm": 1},
+    "median_diameter_mm": {"mean_diameter_mm": 1},
+    "roots": {"tips": 1},
+    "branch_points": {"tips": 1},
+}
+"""Traits that are proportional to powers of others: each root has a tip, and each lateral a point of emergence."""
+_DEPTH = 0.01
+"""Relative 90 % half-width of the depth, apart from what the net pot hides."""
 _PART_IS_WIDE = "the 90 % interval is too wide for a plant of this size, since it includes the uncertainty of all plants in the canister"
 
 
 def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = None) -> dict[str, Assessment]:
     """Return the assessment of each trait, keyed by its field in `Traits`.
 
-    Volume, length, tips and mean diameter have their own intervals. The intervals of specific root length and tissue
-    density are derived from those of length and volume. All other traits have no interval. They are not reliable if the
-    volume is not reliable. If a length, number of tips or mean diameter of the whole scan is not reliable, that of each
-    of its plants is not reliable either.
+    Volume, length, tips and mean diameter have their own intervals, from which those of the depth and of the traits in
+    `_DERIVED` are derived. All other traits have no interval. They are not reliable if the volume is not reliable. If a
+    length, number of tips or mean diameter of the whole scan is not reliable, that of each of its plants is not
+    reliable either.
 
     Parameters
     ----------
@@ -52,11 +65,21 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
             found[one["name"]] = judged
         elif not one["trusted"]:
             found[one["name"]] = replace(judged, interval=None)
-    found["specific_root_length_m_per_g"] = _derive(
-        found["total_length_mm"], traits.total_length_mm, traits.specific_root_length_m_per_g, 1
-    )
-    found["tissue_density_g_per_ml"] = _derive(found["volume_mm3"], traits.volume_mm3, traits.tissue_density_g_per_ml, -1)
+    powers = {base: (found[base], getattr(traits, base)) for base in ("volume_mm3", "total_length_mm", "tips", "mean_diameter_mm")}
+    for name, factors in _DERIVED.items():
+        found[name] = _derive(getattr(traits, name), *((*powers[base], power) for base, power in factors.items()))
+    found["depth_mm"] = _depth(found["total_length_mm"], traits.depth_mm, summary.get("hidden_height_mm"))
     return found
+
+
+def _depth(length: Assessment, depth_mm: float, hidden_mm: float | None) -> Assessment:
+    """Return the assessment of the depth, which is larger by at most the height of what the net pot hides.
+
+    It is as reliable as the total length: among roots that are missing may be the deepest one.
+    """
+    if length.interval is None or hidden_mm is None:
+        return replace(length, interval=None) if length.verdict == "not reliable" else NO_INTERVAL
+    return replace(length, interval=((1.0 - _DEPTH) * depth_mm, (1.0 + _DEPTH) * depth_mm + hidden_mm))
 
 
 def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -> Assessment:
@@ -68,9 +91,22 @@ def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -
     )
 
 
-def _derive(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
-    """Return the assessment of a trait that is proportional to a power of another trait."""
-    if value is None or derived is None or base.interval is None or not base.interval[0] > 0.0:
-        return replace(base, interval=None) if base.verdict == "not reliable" else NO_INTERVAL
-    low, high = sorted(derived * (end / value) ** power for end in base.interval)
-    return replace(base, interval=(low, high))
+def _derive(derived: float | None, *factors: tuple[Assessment, float | None, int]) -> Assessment:
+    """Return the assessment of a trait that is proportional to powers of other traits.
+
+    Parameters
+    ----------
+    derived : float or None
+        Value of the trait.
+    *factors : tuple
+        Assessment, value and power of each of the other traits. Their relative uncertainties add up in quadrature.
+    """
+    refused = [base for base, _, _ in factors if base.verdict == "not reliable"]
+    verdict = refused[0] if refused else Assessment(verdict="reliable")
+    reach = np.zeros(2)
+    for base, value, power in factors:
+        if not value or derived is None or base.interval is None or not base.interval[0] > 0.0:
+            return replace(verdict, interval=None) if refused else NO_INTERVAL
+        reach = np.hypot(reach, np.sort(power * np.log(np.divide(base.interval, value))))
+    low, high = (derived * np.exp([-1.0, 1.0] * reach)).tolist()
+    return replace(verdict, interval=(low, high))

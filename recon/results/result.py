@@ -80,6 +80,8 @@ class Solid:
     """Volume of the water that too few views show, mm3."""
     hidden_mm: float = 0.0
     """Maximum length of the roots that the net pot hides, mm (`uncertainty.hidden_top`)."""
+    hidden_height_mm: float = 0.0
+    """Maximum height of the roots that the net pot hides, mm."""
     extents_min_mm: Triple
     extents_max_mm: Triple
     mu_per_mm: float | None = None
@@ -256,6 +258,7 @@ class Result:
             "hull_mm3": solid.hull_mm3,
             "untrimmed_mm3": solid.untrimmed_mm3,
             "blind_mm3": solid.blind_mm3,
+            "hidden_height_mm": solid.hidden_height_mm,
             "root_mu_per_mm": solid.mu_per_mm,
             "root_mu_sigma_per_mm": solid.mu_sigma_per_mm,
             "length_mm": solid.length_mm,

@@ -4,7 +4,7 @@ Every term is a 90 % half-width below and above the stated volume, measured on t
 causes and add up in quadrature, separately for each side; a calibration scales the result. A one-sided term (an
 undetected root only makes the volume larger) has an expected value of half its width: that half is added linearly, and
 only the other half is random (GUM, JCGM 100:2008, F.2.4.5, of a bias that is not corrected). A single term therefore
-contributes its full width.
+contributes its full width. Hidden parts of roots are expected in full.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ NINETY = 1.645
 
 PROPORTIONAL = ("scale", "water", "canister")
 """Terms that change all parts of a volume by the same factor."""
+_EXPECTED = "occluded"
+"""One-sided term whose full width is expected: roots do not end behind the net pot, but continue up to its grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +84,8 @@ class Budget:
     @property
     def interval_mm3(self) -> tuple[float, float]:
         """Return the 90 % interval."""
-        less = _reach([(term.less_mm3, term.more_mm3) for term in self.terms])
-        more = _reach([(term.more_mm3, term.less_mm3) for term in self.terms])
+        less = _reach([(term.name, term.less_mm3, term.more_mm3) for term in self.terms])
+        more = _reach([(term.name, term.more_mm3, term.less_mm3) for term in self.terms])
         factor = self.calibration.factor("volume_mm3")
         return max(0.0, self.volume_mm3 - factor * less), self.volume_mm3 + factor * more
 
@@ -151,7 +153,7 @@ def part_interval(
     return Budget(volume_mm3=part_mm3, terms=tuple(own), views=0, calibration=calibration).interval_mm3
 
 
-def _reach(terms: Sequence[tuple[float, float]]) -> float:
-    """Return the combined half-width on one side, from half-widths on this side and on the other."""
-    expected = [0.5 * max(this - other, 0.0) for this, other in terms]
-    return math.fsum(expected) + math.hypot(*(this - half for (this, _), half in zip(terms, expected, strict=True)))
+def _reach(terms: Sequence[tuple[str, float, float]]) -> float:
+    """Return the combined half-width on one side, from names and half-widths on this side and on the other."""
+    expected = [(1.0 if name == _EXPECTED else 0.5) * max(this - other, 0.0) for name, this, other in terms]
+    return math.fsum(expected) + math.hypot(*(this - bias for (_, this, _), bias in zip(terms, expected, strict=True)))

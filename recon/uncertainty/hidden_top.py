@@ -36,6 +36,8 @@ class HiddenTop:
 
     length_mm: float
     """Maximum total length of the hidden parts, mm."""
+    height_mm: float
+    """Maximum height of the hidden parts, mm."""
     share: float
     """Fraction of the taproots' total length that is hidden. The total includes the hidden parts."""
     volume_mm3: float
@@ -84,16 +86,18 @@ def estimate_hidden(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> H
     parts = [part for root, gap in zip(roots, gap_mm, strict=True) if (part := _extrapolate(root, float(gap))) is not None]
     if not parts:
         return None
-    length, volume, sigma = (np.array(column) for column in zip(*parts, strict=True))
+    length, height, volume, sigma = (np.array(column) for column in zip(*parts, strict=True))
     seen_mm = sum(polyline.length_mm(root.points_mm) for root in roots)
     reach = NINETY * float(np.hypot.reduce(sigma))
     total, hidden = float(volume.sum()), float(length.sum())
     interval = (max(0.0, total - reach), total + reach)
-    return HiddenTop(length_mm=hidden, share=hidden / (hidden + seen_mm), volume_mm3=total, interval_mm3=interval)
+    return HiddenTop(
+        length_mm=hidden, height_mm=float(height.max()), share=hidden / (hidden + seen_mm), volume_mm3=total, interval_mm3=interval
+    )
 
 
-def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
-    """Return the length, the volume, and the standard deviation of the volume of a root's hidden top.
+def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float, float] | None:
+    """Return the length, the height, the volume, and the standard deviation of the volume of a root's hidden top.
 
     The result is None if no part of the root is hidden, or if it is not steep enough to be extrapolated.
     """
@@ -112,4 +116,4 @@ def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float] | None
     change = section[apart:] - section[:-apart]
     sigma = float(np.sqrt(np.mean(np.square(change)))) if len(change) else float(section.mean())
     begin = float(section[: apart + 1].mean())
-    return length_mm, begin * length_mm, sigma * length_mm
+    return length_mm, gap_mm, begin * length_mm, sigma * length_mm

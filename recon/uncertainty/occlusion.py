@@ -32,7 +32,7 @@ _COLUMN_MM = 0.4
 _EDGE_MM = 0.5
 """Distance beyond the end of a shape at which too few views must see for the end to be considered hidden, mm. It is not
 zero, since outlines are at half coverage."""
-ANYWHERE = 0.9
+_ANYWHERE = 0.9
 """Fraction of the hidden length that contains the end of a root with a probability of 90 %. The position of the end is
 assumed to be uniformly distributed over the hidden length."""
 _UP = 2
@@ -81,7 +81,7 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, solids: L
     return Term(
         name="occluded",
         less_mm3=0.0,
-        more_mm3=ANYWHERE * sum(hidden[axis]),
+        more_mm3=_ANYWHERE * sum(hidden[axis]),
         why=f"the shape may continue where too few views look, {where}",
     )
 

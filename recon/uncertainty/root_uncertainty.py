@@ -21,7 +21,6 @@ from rhizotwin.recon.uncertainty import bundles, checks, root_residual
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.recon.uncertainty.checks import Estimate
-from rhizotwin.recon.uncertainty.occlusion import ANYWHERE
 from rhizotwin.recon.uncertainty.root_residual import Residual
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
@@ -154,7 +153,7 @@ def _changes(
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     along, darker = {**lacking, **bundled}, known.scattered
-    above = {f"the net pot may hide up to {known.hidden_mm:.0f} mm": ANYWHERE * known.hidden_mm / max(length_mm, 1e-9)}
+    above = {f"the net pot may hide up to {known.hidden_mm:.0f} mm": known.hidden_mm / max(length_mm, 1e-9)}
     missing, missing_length, width = sum(lacking.values()), sum(along.values()), [view.width for view in residuals]
     wider = _mean_of(width)
     less_wide, more_wide = max(0.0, -wider) + missing_length + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)

@@ -87,6 +87,7 @@ def _solid(folder: Path, summary: Json) -> Solid:
         hull_mm3=float(summary["hull_mm3"]),
         untrimmed_mm3=float(summary["untrimmed_mm3"]),
         blind_mm3=float(summary["blind_mm3"]),
+        hidden_height_mm=float(summary.get("hidden_height_mm", 0.0)),
         extents_min_mm=tuple(summary["extents_min_mm"]),
         extents_max_mm=tuple(summary["extents_max_mm"]),
         mu_per_mm=summary.get("root_mu_per_mm"),

@@ -174,6 +174,7 @@ _REQUIRED: dict[str, Fits] = {
 }
 """Validators for the values of the required keys."""
 _OPTIONAL: dict[str, Fits] = {
+    "hidden_height_mm": lambda value: _number(value) and value >= 0.0,
     "rig": _or_none(lambda value: _RIG(value) and _is_complete(value)),
     "plants": _or_none(_list(_with({}))),
     "settings": _with({}, {"finest_mm": _positive}),

@@ -114,7 +114,7 @@ def test_crowded_roots_below_half_a_pixel_may_have_more_volume(taken, diameter_m
 
 def test_flat_roots_and_the_net_pot_may_hide_length(taken) -> None:
     bank, pictures = taken
-    hidden = Known(hidden_mm=8.0 * 0.02 / 0.9 * length_mm(TRUE))  # the end is anywhere in the hidden length
+    hidden = Known(hidden_mm=8.0 * 0.02 * length_mm(TRUE))
     found = [
         {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), known=known)}
         for known in (Known(), Known(flat=0.02), Known(flat=0.04), hidden)

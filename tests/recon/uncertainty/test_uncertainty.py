@@ -35,6 +35,8 @@ def test_terms_add_in_quadrature() -> None:
     assert budget_of(term(3.0, 3.0), term(4.0, 4.0)).interval_mm3 == pytest.approx((95.0, 105.0))
     assert budget_of(term(3.0, 6.0), term(4.0, 8.0)).interval_mm3 == pytest.approx((95.0, 111.0)), "what is expected as it is"
     assert budget_of(term(0.0, 6.0)).interval_mm3 == pytest.approx((100.0, 106.0))
+    behind = Term(name="occluded", less_mm3=0.0, more_mm3=6.0, why="roots continue behind the net pot")
+    assert budget_of(behind, term(4.0, 4.0)).interval_mm3 == pytest.approx((96.0, 110.0)), "expected in full"
     assert budget_of(term(200.0, 1.0)).interval_mm3 == pytest.approx((0.0, 101.0)), "never below nothing"
 
 

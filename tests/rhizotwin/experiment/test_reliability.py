@@ -2,8 +2,10 @@
 
 import csv
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.experiment import biomass, growth, model_file
@@ -104,6 +106,29 @@ def test_a_wrong_table_is_refused(text: str, named: str, tmp_path: Path) -> None
         growth.measure(read_all([written(tmp_path, text)]))
 
 
+def test_intervals_follow_from_those_of_other_traits(ball_result: Callable[..., Path]) -> None:
+    values = {"total_length_mm": (400.0, 360.0, 440.0), "tips": (10.0, 8.0, 12.0), "mean_diameter_mm": (0.5, 0.4, 0.6)}
+    estimates = [
+        {"name": name, "value": v, "interval": [low, high], "trusted": True, "verdict": ""} for name, (v, low, high) in values.items()
+    ]
+    folder = ball_result("one", volume_budget=[TERM], estimates=estimates, hidden_height_mm=3.0)
+    measured = {name: v for name, (v, _, _) in values.items()} | {
+        "tips": 10,
+        "roots": 11,
+        "branch_points": 8,
+        "surface_mm2": 600.0,
+        "depth_mm": 50.0,
+    }
+    found = assessments.assess(result_files.read_summary(folder), replace(stored_traits.read(folder), **measured))
+    assert found["roots"].interval == pytest.approx((8.8, 13.2))
+    assert found["branch_points"].interval == pytest.approx((6.4, 9.6))
+    reach = (np.hypot(np.log(0.9), np.log(0.8)), np.hypot(np.log(1.1), np.log(1.2)))  # of length and mean diameter
+    assert found["surface_mm2"].interval == pytest.approx((600.0 * np.exp(-reach[0]), 600.0 * np.exp(reach[1])))
+    low, high = found["depth_mm"].interval
+    assert (50.0 - low, high - 50.0) == pytest.approx((0.5, 3.5)), "the net pot may hide 3 mm"
+    assert {found[name].verdict for name in ("depth_mm", "surface_mm2", "roots")} == {"reliable"}
+
+
 def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
     reason = "the number of tips is not to be trusted: few"
     tips = {"name": "tips", "value": 9.0, "interval": [8.0, 12.0], "trusted": False, "verdict": reason}
@@ -112,7 +137,8 @@ def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
     found = assessments.assess(summary, traits)
     assert (found["volume_mm3"].verdict, found["volume_mm3"].interval) == ("reliable", (850.0, 950.0))
     assert (found["tips"].verdict, found["tips"].reason) == ("not reliable", reason)
-    assert (found["branch_points"].verdict, found["branch_points"].interval) == ("no interval", None)
+    assert (found["width_mm"].verdict, found["width_mm"].interval) == ("no interval", None)
+    assert (found["branch_points"].verdict, found["branch_points"].reason) == ("not reliable", reason), "one for each lateral"
     text = stored_traits.spreadsheet([("one", summary, traits)]).splitlines()
     row = dict(zip(text[0].split(","), text[1].split(","), strict=True))
     assert (row["volume_mm3_low"], row["volume_mm3_verdict"], row["depth_mm_verdict"]) == ("850", "reliable", "no interval")
