@@ -131,9 +131,9 @@ _FIGURES = "report/figures.py", "report/sides.py", "drawing/*.py"
 PICTURES = {
     "inputs.png": Picture(figure, _FIGURES),
     "shape_and_truth.png": Picture(figure, _FIGURES),
-    "report.jpg": Picture(report, ("report/*", "drawing/*.py", "scenes/page.css")),
-    "console.jpg": Picture(console, ("console/page/*",)),
-    "viewer.jpg": Picture(viewer, ("viewer/*.py", "drawing/*.py")),
+    "report.jpg": Picture(report, ("report/*", "drawing/*.py", "scenes/*.css")),
+    "console.jpg": Picture(console, ("console/page/*", "scenes/palette.css")),
+    "viewer.jpg": Picture(viewer, ("viewer/*.py", "viewer/page/*", "drawing/*.py", "scenes/palette.css")),
 }
 
 

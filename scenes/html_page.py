@@ -21,6 +21,11 @@ def escape(text: str) -> str:
     return text if isinstance(text, Markup) else html.escape(text)
 
 
+def palette() -> str:
+    """Return the style sheet with the colours of all pages."""
+    return files("rhizotwin.scenes").joinpath("palette.css").read_text(encoding="utf-8")
+
+
 def document(title: str, *parts: str, script: str = "") -> str:
     """Return a complete HTML page that loads nothing.
 
@@ -35,7 +40,7 @@ def document(title: str, *parts: str, script: str = "") -> str:
     script : str
         JavaScript that runs after the page is loaded.
     """
-    style = files("rhizotwin.scenes").joinpath("page.css").read_text(encoding="utf-8")
+    style = palette() + files("rhizotwin.scenes").joinpath("page.css").read_text(encoding="utf-8")
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'" + ("; script-src 'unsafe-inline'" if script else "")
     code = f"<script>{script}</script>" if script else ""
     content = "".join(parts)

@@ -21,6 +21,7 @@ from rhizotwin.console.console import Console
 from rhizotwin.console.downloads import zip_folder
 from rhizotwin.console.messages import for_console
 from rhizotwin.console.pictures import PICTURE_PX, jpeg
+from rhizotwin.scenes import html_page
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import error_sentence, printable
 
@@ -94,7 +95,7 @@ def _add_pages(app: FastAPI, access: Access) -> None:
 
     @app.get("/console.css", include_in_schema=False)
     def style() -> Response:
-        return Response(_text("console.css"), media_type="text/css")
+        return Response(html_page.palette() + _text("console.css"), media_type="text/css")
 
     @app.get("/console.js", include_in_schema=False)
     def script() -> Response:

@@ -27,6 +27,8 @@ SURFACE: Rgb = ORDERS[0]
 """Colour of a surface without centre lines."""
 VISIBLE, HIDDEN = (44, 120, 160), (230, 120, 30)
 """Colour of roots whose tip is visible, and colour of roots whose tip is hidden by other roots."""
+SELECTED: Rgb = (255, 210, 0)
+"""Colour of selected roots and voxels in 3D and in pictures."""
 UNKNOWN: Rgb = (150, 150, 150)
 CHOICES = ("order", "diameter", "depth", "uncertainty", "tip visibility")
 PER_ROOT = ("uncertainty", "tip visibility")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
+from rhizotwin.drawing import root_colours
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset, read_image
@@ -33,8 +34,8 @@ THIN_MM = 0.9
 few voxels thick."""
 OUTLINE: Rgb = (255, 120, 0)
 """Colour of the outline of the reconstruction."""
-SELECTED: Rgb = (0, 150, 255)
-"""Colour of the outline of selected roots."""
+_CASING: Rgb = (40, 40, 40)
+"""Colour of the edges of the outline of selected roots, which is as light as the water."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,9 @@ class Pictures(Cameras):
         if surface is not None:
             parts.append(scale * (self.pixels(place, surface.vertices_mm)[surface.faces] + 0.5) - 0.5)
         _draw_contours(image, fill(parts, image.shape[:2]), OUTLINE, thickness)
-        own = self._tubes(place, {k: line for k, line in lines.items() if k in selected}, scale, thickest_mm=np.inf)
-        _draw_contours(image, fill(own, image.shape[:2]), SELECTED, thickness)
+        own = fill(self._tubes(place, {k: line for k, line in lines.items() if k in selected}, scale, thickest_mm=np.inf), image.shape[:2])
+        for colour, wide in ((_CASING, thickness + 2), (root_colours.SELECTED, thickness)):
+            _draw_contours(image, own, colour, wide)
         return image
 
     def _tubes(self, place: int, lines: Mapping[int, Line], scale: int, *, thickest_mm: float) -> list[Array]:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -15,7 +16,7 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Lines, as_lines
-from rhizotwin.drawing import root_colours, shading
+from rhizotwin.drawing import root_colours, root_mesh, shading, surface_mesh
 from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
 from rhizotwin.report.sides import SHAPE_RGB, SHRINK, Box, boxes, raster
@@ -37,6 +38,10 @@ _VIEWS_SHOWN = 4
 PAGE_IN, TEXT_PT = 7.0, 8.0
 """Width of a figure, inches, and size of its text, points. Journals print figures over two columns with a width of 7
 inches, and ask for text of 5 to 8 pt."""
+LEAST_WIDTH_PT = 0.7
+"""Minimum width of a root in the figure of the roots, points. Thinner roots are hardly visible."""
+KEY_IN = 0.65
+"""Height of the space below the axes for legend and colour scale, inches: three lines of text."""
 _SIDES = (shading.FRONT, shading.SIDE)
 _DISTANCE_PX = 2 * SHRINK
 """Edge of the square blocks of rendered pixels for which a single distance is computed, px."""
@@ -100,37 +105,71 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
     Figure
         Two drawings at the same scale, with a colour key.
     """
-    lines = as_lines(roots)
-    colour, key = root_colours.colour_roots(by, lines)
-    drawn = figure(PAGE_IN, 3.8)
-    both = drawn.subplots(1, 2, sharey=True)
-    for axes, side, box in zip(both, _SIDES, boxes(shape.vertices_mm, _SIDES), strict=True):
-        seen, px_mm = raster(shape, side, box)
-        shades = _colours_of_pixels(seen, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
-        picture = shading.shade(seen, shades, px_mm=px_mm, shrink=SHRINK)
-        _show_rendering(axes, side, box, picture)
-    both[1].set_ylabel("")
-    if lines and key.swatches:
-        handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
-        drawn.legend(handles=handles, loc="outside right center", frameon=False)
-    elif lines and key.ends is not None:
-        bar = drawn.colorbar(ScalarMappable(norm=Normalize(0.0, 1.0), cmap="viridis"), ax=list(both), shrink=0.7)
-        bar.set_ticks([0.0, 1.0], labels=list(key.ends))
+    drawn = figure(PAGE_IN, 4.2)
+    _draw_shape(drawn, [drawn.subplots(1, 2, sharey=True)], shape, boxes(shape.vertices_mm, _SIDES), roots, (by,))
     return for_print(drawn)
 
 
-def _colours_of_pixels(
-    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: root_colours.Colouring
-) -> Floats:
-    """Return the colours (H, W, 3), 0 to 1, of a rendered shape.
+def roots_close_up(roots: Sequence[Root]) -> Figure:
+    """Draw at least one root as tubes from the front and from the side, by order and by diameter."""
+    around = boxes(np.concatenate([root.points_mm for root in roots]), _SIDES)
+    panel_in = PAGE_IN / 4.0
+    wide, tall = around[0][1] - around[0][0], around[0][3] - around[0][2]
+    least_mm = LEAST_WIDTH_PT / 72.0 * wide / panel_in
+    mesh = root_mesh.unite_tubes([replace(root, diameters_mm=np.maximum(root.diameters_mm, least_mm)) for root in roots])
+    drawn = figure(PAGE_IN, 0.75 + KEY_IN + (panel_in - 0.2) * tall / wide)
+    panels = drawn.subplots(1, 4, sharey=True)
+    _draw_shape(drawn, [panels[:2], panels[2:]], mesh, around, roots, ("order", "diameter"))
+    return for_print(drawn)
 
-    Each pixel has the colour of the nearest point of a centre line. Empty pixels are black.
-    """
+
+def _draw_shape(
+    drawn: Figure, pairs: Sequence[NDArray[np.object_]], shape: Mesh, around: Sequence[Box], roots: Sequence[Root], choices: Sequence[str]
+) -> None:
+    """Draw a shape from the front and from the side on each pair of axes, coloured by a property of the roots."""
+    lines = as_lines(roots)
+    for place, (side, box) in enumerate(zip(_SIDES, around, strict=True)):
+        seen, px_mm = raster(shape, side, box)
+        nearest = _nearest_points(seen, side, box, px_mm, lines) if lines else None
+        for by, pair in zip(choices, pairs, strict=True):
+            shades = np.array(SHAPE_RGB)
+            if nearest is not None:
+                colour, _ = root_colours.colour_roots(by, lines)
+                shades = np.concatenate([colour(number, line) for number, line in lines.items()])[nearest] / 255.0
+            _show_rendering(pair[place], side, box, shading.shade(seen, shades, px_mm=px_mm, shrink=SHRINK, flat=by != "order"))
+    for axes in [axes for pair in pairs for axes in pair][1:]:
+        axes.set_ylabel("")
+    below = KEY_IN / drawn.get_figheight() if lines else 0.0
+    drawn.set_layout_engine("constrained", rect=(0.0, below, 1.0, 1.0 - below))
+    for place, by in enumerate(choices if lines else ()):
+        _add_key(drawn, (place + 0.5) / len(choices), by, root_colours.colour_roots(by, lines)[1])
+
+
+def _add_key(drawn: Figure, middle: float, by: str, key: root_colours.Key) -> None:
+    """Add a legend or a colour scale in the space for keys, around a position from 0 (left) to 1 (right)."""
+    high = drawn.get_figheight()
+    if key.ends is None:
+        handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
+        place = {"loc": "upper center", "bbox_to_anchor": (middle, KEY_IN / high), "borderaxespad": 0.0}
+        drawn.legend(handles=handles, frameon=False, handlelength=1.0, ncols=2, **place)
+        return
+    wide, tall = 1.8 / PAGE_IN, 0.1 / high
+    scale = drawn.add_axes((middle - wide / 2.0, KEY_IN / high - 2.0 * tall, wide, tall))
+    bar = drawn.colorbar(ScalarMappable(norm=Normalize(0.0, 1.0), cmap="viridis"), cax=scale, orientation="horizontal")
+    bar.outline.set_visible(False)
+    bar.set_ticks([0.0, 1.0], labels=list(key.ends))
+    bar.set_label(by)
+
+
+def _nearest_points(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines) -> NDArray[np.int64]:
+    """Return the index (H, W) of the nearest point of a centre line in each pixel of a rendered shape."""
     row, column = np.nonzero(found.hit)
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
-    picture = np.zeros((*found.hit.shape, 3))
-    picture[row, column] = root_colours.colour_surface(flat @ side.axes, lines, colour) / 255.0
-    return picture
+    centres = np.concatenate([line.points_mm for line in lines.values()])
+    radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
+    nearest = np.zeros(found.hit.shape, np.int64)
+    nearest[row, column] = surface_mesh.nearest_root(flat @ side.axes, centres, radii)
+    return nearest
 
 
 def shape_and_truth(shape: Mesh, truth: Mesh, *, title: str) -> Figure:
@@ -215,3 +254,5 @@ def _show_rendering(axes: Axes, side: shading.Side, box: Box, picture: NDArray[n
     axes.set_title(side.name)
     axes.set_xlabel(side.right_label)
     axes.set_ylabel("z (mm)")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.locator_params(nbins=4)

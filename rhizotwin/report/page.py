@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import base64
 import gzip
+import os
 import re
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -19,19 +22,22 @@ from rhizotwin.corrections.lines import as_lines
 from rhizotwin.drawing import root_colours
 from rhizotwin.drawing.through_water import THIN_MM, Pictures
 from rhizotwin.recon.results import result_traits
-from rhizotwin.report import charts, rig_figure, shape_data, tables, words
-from rhizotwin.report.report_data import TRIANGLES_OF_MANY, ReportData
+from rhizotwin.report import charts, rig_figure, shape_data, sides, tables, words
+from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes import atomic, html_page, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment, reasons
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.html_page import Markup, escape, figure, items, table
+from rhizotwin.scenes.monitor import threads
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM
 from rhizotwin.stored import result_names
 
 AZIMUTHS_DEG = {"front": 0.0, "side": -90.0}
 """Azimuths of the pictures in a report, deg: those of the renderings, see `shading.FRONT` and `shading.SIDE`."""
+MOST_AT_ONCE = 4
+"""Maximum number of shapes that are drawn at the same time. A plant of day 30 needs 0.3 GB of memory."""
 WIDEST_PX = 900
 """Maximum width of a picture in a report, pixels."""
 MARGIN, SMALLEST_PART, LEAST_WIDE_PX = 1.3, 0.2, 480
@@ -72,28 +78,32 @@ def write(result: Path | ReportData, *, dataset: Dataset | Path | None = None, o
     report = result if isinstance(result, ReportData) else ReportData.read(Path(result), dataset)
     path = report.folder / "report.html" if output is None else output
     name = words.heading(report.subject, report.name)[0]
-    text = html_page.document(f"Roots of {name}", _full_report(report), script=_script())
+    script = files("rhizotwin.report").joinpath("page.js").read_text(encoding="utf-8")
+    text = html_page.document(f"Roots of {name}", _full_report(report), script=script)
     atomic.write_bytes(path, text.encode("utf-8", "backslashreplace"), follow=output is not None)
     return path
 
 
 def write_many(result_folders: Sequence[Path], output: Path) -> Path:
-    """Write a single report of many results, beginning with a table of their volumes, and return its path."""
-    reports = [ReportData.read(Path(folder), triangles=TRIANGLES_OF_MANY) for folder in result_folders]
+    """Write a single report of many results, beginning with a table of their volumes, and return its path.
+
+    It shows pictures of the shapes, and leads to the reports in the folders of the results.
+    """
+    reports = [ReportData.read(Path(folder)) for folder in result_folders]
     usable = sum(bool(one.summary["volume_trusted"]) for one in reports)
     known = [name for name in subject.NAMES if any(name in one.subject.known for one in reports)]
     names = result_names.names_of([one.folder for one in reports])
     rows = [_row(place, name, one, known) for place, (name, one) in enumerate(zip(names, reports, strict=True))]
     heading = f"{usable} of {len(reports)} volumes usable"
     head = ["verdict", "volume (90 % interval)", "result", *("scene", *known, "root length (mm)", "edits")]
+    if not any(row[-1] for row in rows):
+        head, rows = head[:-1], [row[:-1] for row in rows]
     overview = f"<h1>{heading}</h1>{table(rows, head=head, numbers=(1,), kind='overview')}"
-    parts = [f'<div id="result-{place}">{_short_report(one)}</div>' for place, one in enumerate(reports)]
-    atomic.write_text(output, html_page.document(heading, overview, *parts, script=_script()))
+    with ThreadPoolExecutor(min(threads(), MOST_AT_ONCE)) as pool:
+        parts = list(pool.map(lambda one: _short_report(one, output.parent), reports))
+    shown = [f'<section id="result-{place}" class=short>{part}</section>' for place, part in enumerate(parts)]
+    atomic.write_text(output, html_page.document(heading, overview, *shown))
     return output
-
-
-def _script() -> str:
-    return files("rhizotwin.report").joinpath("page.js").read_text(encoding="utf-8")
 
 
 def _row(place: int, name: str, report: ReportData, known: Sequence[str]) -> list[str]:
@@ -122,12 +132,16 @@ def _full_report(report: ReportData) -> str:
     return f"<main data-result>{_head(report)}{_shape(report)}{rest}</main>"
 
 
-def _short_report(report: ReportData) -> str:
-    """Return the short report of one of many results as an HTML section."""
-    return f"<section data-result>{_head(report)}{_shape(report)}<details><summary>Traits</summary>{_traits(report)}</details></section>"
+def _short_report(report: ReportData, page_folder: Path) -> str:
+    """Return the short report of one of many results as HTML, for a page in a folder."""
+    picture, own = report.small_picture(), report.folder / "report.html"
+    shape = "" if picture is None else html_page.image("webp", sides.webp(picture), "Shape from the front and from the side")
+    link = quote(Path(os.path.relpath(own, page_folder)).as_posix())
+    more = f'<p><a href="{link}">Report with the shape in 3D</a></p>' if own.is_file() else ""
+    return f"<div>{_head(report, level=2)}{more}</div><figure>{shape}</figure><details><summary>Traits</summary>{_traits(report)}</details>"
 
 
-def _head(report: ReportData) -> str:
+def _head(report: ReportData, *, level: int = 1) -> str:
     """Return the heading of a report as HTML: name, subject, and the verdict with recommendations."""
     scan = "Simulated scan" if words.is_simulated(report.dataset) else "Scan"
     described = "" if report.dataset is None else ": ".join(filter(None, [scan, report.dataset.scene.description]))
@@ -138,7 +152,7 @@ def _head(report: ReportData) -> str:
     volume, beside = words.verdict(report.summary)
     state, meaning, advice = words.traffic_light(report.summary)
     more = f"<details{' open' * (state == 'bad')}><summary>{escape(meaning)}</summary>{items(advice)}</details>" if advice else ""
-    heading = f"<h1>{escape(name)}</h1>" + "".join(f"<p class=soft>{escape(text)}</p>" for text in below if text)
+    heading = f"<h{level}>{escape(name)}</h{level}>" + "".join(f"<p class=soft>{escape(text)}</p>" for text in below if text)
     text = f"<p class=volume>{volume}</p><p>{beside}</p>{more}"
     return f'{heading}<div class="light {state}"><b role="img" aria-label="{state}"></b><div>{text}</div></div>'
 
@@ -269,7 +283,11 @@ def _traits(report: ReportData) -> str:
             others.append([label, shown, meaning])
         else:
             assessed.append([label, shown, interval, meaning])
-    text = "" if report.roots else "<p>No centre lines were found, so that lengths, diameters and angles are not available.</p>"
+    text = (
+        ""
+        if report.traits.total_length_mm is not None
+        else "<p>No centre lines were found, so that lengths, diameters and angles are not available.</p>"
+    )
     if assessed:
         text += table(assessed, head=("trait", "value", "90 % interval", "definition"), numbers=(1,), kind="traits")
     if refused := reasons({name: one for name, one in judged.items() if one.interval is not None}):

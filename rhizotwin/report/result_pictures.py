@@ -27,7 +27,7 @@ def write_pictures(report: ReportData, *, figures: FigureFormat | None = None) -
     report : ReportData
         Result, with its dataset if figures are requested.
     figures : {"png", "svg", "pdf"}, optional
-        Also write figures for documents in this format: centre lines by diameter and order (``roots``), pictures of the
+        Also write figures for documents in this format: the roots by order and diameter (``roots``), pictures of the
         dataset above their silhouettes (``inputs``), and for simulated data the comparison with the true shape
         (``shape_and_truth``). Pictures of the dataset that cannot be read are left out.
 
@@ -55,9 +55,9 @@ def write_pictures(report: ReportData, *, figures: FigureFormat | None = None) -
 
 def _figures(report: ReportData) -> "Mapping[str, Figure | None]":
     """Draw the figures for documents, keyed by name."""
-    from rhizotwin.report import figures, root_figures  # they load matplotlib
+    from rhizotwin.report import figures  # loads matplotlib
 
-    drawn = {"roots": root_figures.draw_roots(report.roots) if report.roots else None}
+    drawn = {"roots": figures.roots_close_up(report.roots) if report.roots else None}
     if report.dataset is None:
         return drawn
     drawn["inputs"] = figures.inputs_and_silhouettes(report.summary, report.folder, report.dataset)

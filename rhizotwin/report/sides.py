@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.drawing import shading
+from rhizotwin.drawing import root_colours, shading
 from rhizotwin.recon.results.parts import Mesh
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """Type of a rectangle in a projection: left, right, bottom and top, mm."""
 
-SHAPE_RGB = (0.86, 0.55, 0.25)
+SHAPE_RGB = tuple(part / 255.0 for part in root_colours.SURFACE)
 """Colour of the reconstructed shape, ochre."""
 SHRINK = 2
 """Supersampling factor of renderings in each direction."""
@@ -42,7 +42,7 @@ class Rendering:
 
     def webp(self) -> bytes:
         """Return the picture as a WebP file."""
-        return bytes(cv2.imencode(".webp", self.rgba[..., [2, 1, 0, 3]], [cv2.IMWRITE_WEBP_QUALITY, 85])[1])
+        return webp(self.rgba)
 
     def on_white(self) -> NDArray[np.uint8]:
         """Return the picture (H, W, 3) on white."""
@@ -50,12 +50,18 @@ class Rendering:
         return np.asarray(np.round(share * self.rgba[..., :3] + 255.0 * (1.0 - share)), np.uint8)
 
 
-def render(surface: Mesh) -> list[Rendering]:
+def webp(picture: NDArray[np.uint8]) -> bytes:
+    """Return a picture (H, W, 3 or 4), RGB or RGBA, as a WebP file."""
+    order = [2, 1, 0, 3][: picture.shape[2]]
+    return bytes(cv2.imencode(".webp", picture[..., order], [cv2.IMWRITE_WEBP_QUALITY, 85])[1])
+
+
+def render(surface: Mesh, *, height_px: int = PANEL_PX) -> list[Rendering]:
     """Render a surface from the front and from the side, at the same scale and height."""
     if not len(surface.faces):
         return []
     both = (shading.FRONT, shading.SIDE)
-    return [_render(surface, side, box) for side, box in zip(both, boxes(surface.vertices_mm, both), strict=True)]
+    return [_render(surface, side, box, height_px) for side, box in zip(both, boxes(surface.vertices_mm, both), strict=True)]
 
 
 def boxes(points_mm: Floats, sides: Sequence[shading.Side]) -> list[Box]:
@@ -67,14 +73,24 @@ def boxes(points_mm: Floats, sides: Sequence[shading.Side]) -> list[Box]:
     return [(float(x - half[0]), float(x + half[0]), float(y - half[1]), float(y + half[1])) for x, y in middle]
 
 
-def raster(mesh: Mesh, side: shading.Side, box: Box) -> tuple[shading.Raster, float]:
-    """Rasterise a mesh with supersampling, and return the raster with the edge of its pixels, mm."""
-    px_mm = (box[3] - box[2]) / (PANEL_PX * SHRINK)
+def raster(mesh: Mesh, side: shading.Side, box: Box, *, height_px: int = PANEL_PX) -> tuple[shading.Raster, float]:
+    """Rasterise a mesh with supersampling, and return the raster with the edge of its pixels, mm.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Mesh, canister frame.
+    side, box : shading.Side, Box
+        Viewing direction, and rectangle that is drawn.
+    height_px : int
+        Height of the picture without supersampling, px.
+    """
+    px_mm = (box[3] - box[2]) / (height_px * SHRINK)
     return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm), px_mm
 
 
-def _render(surface: Mesh, side: shading.Side, box: Box) -> Rendering:
-    seen, px_mm = raster(surface, side, box)
+def _render(surface: Mesh, side: shading.Side, box: Box, height_px: int) -> Rendering:
+    seen, px_mm = raster(surface, side, box, height_px=height_px)
     shaded = shading.shade(seen, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK)
     return Rendering(side, box, np.asarray(np.round(255.0 * shaded), np.uint8))
 

@@ -14,7 +14,7 @@ from rhizotwin.scenes.formatting import count, decimals, interval_ml, ml, round_
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.trait_table import DEFINITIONS, Definition
 
-Light = Literal["good", "fair", "bad"]
+Light = Literal["good", "bad"]
 
 SMALLEST_SHARE = 0.05
 """Threshold above which a cause of uncertainty is listed in a report, as a fraction of the largest cause."""
@@ -122,7 +122,10 @@ def verdict(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
-    """Return the state of the traffic light (good, fair or bad), and recommendations with a heading."""
+    """Return the state of the light beside the volume, and recommendations with a heading.
+
+    It is good if the volume is reliable, and bad if not.
+    """
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]
     bad = [check for check in checks if check.get("state") == "bad"]
     fair = [check for check in checks if check.get("state") == "fair"]
@@ -130,7 +133,7 @@ def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
     if not summary["volume_trusted"]:
         return "bad", "Do not use this volume.", advice or [_sentence(str(summary["volume_verdict"]))]
     advice += [_sentence(str(warning)) for warning in summary["warnings"]]
-    return "fair" if advice else "good", count(len(advice), "possible improvement"), advice
+    return "good", count(len(advice), "possible improvement"), advice
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ import viser
 import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import html_page
@@ -100,6 +101,8 @@ def _token_check(token: str, is_open: threading.Event) -> Iterator[None]:
             found = answer(token, process_request, connection, request)
             while found is None and not is_open.is_set():  # only for a websocket
                 await asyncio.sleep(_LOOK_S)
+                if connection.state is not State.CONNECTING:  # the browser is gone, which websockets takes for a bug
+                    raise asyncio.CancelledError
             return found
 
         return started(*arguments, process_request=check, **more)

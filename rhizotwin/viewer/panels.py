@@ -122,7 +122,7 @@ def _add_pictures(viewer: Viewer) -> None:
     panel = gui.add_panel()
     with panel.add_tab("Picture", viser.Icon.PHOTO):
         image = gui.add_html(words.note("Drawing the outline ..."))
-        gui.add_html(words.note("Outline of the reconstruction, projected through the water; selected roots are blue."))
+        gui.add_html(words.note("Outline of the reconstruction, projected through the water; selected roots are yellow."))
         gui.add_button("Previous", icon=viser.Icon.CHEVRON_LEFT).on_click(lambda _: viewer.step_picture(-1))
         gui.add_button("Next", icon=viser.Icon.CHEVRON_RIGHT).on_click(lambda _: viewer.step_picture(1))
         enter = gui.add_button("View from its camera", icon=viser.Icon.CAMERA)

@@ -33,7 +33,6 @@ CANISTER = "/rig/canister"
 """Name of the canister in the scene."""
 _CORNERS = (tubes.MOST, 8, 6, 5, 4, 3)
 _TRUTH_RGB = (108, 158, 205)
-_SELECTED_RGB = (255, 210, 0)
 _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
@@ -141,10 +140,12 @@ class Scene3d:
         self.drop("/selected/voxels")
         if lines:
             wider = [replace(line, diameters_mm=1.25 * line.diameters_mm + 0.05) for line in lines]
-            shades = [np.tile(np.array(_SELECTED_RGB, np.uint8), (len(line.points_mm), 1)) for line in lines]
+            shades = [np.tile(np.array(root_colours.SELECTED, np.uint8), (len(line.points_mm), 1)) for line in lines]
             self._add_triangles("/selected/roots", tubes.mesh_lines(wider, shades))
         if len(voxels_mm):
-            self._keep("/selected/voxels", self._points("/selected/voxels", voxels_mm, np.array(_SELECTED_RGB, np.uint8), 1.1 * voxel_mm))
+            self._keep(
+                "/selected/voxels", self._points("/selected/voxels", voxels_mm, np.array(root_colours.SELECTED, np.uint8), 1.1 * voxel_mm)
+            )
 
     def show_voxels(self, centre_mm: Array, share: Array, voxel_mm: float) -> None:
         """Draw voxels as shaded squares, whose colours are more saturated for higher occupancies."""

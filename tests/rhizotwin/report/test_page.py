@@ -1,6 +1,7 @@
 """The page of a result: what it says, that nothing in it asks a network, and that a real browser draws it."""
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -15,6 +16,7 @@ from rhizotwin.corrections import log
 from rhizotwin.corrections.corrected import write as write_corrected
 from rhizotwin.corrections.session import Session
 from rhizotwin.report import page, words
+from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes import frames, trait_table
 from rhizotwin.scenes.assessment import NO_INTERVAL
 from rhizotwin.scenes.subject import Subject
@@ -131,12 +133,31 @@ def _pixels(canvas: Any) -> np.ndarray:
 
 def test_one_page_for_many(plant: plants.Plant, tmp_path: Path):
     text = page.write_many([plant.result, plant.result], tmp_path / "many.html").read_text(encoding="utf-8")
-    assert text.count("<canvas") == 2
+    assert text.count("data:image/webp;base64,") == 2
+    assert "<script" not in text
     assert text.count("usable</span>") == 2
     assert "<h1>2 of 2 volumes usable</h1>" in text
     folders = [shutil.copytree(plant.result, tmp_path / day / "result") for day in ("day_1", "day_2")]
     text = page.write_many(folders, tmp_path / "many.html").read_text(encoding="utf-8")
     assert re.findall('<a href="#result-.">([^<]*)', text) == ["day_1/result", "day_2/result"]
+    for folder in folders:  # a stored picture is shown, unless the surface is newer
+        page.write(ReportData.read(folder))
+        picture = folder / "pictures" / "shape.png"
+        picture.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(picture), np.full((8, 16, 3), 200, np.uint8))
+    os.utime(folders[0] / "pictures" / "shape.png", (0, 0))
+    (folders[1] / "shape.ply").unlink()
+    pages = [page.write_many(order, tmp_path / "many.html").read_text(encoding="utf-8") for order in (folders, folders[::-1])]
+    assert [text.index('href="day_1/result/report.html"') < text.index('href="day_2/result/report.html"') for text in pages] == [
+        True,
+        False,
+    ]
+    sizes = [[len(one) for one in re.findall('webp;base64,([^"]*)', text)] for text in pages]
+    assert sizes[0] == sizes[1][::-1]
+    assert sizes[0][1] < 500 < sizes[0][0]
+    (folders[1] / "pictures" / "shape.png").unlink()
+    drawn = page.write_many(folders, tmp_path / "many.html").read_text(encoding="utf-8")
+    assert min(len(one) for one in re.findall('webp;base64,([^"]*)', drawn)) > 500  # tubes along the roots
 
 
 def test_a_page_describes_corrections_and_missing_pictures(plant: plants.Plant, tmp_path: Path):
@@ -212,7 +233,7 @@ def test_the_light_follows_checks_and_trust():
     check = {"name": "motion", "state": "fair", "found": "roots sway by 0.3 px", "advice": "wait longer"}
     assert words.traffic_light(SUMMARY)[0] == "good"
     state, _, told = words.traffic_light(SUMMARY | {"checks": [check]})
-    assert (state, told) == ("fair", ["Roots sway by 0.3 px. Wait longer."])
+    assert (state, told) == ("good", ["Roots sway by 0.3 px. Wait longer."])
     assert words.traffic_light(SUMMARY | {"checks": [check | {"state": "bad"}], "volume_trusted": False})[0] == "bad"
     assert words.traffic_light(SUMMARY | {"volume_trusted": False, "volume_verdict": "no"})[2] == ["No."]
 

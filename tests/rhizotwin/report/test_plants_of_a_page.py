@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.results.by_plant import PlantResult
-from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import page
 from rhizotwin.report.report_data import ReportData
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits, measure_traits
 from tests.roots import straight
-
-EMPTY = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))
 
 
 def of_roots(roots: Sequence[Root]) -> Traits:
@@ -32,7 +29,9 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
         plants.append(found.plain())
     volume = {"volume_trusted": trusted, "volume_verdict": "", "volume_mm3": 252.0, "volume_interval_mm3": (240.0, 260.0)}
     summary = volume | {"plants": plants, "settings": {}, "views": [], "volume_budget": {"focal": 0.01}}
-    shown = page._plants(ReportData(Path("result"), summary, roots, EMPTY, of_roots(roots), None))
+    report = ReportData(Path("result"), summary, None)
+    vars(report).update(roots=roots, traits=of_roots(roots))
+    shown = page._plants(report)
     assert (" ml</td>" in shown) is trusted
     assert ("not reliable" in shown) is not trusted
     assert "the minimum distance of their roots is 7.00 mm" in shown

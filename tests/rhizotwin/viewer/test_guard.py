@@ -4,6 +4,7 @@ import http.client
 import os
 import stat
 import tempfile
+import time
 import webbrowser
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def test_the_browsers_command_line_has_no_token(tmp_path: Path, monkeypatch: pyt
     until(lambda: not file.exists())
 
 
-def test_the_token_is_asked_for_and_pages_wait_for_what_is_shown():
+def test_the_token_is_asked_for_and_pages_wait_for_what_is_shown(caplog: pytest.LogCaptureFixture):
     served = guard.serve(port=8390)
 
     def asked(path: str, timeout_s: float = 20.0, **headers: str) -> int:
@@ -59,6 +60,8 @@ def test_the_token_is_asked_for_and_pages_wait_for_what_is_shown():
         with pytest.raises(TimeoutError):
             asked("/", 0.3, **SOCKET, **cookie, **own)
         served.open.set()
+        time.sleep(0.1)  # the browser that went away is noticed
+        assert caplog.messages == []
         assert asked(f"/?token={served.token}") == 200
         assert asked("/", **cookie) == 200
         wrong = [asked("/"), asked("/?token=wrong"), asked("/", Cookie=f"rhizotwin_{served.port}=wrong"), asked("/", **SOCKET, **own)]
