@@ -96,6 +96,14 @@ class RootOrder:
     wobble_deg: float = bounded(6.0, 0.0, 90.0)
     """Random change of the growth direction. Over a length that is much larger than 4 mm, the standard deviation of the
     change is this value times the square root of the length in mm."""
+    nutation_mm: float = bounded(0.0, 0.0, 50.0)
+    """Radius of the circle that the root tip describes by circumnutation, counter-clockwise seen from above. The
+    curvature of the growth zone is uniform, and its direction rotates (Bastien and Meroz 2016, PLoS Computational
+    Biology 12:e1005238)."""
+    nutation_h: float = bounded(2.0, 0.05, 1000.0)
+    """Period of the circumnutation, in hours."""
+    nutation_zone_mm: float = bounded(5.0, 0.1, 100.0)
+    """Length of the zone behind the tip that bends by circumnutation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +152,12 @@ class GrownSpecimen:
     like those of a plant that has fallen over."""
     lean_azimuth_deg: float = bounded(0.0, -360.0, 360.0)
     """Azimuth of the direction in which the roots lean, counter-clockwise from +x seen from above."""
+    lean_until_days: float = bounded(365.0, 0.0, 365.0)
+    """Age until which the roots follow the lean. Later growth turns straight down, like that of a plant that was tilted
+    by the lean at this age (gravitropism)."""
+    step_mm: float = bounded(1.0, 0.05, 1.0)
+    """Length of a growth step. A smaller step lets roots turn within hours instead of once per mm, but the random
+    curvature of the roots is another one."""
     hypocotyl_diameter_mm: float = bounded(0.0, 0.0, 50.0)
     """Diameter of the thickened top of the taproot. It is 0 if the taproot has none."""
     hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)

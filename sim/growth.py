@@ -22,8 +22,8 @@ from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
 
 Array = NDArray[np.float64]
 
-STEP_MM = 1.0
-"""Length of a growth step, mm. It is also the length of a segment of the finished root."""
+DOWN = np.array([0.0, 0.0, -1.0])
+"""Direction of gravity, canister frame."""
 BEND_LENGTH_MM = 4.0
 """Correlation length of the random curvature of a root, mm. It makes the growth direction vary smoothly."""
 MOST_ROOTS = 20_000
@@ -84,8 +84,9 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
     Returns
     -------
     list of Root
-        Roots, with the taproot first and parents before children. Points are about `STEP_MM` apart, mm, canister frame.
-        Diameters are not yet scaled to the plant's volume. Root surfaces keep the margins from wall, floor and grid.
+        Roots, with the taproot first and parents before children, in the canister frame. Points are about ``step_mm``
+        apart. Diameters are not yet scaled to the plant's volume. Root surfaces keep the margins from wall, floor and
+        grid.
 
     Raises
     ------
@@ -95,14 +96,14 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
     limits = bounds(specimen, canister=canister or Canister(), net_pot=net_pot or NetPot())
     _check_origin(specimen, limits)
     lean_rad, azimuth_rad = np.deg2rad([specimen.lean_deg, specimen.lean_azimuth_deg])
-    down = np.array([np.sin(lean_rad) * np.cos(azimuth_rad), np.sin(lean_rad) * np.sin(azimuth_rad), -np.cos(lean_rad)])
+    lean = np.array([np.sin(lean_rad) * np.cos(azimuth_rad), np.sin(lean_rad) * np.sin(azimuth_rad), -np.cos(lean_rad)])
     buds = [
         _Bud(
             path=(),
             parent=-1,
             order=0,
             start_mm=np.array(specimen.origin_mm),
-            heading=down,
+            heading=lean,
             age_days=specimen.age_days,
             limit_diameter_mm=np.inf,
         )
@@ -114,7 +115,7 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
         together: list[tuple[list[_Bud], RootOrder]] = [(buds, order)]
         while together:
             kin, own = together.pop(0)
-            for bud, grown in zip(kin, _grow_order(kin, own, specimen, limits, down), strict=True):
+            for bud, grown in zip(kin, _grow_order(kin, own, specimen, limits, lean), strict=True):
                 root = grown.root
                 if root is None:
                     continue
@@ -203,11 +204,11 @@ def _draw_factor(rng: np.random.Generator, sd: float) -> float:
     return float(rng.gamma(1.0 / sd**2, sd**2)) if sd > 0.0 else 1.0
 
 
-def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_GrownBud]:
+def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, lean: Array) -> list[_GrownBud]:
     """Grow the buds of all roots of one order."""
     if not buds:
         return []
-    traits = np.empty((len(buds), 3))
+    traits, phases_rad = np.empty((len(buds), 3)), np.empty(len(buds))
     for i, bud in enumerate(buds):
         rng = _generators(specimen.seed, bud.path)[0]
         factor = max(_draw_factor(rng, order.length_sd), 0.05)
@@ -216,16 +217,21 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
             factor * order.elongation_mm_per_day,
             order.diameter_mm * _draw_factor(rng, order.diameter_sd),
         )
+        phases_rad[i] = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * 24.0 * specimen.age_days / order.nutation_h
     ages = np.array([bud.age_days for bud in buds])
     lengths_mm = length_at(ages, max_length_mm=traits[:, 0], elongation_mm_per_day=traits[:, 1])
     thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
     room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if buds[0].parent < 0 else 0.0) / 2.0
-    points_mm = _centrelines(buds, order, lengths_mm, room_mm, specimen.seed, limits, down)
+    gravity = _directions(ages, lengths_mm, traits, specimen, lean)
+    points_mm = _centrelines(buds, order, gravity, lengths_mm, room_mm, specimen, limits)
     grown: list[_GrownBud] = []
     for i, bud in enumerate(buds):
         root = None
         if lengths_mm[i] > max(0.3, thickest[i]):  # shorter roots are still inside their parents
-            line_mm, along_mm = _cut(points_mm[i], lengths_mm[i])
+            line_mm, along_mm = _cut(points_mm[i], lengths_mm[i], specimen.step_mm)
+            if order.nutation_mm > 0.0:
+                line_mm = _nutate(line_mm, along_mm, order, bud.heading, phases_rad[i])
+                line_mm = keep_inside(line_mm, np.full(len(line_mm), room_mm[i]), limits)
             diameters_mm = thickest[i] * (1.0 + (order.taper - 1.0) * along_mm / lengths_mm[i])
             if bud.parent < 0 and specimen.hypocotyl_diameter_mm > 0.0:
                 diameters_mm = np.maximum(diameters_mm, _thicken_top(diameters_mm, along_mm, specimen))
@@ -243,32 +249,62 @@ def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) 
     return diameters_mm + (specimen.hypocotyl_diameter_mm - diameters_mm) * 0.5 * (1.0 + np.cos(np.pi * fade))
 
 
-def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
+def _cut(points_mm: Array, length_mm: float, step_mm: float) -> tuple[Array, Array]:
     """Cut a centre line at a given length.
 
-    The centre line has a point every `STEP_MM`. Return the points (N, 3) up to this length, and their arc lengths
+    The centre line has a point every ``step_mm``. Return the points (N, 3) up to this length, and their arc lengths
     (N,), mm.
     """
-    whole = max(int(np.ceil(length_mm / STEP_MM - 1e-9)), 1)
-    along_mm = np.minimum(np.arange(whole + 1) * STEP_MM, length_mm)
+    whole = max(int(np.ceil(length_mm / step_mm - 1e-9)), 1)
+    along_mm = np.minimum(np.arange(whole + 1) * step_mm, length_mm)
     line_mm = points_mm[: whole + 1].copy()
-    line_mm[-1] = points_mm[whole - 1] + (points_mm[whole] - points_mm[whole - 1]) * (along_mm[-1] - along_mm[-2]) / STEP_MM
-    if whole > 1 and along_mm[-1] - along_mm[-2] < 0.25 * STEP_MM:  # avoids a very short segment at the tip
+    line_mm[-1] = points_mm[whole - 1] + (points_mm[whole] - points_mm[whole - 1]) * (along_mm[-1] - along_mm[-2]) / step_mm
+    if whole > 1 and along_mm[-1] - along_mm[-2] < 0.25 * step_mm:  # avoids a very short segment at the tip
         line_mm, along_mm = np.delete(line_mm, -2, axis=0), np.delete(along_mm, -2)
     return line_mm, along_mm
 
 
-def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array) -> Array:
+def _nutate(line_mm: Array, along_mm: Array, order: RootOrder, heading: Array, phase_rad: float) -> Array:
+    """Displace the points (N, 3) of the growth zone by circumnutation.
+
+    A uniform curvature displaces a point by the square of its distance from the beginning of the zone. ``heading`` is
+    the initial direction of the root, which determines the direction of phase 0.
+    """
+    begin_mm = max(along_mm[-1] - order.nutation_zone_mm, 0.0)
+    axis = polyline.unit_vectors(line_mm[-1] - polyline.interpolate(line_mm, along_mm, np.array([begin_mm]))[0])
+    level = np.cross(heading, DOWN)  # horizontal, and perpendicular to the root while it turns down
+    level = level if np.linalg.norm(level) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    side = polyline.unit_vectors(level - (level @ axis) * axis)
+    side = np.cos(phase_rad) * side + np.sin(phase_rad) * np.cross(side, axis)
+    reach = np.clip(along_mm - begin_mm, 0.0, None) / order.nutation_zone_mm
+    return np.asarray(line_mm + order.nutation_mm * reach[:, None] ** 2 * side)
+
+
+def _directions(ages_days: Array, lengths_mm: Array, traits: Array, specimen: GrownSpecimen, lean: Array) -> Array:
+    """Return the preferred growth direction (N, S, 3) of roots in each of their growth steps.
+
+    It is that of the lean up to an age of the plant, and straight down from then on.
+    """
+    begin_mm = np.arange(int(np.ceil(lengths_mm.max() / specimen.step_mm)) + 1) * specimen.step_mm
+    most_mm, rates = traits[:, :1], traits[:, 1:2]
+    own_days = age_at(np.minimum(begin_mm, 0.999999 * most_mm), max_length_mm=most_mm, elongation_mm_per_day=rates)
+    leans = specimen.age_days - ages_days[:, None] + own_days < specimen.lean_until_days
+    return np.where(leans[..., None], lean, DOWN)
+
+
+def _centrelines(
+    buds: list[_Bud], order: RootOrder, gravity: Array, lengths_mm: Array, radii_mm: Array, specimen: GrownSpecimen, limits: Bounds
+) -> Array:
     """Return the centre lines (N, S + 1, 3) of all buds, mm.
 
-    Each has as many points as the longest root requires.
+    Each has as many points as the longest root requires. ``gravity`` (N, S, 3) is their preferred growth direction.
     """
-    steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
+    steps, step_mm = gravity.shape[1], specimen.step_mm
     bend = np.zeros((len(buds), steps, 3))
     for i, bud in enumerate(buds):
-        own = min(int(np.ceil(lengths_mm[i] / STEP_MM)) + 1, steps)
-        bend[i, :own] = _generators(seed, bud.path)[1].standard_normal((own, 3))
-    persistence = np.exp(-STEP_MM / BEND_LENGTH_MM)
+        own = min(int(np.ceil(lengths_mm[i] / step_mm)) + 1, steps)
+        bend[i, :own] = _generators(specimen.seed, bud.path)[1].standard_normal((own, 3))
+    persistence = np.exp(-step_mm / BEND_LENGTH_MM)
     # Curvature is an Ornstein-Uhlenbeck process. Beyond its correlation length, the variance of the growth direction
     # increases by wobble^2 per mm.
     curvature_sd = np.deg2rad(order.wobble_deg) / np.sqrt(2.0 * BEND_LENGTH_MM)
@@ -277,12 +313,12 @@ def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm
     heading = np.array([bud.heading for bud in buds])
     curvature = curvature_sd * bend[:, 0]
     for step in range(steps):
-        turn = curvature + order.gravitropism_per_mm * down
+        turn = curvature + order.gravitropism_per_mm * gravity[:, step]
         turn -= np.sum(turn * heading, axis=1, keepdims=True) * heading
-        heading = heading + STEP_MM * turn
+        heading = heading + step_mm * turn
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
         heading = steer(points_mm[:, step], heading, radii_mm, limits)
-        points_mm[:, step + 1] = keep_inside(points_mm[:, step] + STEP_MM * heading, radii_mm, limits)
+        points_mm[:, step + 1] = keep_inside(points_mm[:, step] + step_mm * heading, radii_mm, limits)
         curvature = persistence * curvature + curvature_sd * np.sqrt(1.0 - persistence**2) * bend[:, min(step + 1, steps - 1)]
     return points_mm
 

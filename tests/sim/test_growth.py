@@ -56,6 +56,28 @@ def test_gravitropism_bends_as_its_equation_says() -> None:
     assert theta == pytest.approx(expected, abs=0.01)
 
 
+def test_a_tilted_plant_turns_down_and_its_tip_circles() -> None:
+    """The path before the tilt remains; then the equation above holds. Nutation adds a circle around this path."""
+    order = replace(STRAIGHT, gravitropism_per_mm=0.1, max_length_mm=1e6)
+    tilted = GrownSpecimen(age_days=3.0, orders=(order,), lean_deg=60.0, lean_until_days=2.0, step_mm=0.05)
+    path = growth.grow(tilted)[0].points_mm
+    along = np.diff(path, axis=0)[:-1] / 0.05
+    assert np.degrees(np.arccos(-along[:399, 2])) == pytest.approx(60.0)
+    expected = 2.0 * np.arctan(np.tan(np.radians(60.0) / 2.0) * np.exp(-0.1 * 10.0))
+    assert np.arccos(-along[-1, 2]) == pytest.approx(expected, abs=0.01)
+    before = np.zeros(3)
+    for hours in (0.0, 1.0, 2.0, 3.0):
+        now = replace(tilted, age_days=3.0 + hours / 24.0)
+        straight, circling = (
+            growth.grow(replace(now, orders=(replace(order, nutation_mm=mm, nutation_h=4.0),)))[0].points_mm for mm in (0.0, 0.5)
+        )
+        away = circling[-1] - straight[-1]
+        assert np.linalg.norm(away) == pytest.approx(0.5, abs=0.01)
+        assert np.array_equal(circling[:500], straight[:500])  # above the growth zone
+        assert np.cross(before, away)[2] > 0.0 or hours == 0.0  # counter-clockwise seen from above
+        before = away
+
+
 def test_wobble_spreads_headings_by_the_root_of_length() -> None:
     """Heading variance of a persistent walk: w^2 (s - l (1 - exp(-s / l))) for each of the two angles, l the persistence."""
     order = replace(STRAIGHT, wobble_deg=3.0, elongation_mm_per_day=1000.0, max_length_mm=40.0, diameter_mm=0.1)
