@@ -75,9 +75,18 @@ def viewer(demo: Path, goal: Path) -> None:
             laterals = [k for k in lines if lines[k].parent >= 0 and lines[k].length_mm > LONG_MM]
             running._viewer.select_root(max(laterals, key=lambda k: float(lines[k].points_mm[:, 0].mean())))
             running._viewer.wait()
+            shown.wait_for_timeout(6000)  # the browser's message about its slow rendering disappears
             photograph(shown, goal)
     finally:
         running.close()
+
+
+def screencast(_: Path, goal: Path) -> None:
+    """Record a screencast of the demonstration, which is computed again."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    from screencast import write
+
+    write(goal)
 
 
 def console(_: Path, goal: Path) -> None:
@@ -133,6 +142,7 @@ PICTURES = {
     "shape_and_truth.png": Picture(figure, _FIGURES),
     "report.jpg": Picture(report, ("report/*", "drawing/*.py", "scenes/*.css")),
     "console.jpg": Picture(console, ("console/page/*", "scenes/palette.css")),
+    "screencast.svg": Picture(screencast, tuple(f"commands/{name}.py" for name in ("scenes", "demo", "traits", "export", "score"))),
     "viewer.jpg": Picture(viewer, ("viewer/*.py", "viewer/page/*", "drawing/*.py", "scenes/palette.css")),
 }
 

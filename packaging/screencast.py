@@ -1,9 +1,7 @@
 """Record a screencast from the running program: commands, what they print and when, the picture at the end.
 
-    python packaging/screencast.py docs/pictures/screencast.svg
-
 It runs the `rhizotwin` of the environment it is called with, in a new folder, and writes an SVG that CSS animates: no
-script, nothing loaded from elsewhere, nothing cut or sped up.
+script, nothing loaded from elsewhere, nothing cut or sped up. `pictures.py` calls it.
 """
 
 import base64
@@ -102,17 +100,8 @@ def draw(lines: list[Line], end_s: float, picture: Path) -> str:
     )
 
 
-def main(words: list[str]) -> int:
-    """Record, and write the file that is named."""
-    if len(words) != 1:
-        sys.stderr.write("usage: python packaging/screencast.py FILE.svg\n")
-        return 2
+def write(goal: Path) -> None:
+    """Record the commands, and write the screencast."""
     with tempfile.TemporaryDirectory() as folder:
         lines, end_s = record(Path(folder))
-        Path(words[0]).write_text(draw(lines, end_s, Path(folder) / PICTURE), encoding="utf-8")
-    sys.stdout.write(f"{words[0]}: {end_s + PICTURE_S:.0f} s, {len(lines)} lines\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+        goal.write_text(draw(lines, end_s, Path(folder) / PICTURE), encoding="utf-8")

@@ -216,33 +216,33 @@ def _add_rig(app: FastAPI, console: Console) -> None:
     def check_devices(client: Client) -> list[dict[str, str]]:
         """Check each device without moving the rig, and return the states of the devices."""
         controls.require(client)
-        _wait(console.check_devices())
+        _wait(console.by_hand.check_devices())
         return console.devices.plain()
 
     @app.post("/api/devices/release", tags=["rig"])
     def release_devices(client: Client) -> None:
         """Switch off the lights, park the arm, switch off its torque and close the devices."""
         controls.require(client)
-        _wait(console.let_go())
+        _wait(console.by_hand.let_go())
 
     @app.post("/api/command", tags=["rig"])
     def command(request: body.Command, client: Client) -> list[str]:
         """Execute a command of `rhizotwin rig jog`, and return its output lines."""
         controls.require(client)
-        replies: list[str] = _wait(console.command(request.line))
+        replies: list[str] = _wait(console.by_hand.command(request.line))
         return replies
 
     @app.post("/api/picture", tags=["rig"])
     def take_picture(client: Client) -> dict[str, str]:
         """Take a picture, write it to the folder `pictures`, and return its file name."""
         controls.require(client)
-        return {"name": _wait(console.take_picture())}
+        return {"name": _wait(console.by_hand.take_picture())}
 
     @app.post("/api/live", tags=["rig"])
     def live(request: body.Switch, client: Client) -> None:
         """Switch the continuous display of pictures on or off."""
         controls.require(client)
-        console.set_live(on=request.on)
+        console.by_hand.set_live(on=request.on)
 
 
 def _add_scans(app: FastAPI, console: Console) -> None:

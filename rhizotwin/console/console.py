@@ -6,7 +6,6 @@ All clients share its state.
 from __future__ import annotations
 
 import threading
-import time
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import datetime
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rhizotwin.console.by_hand import ByHand
 from rhizotwin.console.controls import Controls
 from rhizotwin.console.devices import DeviceStates
 from rhizotwin.console.messages import Messages, explained, for_console
@@ -30,7 +30,6 @@ from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.console.schedule import ScheduleRun
 from rhizotwin.console.state import StateView
 from rhizotwin.console.viewers import Viewers
-from rhizotwin.rig.bench import check
 from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.scenes.dataset import load_dataset
@@ -44,7 +43,6 @@ from rhizotwin.timelapse.runner import Listener, Runner
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
 
     from rhizotwin.rig.scanning.observer import Look
     from rhizotwin.scenes.model import Scene
@@ -54,10 +52,6 @@ if TYPE_CHECKING:
 LOCK = ".rhizotwin-console-lock"
 CATALOGUE = "laboratory.rhizotwin"
 """File name of the catalogue of plants and scans that is used if the console has no experiment."""
-LIVE_S = 8.0
-"""Time, in seconds, after which live pictures end if no client has requested the state."""
-WORDS = ("table", "home", "lights", "band", "joint", "go", "look", "align", "park", "relax", "pose", "markers")
-"""Commands of `rig.jog` that clients may execute. ``picture`` is excluded, because it writes a file to any path."""
 
 
 class Console:
@@ -97,7 +91,6 @@ class Console:
         self.scan: RunningScan | None = None
         """Running or most recent scan. It is None before the first scan."""
         self._closing = False
-        self._replies: list[str] = []
         self._view = StateView(self)
         own = {} if experiment is None else {"scans": experiment.scans_folder, "results": experiment.results_folder}
         self.folders = ScanFolders(folder, **own)
@@ -113,8 +106,9 @@ class Console:
             stack.callback(self.queue.close)
             self.viewers = Viewers(self.folders)
             stack.callback(self.viewers.close)
-            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)
+            self.rig = RigThread(bench, say=self.messages.add, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)
             stack.callback(self.rig.close)
+            self.by_hand = ByHand(self.rig, bench, self.folders, self.devices)
             self._stack = stack.pop_all()
 
     def close(self) -> None:
@@ -138,8 +132,7 @@ class Console:
         It includes whether ``client`` has control of the rig. If ``shared``, other parts may have been collected for
         another client.
         """
-        if self.rig.live_until_s > 0.0:
-            self.rig.live_until_s = time.monotonic() + LIVE_S
+        self.by_hand.keep_live()
         self.controls.touch(client)
         return self._view.plain(client, shared=shared)
 
@@ -154,40 +147,6 @@ class Console:
         return live.cells_mm.astype(np.float32), live.cell_mm
 
     # actions
-
-    def check_devices(self) -> Future[None]:
-        """Check each device without moving the rig, as `rhizotwin rig check` does."""
-        return self.rig.begin("check of the devices", self._check)
-
-    def command(self, line: str) -> Future[list[str]]:
-        """Execute a command of `rhizotwin rig jog`, and return its output lines.
-
-        Raises
-        ------
-        UserError
-            If the command is unknown or not permitted to clients, or the rig is busy.
-        """
-        words = line.split()
-        if not words or words[0] not in WORDS:
-            raise UserError(f"{line[:60]!r} is not a command of the console; use one of {', '.join(WORDS)}")
-        return self.rig.begin(line, lambda: self._command(words))
-
-    def take_picture(self) -> Future[str]:
-        """Take a picture, write it to the folder ``pictures``, and return its file name.
-
-        The name consists of date and time.
-        """
-        return self.rig.begin("picture", self._take_picture)
-
-    def let_go(self) -> Future[None]:
-        """Switch off the lights, park the arm, switch off its torque, and close the devices."""
-        self.set_live(on=False)
-        return self.rig.begin("release of the devices", self.rig.let_go)
-
-    def set_live(self, *, on: bool) -> None:
-        """Switch live pictures on or off. Live pictures are taken only while clients request the state."""
-        self.rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
-        self.changed()
 
     def start_scan(
         self,
@@ -265,7 +224,7 @@ class Console:
             left = f", {len(outcome.open)} still planned" if outcome.open else ""
             self.messages.add(f"the schedule has ended: {count(outcome.scanned, 'scan')} finished, {len(outcome.missed)} missed{left}")
 
-        self.set_live(on=False)
+        self.by_hand.set_live(on=False)
         self.rig.begin(f"schedule of {self.experiment.name}", run)
 
     def stop_schedule(self) -> None:
@@ -290,33 +249,13 @@ class Console:
 
     # in the rig's thread
 
-    def _check(self) -> None:
-        self.rig.let_go()
-        bench = self.bench
-
-        def say(line: str) -> None:
-            self.devices.read_check(line)
-            self._say(line)
-
-        check(bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=say, folder=self.folders.root)
-
-    def _command(self, words: list[str]) -> list[str]:
-        self._replies = []
-        self.rig.command(words)
-        return self._replies
-
-    def _take_picture(self) -> str:
-        now = datetime.now().astimezone()
-        path = self.folders.pictures / f"{now:%Y-%m-%d-%H%M%S}-{now.microsecond // 1000:03d}.png"
-        self.rig.command(["picture", str(path)])
-        return path.name
-
     def _start(self, folder: Path, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
         name = folder.name
+        reconstruct = reconstruct and (self.twin is None or self.twin.fidelity == "render")
         identify = self.plants.identity(scene.subject, scene.strip)
 
         def run() -> None:
-            scan = self._show_scan(name, scene, paused=paused)
+            scan = self._show_scan(name, scene, paused=paused, reconstruct=reconstruct)
             observers = Observers(ask=self._ask, say=self._say_scan, observer=scan.live, identify=identify)
             try:
                 with ExitStack() as stack:
@@ -342,21 +281,21 @@ class Console:
                 scan.error = for_console(error_sentence(error))
                 raise
             self.messages.add(f"{name}: the scan is complete")
-            if reconstruct and not (self.twin is not None and self.twin.fidelity == "sketch"):
+            if reconstruct:
                 try:
                     self.queue.add(name)
                 except UserError as error:
                     self.messages.error(f"{name}: the scan could not be added to the queue of reconstructions: {error}")
 
-        self.set_live(on=False)
+        self.by_hand.set_live(on=False)
         self.rig.begin(f"scan {name}", run)
 
-    def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
+    def _show_scan(self, name: str, scene: Scene, **options: bool) -> RunningScan:
         """Set the scan that the console shows, and return its state."""
         part = "display of the scan"
         self.problems.solve(part)
         on_error = partial(self.problems.report, part)
-        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, on_error=on_error, paused=paused)
+        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, on_error=on_error, **options)
         if self._closing:
             self.scan.live.stop()
         self.changed()
@@ -375,10 +314,6 @@ class Console:
         return self.questions.ask(question, cancelled=cancelled)
 
     # what the rig's thread reports
-
-    def _say(self, text: str) -> None:
-        self._replies.append(text)
-        self.messages.add(text)
 
     def _say_scan(self, text: str) -> None:
         self.devices.read_report(text)

@@ -1,9 +1,9 @@
 """Compute a coarse visual hull of the roots during a scan.
 
 It is displayed but not used for measurements. Cells that lie outside the roots in a picture are
-removed, and the remaining cells are subdivided while their number is small. Each camera is estimated from the markers
-in its own picture, the empty backlight of a pixel is the maximum value so far, and the smallest cells have an edge of 1
-mm.
+removed, and the remaining cells are subdivided. Each camera is estimated from the markers in its own picture, the empty
+backlight of a pixel is the maximum value so far, and the smallest cells have an edge of 1 mm. The refraction is
+computed for the corners of the largest cells only, once per picture, and interpolated between them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from rhizotwin.recon.coverage.background import water_mask
 from rhizotwin.recon.optics import cameras
@@ -31,8 +32,8 @@ DARK = 0.85
 by a few per cent, and a root of 0.2 mm covers a third of a pixel of 0.6 mm."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
 """Edge length of the initial cells, and edge length of the smallest cells."""
-MOST_CELLS = 40_000
-"""Maximum number of cells. A browser can draw this number without delay."""
+MOST_CELLS = 400_000
+"""Maximum number of cells that are compared with the pictures, which takes two seconds for 40 pictures."""
 SPARE_PX = 1.0
 """Tolerance for the projection of a cell, px. It allows for errors of a camera pose that is estimated from a single
 picture."""
@@ -52,6 +53,8 @@ class _Seen:
     image: NDArray[np.float32]
     water: NDArray[np.bool_]
     """Mask (H, W) of the pixels through which the water is visible."""
+    corners_px: NDArray[np.float32]
+    """Pixel coordinates (2, X, Y, Z) of the corners of the largest cells. They are NaN if a corner is not visible."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,11 @@ class Hull:
         height = round(width * scene.camera.image_wh[1] / scene.camera.image_wh[0])
         self._camera = scene.camera.resized((width, height))
         self._seen: dict[int, list[_Seen]] = {}
+        reach = _REACH * min(self._optics.inner_radius_mm, self._optics.outer_radius_mm / self._optics.n_water)
+        side = np.arange(-reach, reach + COARSEST_MM, COARSEST_MM)
+        upward = np.arange(self._optics.floor_z_mm, self._optics.water_z_mm + COARSEST_MM, COARSEST_MM)
+        self._reach_mm = reach
+        self._corners_mm = np.stack(np.meshgrid(side, side, upward, indexing="ij"))
 
     def add(self, file: str, ring: int, image: Grey, cam_from_canister: Array, cam_from_tank: Array | None = None) -> None:
         """Add a picture.
@@ -96,7 +104,12 @@ class Hull:
         small = cv2.resize(image, self._camera.image_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
         view = View(camera=self._camera, cam_from_canister=cam_from_canister, cam_from_tank=cam_from_tank)
         water = water_mask(view, self._optics, self._scene)
-        self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max, water))
+        corners = self._corners_mm.reshape(3, -1).T
+        inside = np.hypot(corners[:, 0], corners[:, 1]) < self._reach_mm + 2.0 * COARSEST_MM
+        px = np.full((len(corners), 2), np.nan, np.float32)
+        px[inside] = cameras.project_inner(view, self._optics, corners[inside])
+        corners_px = px.T.reshape(2, *self._corners_mm.shape[1:])
+        self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max, water, corners_px))
 
     def drop(self, file: str) -> None:
         """Remove a picture by its file name."""
@@ -129,7 +142,8 @@ class Hull:
         """
         outlines = [found for seen in self._seen.values() for found in self._outlines(seen)]
         edge_mm = COARSEST_MM
-        middles = self._grid(edge_mm)
+        middles = self._corners_mm[:, :-1, :-1, :-1].reshape(3, -1).T + edge_mm / 2.0
+        middles = middles[np.hypot(middles[:, 0], middles[:, 1]) < self._reach_mm]
         while True:
             views = np.zeros(len(middles), np.int64)
             for outline in outlines:
@@ -141,18 +155,6 @@ class Hull:
             edge_mm /= 2.0
             corner = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1).reshape(8, 3) * edge_mm
             middles = (middles[:, None] + corner).reshape(-1, 3)
-
-    def _grid(self, edge_mm: float) -> Array:
-        """Return the centres (N, 3) of a grid of cells.
-
-        The grid fills the part of the water that is visible in all views at the same height.
-        """
-        optics = self._optics
-        reach = _REACH * min(optics.inner_radius_mm, optics.outer_radius_mm / optics.n_water)
-        side = np.arange(-reach, reach + edge_mm, edge_mm)
-        height = np.arange(optics.floor_z_mm + edge_mm / 2.0, optics.water_z_mm, edge_mm)
-        x, y, z = (axis.ravel() for axis in np.meshgrid(side, side, height, indexing="ij"))
-        return np.column_stack([x, y, z])[np.hypot(x, y) < reach]
 
     def _outlines(self, seen: list[_Seen]) -> list[_Outline]:
         """Compute distance images of the pictures at one height of the camera.
@@ -175,15 +177,18 @@ class Hull:
         The first selects cells in the field of view of a picture, and the second selects cells that show no root there.
         """
         view, water = outline.seen.view, outline.seen.water
-        px = cameras.project_inner(view, self._optics, middles)
+        at_corner = (middles - self._corners_mm[:, 0, 0, 0]).T / COARSEST_MM
+        px = [map_coordinates(axis, at_corner, order=1, cval=np.nan) for axis in outline.seen.corners_px]
         height, width = water.shape
-        at = np.round(np.nan_to_num(px, nan=-1.0)).astype(np.int64)
-        seen = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
-        seen[seen] = water[at[seen, 1], at[seen, 0]]
+        column, row = np.round(np.nan_to_num(px, nan=-1.0)).astype(np.int64)
+        seen = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+        seen[seen] = water[row[seen], column[seen]]
         # half the diagonal of the cell nearest to the camera, px, including the magnification by the water
         half_px = (
             view.camera.focal_px[0] * 0.5 * np.sqrt(3.0) * edge_mm * self._optics.n_water / (view.rho_mm - self._optics.outer_radius_mm)
         )
+        if edge_mm <= FINEST_MM:
+            half_px *= 0.5  # the smallest cells need not contain the roots, and look as thin as they are
         empty = np.zeros(len(middles), bool)
-        empty[seen] = outline.away_px[at[seen, 1], at[seen, 0]] > SPARE_PX + half_px
+        empty[seen] = outline.away_px[row[seen], column[seen]] > SPARE_PX + half_px
         return seen, empty

@@ -56,7 +56,9 @@ class RigThread:
         on_change: Callable[[], object],
     ) -> None:
         self._bench = bench
-        self._say = say
+        self.say = say
+        """Function that is called with each line of output."""
+        self._replies: list[str] = []
         self._on_live, self._on_error, self._on_change = on_live, on_error, on_change
         self._stack: ExitStack | None = None
         self._jog: Jog | None = None
@@ -117,13 +119,24 @@ class RigThread:
             except BaseException:
                 stack.close()
                 raise
-            self._stack, self._jog = stack, Jog(devices, self._bench.scene, say=self._say)
+            self._stack, self._jog = stack, Jog(devices, self._bench.scene, say=self._reply)
         return self._jog
 
-    def command(self, words: list[str]) -> None:
-        """Execute a command of `rig.jog`. The method must be called in the rig's thread."""
+    def command(self, words: list[str]) -> list[str]:
+        """Execute a command of `rig.jog`, and return its output. The method must be called in the rig's thread."""
+        self._replies = []
         with self._closed_if_lost():
             self.jog().do(words)
+        return self._replies
+
+    def _reply(self, line: str) -> None:
+        self._replies.append(line)
+        self.say(line)
+
+    def set_live(self, until_s: float) -> None:
+        """Set the time at which live pictures end. They end at once if it is 0."""
+        self.live_until_s = until_s
+        self._on_change()
 
     def let_go(self) -> None:
         """Switch off the lights, park the arm, switch off its torque and close the devices.

@@ -23,6 +23,8 @@ class RunningScan:
         Functions that are called with each picture, after each change, and with each error of hull and display.
     paused : bool
         Pause the scan before the first picture.
+    reconstruct : bool
+        Whether the finished scan is reconstructed, for display.
     """
 
     def __init__(
@@ -34,8 +36,9 @@ class RunningScan:
         on_change: Callable[[], object],
         on_error: Callable[[BaseException], object],
         paused: bool = False,
+        reconstruct: bool = False,
     ) -> None:
-        self.name, self.scene = name, scene
+        self.name, self.scene, self._reconstruct = name, scene, reconstruct
         self.error = ""
         """Error message if the scan has failed. It is empty if the scan has not failed."""
         self._on_change, self._on_look = on_change, on_look
@@ -54,6 +57,7 @@ class RunningScan:
             "done": live.done,
             "total": live.total,
             "error": self.error,
+            "reconstruct": self._reconstruct,
             "left_s": None if left_s is None or state != "running" else round(left_s),
         }
 

@@ -132,7 +132,7 @@ def _draw_shape(
         seen, px_mm = raster(shape, side, box)
         nearest = _nearest_points(seen, side, box, px_mm, lines) if lines else None
         for by, pair in zip(choices, pairs, strict=True):
-            shades = np.array(SHAPE_RGB)
+            shades = SHAPE_RGB
             if nearest is not None:
                 colour, _ = root_colours.colour_roots(by, lines)
                 shades = np.concatenate([colour(number, line) for number, line in lines.items()])[nearest] / 255.0

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """Type of a rectangle in a projection: left, right, bottom and top, mm."""
 
-SHAPE_RGB = tuple(part / 255.0 for part in root_colours.SURFACE)
+SHAPE_RGB = np.array(root_colours.SURFACE) / 255.0
 """Colour of the reconstructed shape, ochre."""
 SHRINK = 2
 """Supersampling factor of renderings in each direction."""

@@ -35,7 +35,8 @@ Bytes = NDArray[np.uint8]
 Parts = Mapping[int, tuple[Line, ...]]
 
 BESIDE_PX = 960
-"""Maximum width of the picture beside the 3D view, px. A panel has 360 px, or 720 on a fine screen."""
+"""Maximum width of the picture beside the 3D view, px. Its window has 264 px, or 792 on a fine screen, and can be
+enlarged."""
 _ASIDE_MM = 60.0
 """Distance between the reconstructed and the true shape if they are displayed side by side, mm."""
 _APART_S = 0.02
@@ -174,7 +175,7 @@ class Drawing:
         pictures, shown, place = self.shown.pictures, self.shown, self.beside
         if pictures is None or not self._is_new("beside", (place, tuple(self.roots), *self._edited)):
             return
-        image = pictures.draw_outline(place, shown.surface(), shown.session.state.lines, selected=self.roots, thickness=2)
+        image = pictures.draw_outline(place, shown.surface(), shown.session.state.lines, selected=self.roots, thickness=4)
         stream, small = io.BytesIO(), Image.fromarray(image)
         small.thumbnail((BESIDE_PX, BESIDE_PX))
         small.save(stream, "JPEG", quality=85)

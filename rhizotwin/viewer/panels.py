@@ -12,8 +12,9 @@ from rhizotwin.viewer import edit_tab, view_tab, words
 from rhizotwin.viewer.app import Viewer, ray_of, screen_of
 from rhizotwin.viewer.drawing import set_value
 
-_PICTURE_PX = 360
-"""Width of the panel with a picture, px. The 3D view keeps half of a screen of 1280 pixels."""
+_PANEL_PX, _PICTURE_PX, _EDGE_PX = 300, 264, 12
+"""Widths of the panel and of the window with a picture, and distance of the window from the lower left corner, px. The
+3D view keeps three quarters of a screen of 1280 pixels, and the window covers a corner of it."""
 _NO_ROOT = "none"
 
 
@@ -21,8 +22,9 @@ def build(viewer: Viewer) -> None:
     """Build the panel and register the handlers of clicks into the 3D scene."""
     server = viewer.served.server
     gui = server.gui
-    gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False, control_width="medium")
+    gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False, control_width="small")
     gui.main_panel.dock_right()
+    gui.main_panel.set_width(_PANEL_PX)
     head = gui.add_html("")
     message = gui.add_html("", visible=False)
     if len(viewer.names) > 1:
@@ -103,11 +105,13 @@ def _add_selection(viewer: Viewer) -> None:
             set_value(roots, shown)
         volumes = session.measure().volumes_mm3
         selected_mm3 = float(sum(volumes[row] for row in viewer.voxels))
-        text = words.selection(len(there), sum(lines[k].length_mm for k in there), len(viewer.voxels), selected_mm3)
+        is_root = len(there) == 1 and not viewer.voxels  # described below
+        length_mm = sum(lines[k].length_mm for k in there)
+        text = "" if is_root else words.selection(len(there), length_mm, len(viewer.voxels), selected_mm3)
         if len(viewer.measured) == 2:
             a, b = viewer.measured
             text += words.note(f"Distance: {float(((a - b) ** 2).sum()) ** 0.5:.2f} mm")
-        selection.content = text
+        selection.content, selection.visible = text, bool(text)
         root.visible = len(there) == 1
         if root.visible:
             root.content = words.root(there[0], lines, orders[there[0]])
@@ -122,13 +126,11 @@ def _add_pictures(viewer: Viewer) -> None:
     panel = gui.add_panel()
     with panel.add_tab("Picture", viser.Icon.PHOTO):
         image = gui.add_html(words.note("Drawing the outline ..."))
-        gui.add_html(words.note("Outline of the reconstruction, projected through the water; selected roots are yellow."))
         gui.add_button("Previous", icon=viser.Icon.CHEVRON_LEFT).on_click(lambda _: viewer.step_picture(-1))
         gui.add_button("Next", icon=viser.Icon.CHEVRON_RIGHT).on_click(lambda _: viewer.step_picture(1))
-        enter = gui.add_button("View from its camera", icon=viser.Icon.CAMERA)
+        enter = gui.add_button("Its camera", icon=viser.Icon.CAMERA)
         back = gui.add_button("Back to 3D", icon=viser.Icon.CUBE)
-    panel.dock_left()
-    panel.set_width(_PICTURE_PX)
+    panel.float(x=_EDGE_PX, y=-_EDGE_PX, width=_PICTURE_PX)
     enter.on_click(lambda _: viewer.enter_picture(viewer.beside))
     back.on_click(lambda _: viewer.enter_picture(None))
 

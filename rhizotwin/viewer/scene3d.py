@@ -36,7 +36,8 @@ _TRUTH_RGB = (108, 158, 205)
 _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
-_LINK_RGB = (130, 130, 130)
+_GREY = (125, 125, 125)
+"""Colour of lines that have the same contrast to a light and to a dark background."""
 _AMBIENT = 1.6
 """Intensity of the ambient light. It is added to the lights of viser (3.0 from above, 0.4 from below), so that colours
 can be recognized on the sides of roots."""
@@ -83,7 +84,7 @@ class Scene3d:
         right = np.cross([0.0, 0.0, 1.0], toward)
         right /= np.linalg.norm(right)
         wide, high, deep = (float(np.abs(axis) @ half) for axis in (right, np.cross(toward, right), toward))
-        return np.asarray(middle + toward * (deep + 1.15 * max(high, wide / min(aspect, 1.0)) / np.tan(np.deg2rad(20.0))))
+        return np.asarray(middle + toward * (deep + 1.05 * max(high, wide / min(aspect, 1.0)) / np.tan(np.deg2rad(20.0))))
 
     def show_roots(self, lines: Mapping[int, Sequence[Line]], colours: Colouring, *, key: str) -> None:
         """Draw roots as tubes. Meshes whose roots and colours have not changed are kept.
@@ -132,7 +133,7 @@ class Scene3d:
                 ends.append((line.points_mm[0], parent.points_mm[nearest]))
         if ends:
             add = self._server.scene.add_line_segments
-            self._keep("/roots/links", add("/roots/links", np.array(ends), _LINK_RGB, thickness=1.5, thickness_units="screen"))
+            self._keep("/roots/links", add("/roots/links", np.array(ends), _GREY, thickness=1.5, thickness_units="screen"))
 
     def show_selected(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
         """Highlight the selected roots and voxels."""
@@ -195,7 +196,7 @@ class Scene3d:
         ends = foot + np.outer([0.0, 1.0], [0.0, 0.0, length])
         tick = np.array([0.0, 0.04 * length, 0.0])
         points, add = np.stack([ends, *(np.stack([end - tick, end + tick]) for end in ends)]), self._server.scene
-        self._keep("/scale/bar", add.add_line_segments("/scale/bar", points, _BLACK, thickness=3.0, thickness_units="screen"))
+        self._keep("/scale/bar", add.add_line_segments("/scale/bar", points, _GREY, thickness=3.0, thickness_units="screen"))
         beside = ends.mean(axis=0) + 2.0 * tick
         self._keep("/scale/label", add.add_label("/scale/label", f"{length:g} mm", position=beside, anchor="center-left"))
 

@@ -72,7 +72,7 @@ def _add_layers(viewer: Viewer) -> None:
             box.visible = there.get(layer, True)
             if box.value != (layer in viewer.look.layers):
                 set_value(box, layer in viewer.look.layers)
-        compare.visible = there["truth"]
+        compare.visible = there["truth"] and "truth" in viewer.look.layers
 
     viewer.on_change.append(follow)
 

@@ -17,7 +17,7 @@ from rhizotwin.recon.results import assessments
 from rhizotwin.report import words
 from rhizotwin.report.charts import ticks
 from rhizotwin.scenes import polyline
-from rhizotwin.scenes.formatting import ml, round_digits
+from rhizotwin.scenes.formatting import count, ml, round_digits
 from rhizotwin.scenes.html_page import data_uri, items
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.scenes.traits import Traits, emergence_deg
@@ -51,25 +51,24 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
 
 
 def root_name(number: int, line: Line, order: int) -> str:
-    """Return the name of a root in the list of roots."""
-    return f"root {number}: {order_name(order)}, {line.length_mm:.1f} mm"
+    """Return the name of a root in the list of roots, which is as short as the list is narrow."""
+    return f"root {number}: {order_name(order).removeprefix('lateral, ')}, {line.length_mm:.1f} mm"
 
 
 def root(number: int, lines: Lines, order: int) -> str:
-    """Return length, order, angles and diameter of a root as an HTML table."""
+    """Return order, length, angles and diameter of a root as HTML."""
     line = lines[number]
     parent = lines.get(line.parent)
-    angles = f"{_to_vertical_deg(line):.0f}° to the vertical (mean)"
+    angles = f"{_to_vertical_deg(line):.0f}° to the vertical"
     to_parent = None if parent is None else emergence_deg(line.points_mm, parent.points_mm)
     laterals = sum(other.parent == number for other in lines.values())
-    rows = [
-        ("length", f"{line.length_mm:.1f} mm, tip {'visible' if line.tip_seen else 'hidden by other roots'}"),
-        ("order", f"{order_name(order)}; {laterals} lateral{'' if laterals == 1 else 's'}"),
-        ("angle", angles if to_parent is None else f"{angles}, {to_parent:.0f}° to its parent"),
-        ("diameter", _mean_diameter_text(line)),
+    facts = [
+        f"<b>Root {number}</b> {order_name(order)}; {count(laterals, 'lateral')}",
+        f"{line.length_mm:.1f} mm, tip {'visible' if line.tip_seen else 'hidden by other roots'}",
+        angles if to_parent is None else f"{angles}, {to_parent:.0f}° to its parent",
+        f"mean diameter {_mean_diameter_text(line)}",
     ]
-    table = "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows)
-    return f"{_PADDED}<b>Root {number}</b><table>{table}</table>{profile(line)}</div>"
+    return f"{_PADDED}{'<br>'.join(facts)}{profile(line)}</div>"
 
 
 def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
@@ -154,7 +153,7 @@ def profile(line: Line) -> str:
     """Return a plot of the diameter along a root as SVG, with the 90 % interval as a band."""
     half_mm = half_widths(line)
     low, high = (line.diameters_mm, line.diameters_mm) if half_mm is None else (line.diameters_mm - half_mm, line.diameters_mm + half_mm)
-    left, right, top, base = 34.0, 292.0, 6.0, 92.0
+    left, right, top, base = 34.0, 292.0, 6.0, 72.0
     across, up = (right - left) / max(float(line.way_mm[-1]), 1e-6), (base - top) / max(float(high.max()), 1e-6)
 
     def at(way_mm: Array, diameter_mm: Array) -> str:
@@ -162,19 +161,20 @@ def profile(line: Line) -> str:
         return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
 
     marks = "".join(
-        f"<path d='M{left:g} {base - up * value:.1f}H{right:g}' stroke='#d8dee3'/>"
+        f"<path d='M{left:g} {base - up * value:.1f}H{right:g}' stroke='var(--line)'/>"
         f"<text x='{left - 4:g}' y='{base - up * value + 3.5:.1f}' text-anchor='end'>{value:g}</text>"
         for value in ticks(0.0, float(high.max()), most=4)
     )
     marks += "".join(
-        f"<path d='M{left + across * value:.1f} {base:g}v4' stroke='#5b6770'/>"
+        f"<path d='M{left + across * value:.1f} {base:g}v4' stroke='var(--soft)'/>"
         f"<text x='{left + across * value:.1f}' y='{base + 14:g}' text-anchor='middle'>{value:g}</text>"
         for value in ticks(0.0, float(line.way_mm[-1]), most=6)
     )
     band = f"{at(line.way_mm, high)} {at(line.way_mm[::-1], low[::-1])}"
     return (
-        f"<svg viewBox='0 0 300 122' role='img' aria-label='Diameter along the root'>{marks}<polygon points='{band}' fill='#1f77b4' "
-        f"fill-opacity='0.25'/><polyline points='{at(line.way_mm, line.diameters_mm)}' fill='none' stroke='#1f77b4' stroke-width='1.5'/>"
+        f"<svg viewBox='0 0 300 102' role='img' aria-label='Diameter along the root'>{marks}"
+        f"<polygon points='{band}' fill='var(--accent)' fill-opacity='0.25'/>"
+        f"<polyline points='{at(line.way_mm, line.diameters_mm)}' fill='none' stroke='var(--accent)' stroke-width='1.5'/>"
         f"<text x='{(left + right) / 2:g}' y='{base + 27:g}' text-anchor='middle'>distance from the base (mm)</text>"
         f"<text transform='translate(8 {(top + base) / 2:g}) rotate(-90)' text-anchor='middle'>diameter (mm)</text></svg>"
     )
@@ -184,7 +184,9 @@ def picture(name: str, jpeg: bytes, angle_deg: float | None) -> str:
     """Return a picture with the outline of the reconstruction as an HTML element, with its name and the table angle."""
     angle = "" if angle_deg is None else f", table at {round(angle_deg, 1) % 360.0:.1f}°"
     text = html.escape(name)
-    return f"<div class=beside><img alt='Outline of the reconstruction on {text}' src='{data_uri('image/jpeg', jpeg)}'>{text}{angle}</div>"
+    meaning = "Outline of the reconstruction, projected through the water. Selected roots are yellow."
+    image = f"<img alt='Outline of the reconstruction on {text}' title='{meaning}' src='{data_uri('image/jpeg', jpeg)}'>"
+    return f"<div class=beside>{image}{text}{angle}</div>"
 
 
 def _to_vertical_deg(line: Line) -> float:
@@ -200,7 +202,7 @@ def _mean_diameter_text(line: Line) -> str:
     """
     half_mm = half_widths(line)
     text = f"{_weighted_mean(line, line.diameters_mm):.2f}"
-    return f"{text} mm on average" if half_mm is None else f"{text} ± {_weighted_mean(line, half_mm):.2f} mm on average (90 %)"
+    return f"{text} mm" if half_mm is None else f"{text} ± {_weighted_mean(line, half_mm):.2f} mm (90 %)"
 
 
 def _weighted_mean(line: Line, values: Array) -> float:

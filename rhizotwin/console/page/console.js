@@ -77,7 +77,9 @@ function show(next) {
   showPicture();
   showHistory();
   showHull();
-  by("devices").replaceChildren(...state.devices.map((one) => row(one.state, one.name, one.time ? `${one.text} (at ${one.time.slice(0, 5)})` : one.text)));
+  showDevices();
+  fold("devices-box", !running);
+  fold("hands", own && !running);
   showScans();
   showMessages();
   showProblems();
@@ -87,7 +89,9 @@ function show(next) {
     if (one.closest("#question, #schedule, #history, #next, table") || one.id === "latest") continue;
     one.disabled = !own || state.activity !== "";
   }
-  for (const one of document.querySelectorAll(".why")) one.textContent = why();
+  by("why").textContent = why(running);
+  by("why").hidden = by("why").textContent === "";
+  by("camera").hidden = running;
   by("pause").disabled = by("continue").disabled = !own;
   by("stop").disabled = !running || state.scan.state === "stopping";
   by("schedule-start").disabled = !own || state.activity !== "";
@@ -95,15 +99,26 @@ function show(next) {
   for (const one of document.querySelectorAll("#question button, #question input")) one.disabled = !own;
 }
 
-// Return why controls are disabled, or an empty text.
-function why() {
+// Return why controls are disabled, or an empty text. During a scan they are folded, and the state of the scan says why.
+function why(running) {
   const { name, own } = state.controls;
-  if (!own) return name === null ? "Take control of the rig (top of the page) to use the grey buttons." : `${name} controls the rig; take over to use the grey buttons.`;
-  return state.activity === "" ? "" : `The rig is busy (${state.activity}); the grey buttons can be used again afterwards.`;
+  if (!own) return name === null ? "Take control of the rig to use the grey buttons." : `${name} controls the rig; take over to use the grey buttons.`;
+  return running || state.activity === "" ? "" : `The rig is busy (${state.activity}); the grey buttons can be used again afterwards.`;
 }
 
-function row(kind, name, text, soft = "") {
-  return make("div", { className: "state" }, make("span", { className: `dot ${kind}`, title: kind }), make("b", {}, name), make("span", { className: kind === "wrong" ? "wrong" : "" }, text, soft ? make("br") : "", soft ? make("span", { className: "soft" }, soft) : ""));
+// Fold a part of the page when it can no longer be used, and unfold it when it can. The user can unfold it at any time.
+function fold(id, usable) {
+  if (changed(`fold ${id}`, usable)) by(id).open = usable;
+}
+
+function showDevices() {
+  by("devices").replaceChildren(...state.devices.map((one) => row(one.state, one.name, one.time ? `${one.text} (at ${one.time.slice(0, 5)})` : one.text)));
+  by("devices-dots").replaceChildren(...state.devices.map((one) => make("span", { className: `dot ${one.state}`, title: one.name })));
+  by("devices-dots").ariaLabel = state.devices.map((one) => `${one.name}: ${one.state}`).join(", ");
+}
+
+function row(kind, name, text, soft = "", title = "") {
+  return make("div", { className: "state", title }, make("span", { className: `dot ${kind}`, title: kind }), make("b", {}, name), make("span", { className: kind === "wrong" ? "wrong" : "" }, text, soft ? make("br") : "", soft ? make("span", { className: "soft" }, soft) : ""));
 }
 
 function showControl() {
@@ -128,6 +143,7 @@ function showScan(running) {
   by("scan-bar").value = scan.done;
   const left = scan.left_s === null ? "" : `, about ${duration(scan.left_s)} left`;
   const words = { running: `running${left}`, paused: "paused with lights, motor and arm switched on", stopping: "stopping: lights are switched off, and the arm is parked; the pictures are kept", ended: scan.done === scan.total && scan.total ? "complete" : scan.done ? "ended; finish the scan in the list of scans" : "ended before the first picture" };
+  by("then").textContent = running && scan.reconstruct ? "Then it is reconstructed, and can be opened here." : "";
   by("scan-state").textContent = scan.total === 0 && running ? "not started yet" : `${scan.done} of ${scan.total} pictures, ${words[scan.state]}`;
   by("scan-error").textContent = scan.error;
   by("scan-error").hidden = scan.error === "";
@@ -191,7 +207,7 @@ function showPicture() {
   by("picture").src = source;
   by("picture").alt = browsed !== null ? `Picture ${browsed.number + 1} of ${browsed.scan}` : "Latest picture of the camera, markers outlined";
   by("picture-title").textContent = browsed !== null ? `picture ${browsed.number + 1} of ${browsed.scan}` : picture.title;
-  if (browsed === null) by("meters").replaceChildren(...picture.meters.map((one) => row(one.state, one.name, one.value, one.limits)));
+  if (browsed === null) by("meters").replaceChildren(...picture.meters.map((one) => row(one.state, one.name, one.value, ["good", "unknown"].includes(one.state) ? "" : one.limits, one.limits)));
 }
 
 function pictureOf(scan, number) {
@@ -222,7 +238,8 @@ function browse(picture) {
 
 async function showHull() {
   const { number, cells, radius_mm: radius, height_mm: height } = state.hull;
-  by("hull-text").textContent = cells ? "From the pictures taken so far, for viewing only. Drag it, or use the arrow keys, to rotate it." : "It appears after the first pictures of a scan.";
+  by("preview").hidden = state.scan === null;
+  by("hull-text").textContent = cells ? "Where the pictures so far allow roots, to about a millimetre; the reconstruction is sharper. Drag it, or use the arrow keys, to rotate it." : "It appears after the first pictures of a scan.";
   if (number === shown.hull) return;
   shown.hull = number;
   try {

@@ -1,6 +1,7 @@
-// Draws the cells of the coarse hull in the canister on a canvas; dragging rotates the view.
+// Draws the cells of the coarse hull in the canister on a canvas, as a translucent cloud; dragging rotates the view.
 
-const LAYERS = 12;
+const OPACITY = 0.16; // of a cell; several cells one behind another are opaque
+const SOFT = 2.6; // size of the blurred disc that is drawn for a cell, relative to its edge
 const MARGIN = 1.15;
 
 export class Hull {
@@ -93,24 +94,21 @@ export class Hull {
     this.drawCells(context, project, Math.max(1, this.edge * scale), style);
   }
 
-  // Draw the cells from far to near, the nearer the darker.
+  // Draw each cell as a blurred disc. Discs add up to the thickness of the roots along the line of sight.
   drawCells(context, project, size, style) {
-    const count = Math.floor(this.points.length / 3);
-    const layers = Array.from({ length: LAYERS }, () => []);
-    const [sin, cos] = [Math.sin(this.turn), Math.cos(this.turn)];
-    const depth = (k) => this.points[3 * k] * cos - this.points[3 * k + 1] * sin;
-    let [near, far] = [Infinity, -Infinity];
-    for (let k = 0; k < count; k++) {
-      near = Math.min(near, depth(k));
-      far = Math.max(far, depth(k));
+    const disc = Math.max(3, Math.round(SOFT * size));
+    const sprite = new OffscreenCanvas(disc, disc);
+    const brush = sprite.getContext("2d");
+    const shade = brush.createRadialGradient(disc / 2, disc / 2, 0, disc / 2, disc / 2, disc / 2);
+    shade.addColorStop(0, style.getPropertyValue("--root"));
+    shade.addColorStop(1, "transparent");
+    brush.fillStyle = shade;
+    brush.fillRect(0, 0, disc, disc);
+    context.globalAlpha = OPACITY;
+    for (let k = 0; k + 2 < this.points.length; k += 3) {
+      const [x, y] = project(this.points[k], this.points[k + 1], this.points[k + 2]);
+      context.drawImage(sprite, x - disc / 2, y - disc / 2);
     }
-    for (let k = 0; k < count; k++) layers[Math.min(LAYERS - 1, Math.floor(((far - depth(k)) / (far - near || 1)) * LAYERS))].push(k);
-    layers.forEach((layer, number) => {
-      context.fillStyle = `color-mix(in srgb, ${style.getPropertyValue("--root")} ${Math.round(25 + (75 * (number + 1)) / LAYERS)}%, ${style.getPropertyValue("--paper")})`;
-      for (const k of layer) {
-        const [x, y] = project(this.points[3 * k], this.points[3 * k + 1], this.points[3 * k + 2]);
-        context.fillRect(x - size / 2, y - size / 2, size, size);
-      }
-    });
+    context.globalAlpha = 1;
   }
 }

@@ -1,4 +1,10 @@
-// What viser's page lacks: the key "?" opens the list of commands and keys, and buttons without text have names.
+// What viser's page lacks: it is as dark as other pages, the key "?" opens the list of commands and keys, and buttons without text have names.
+
+if (matchMedia("(prefers-color-scheme: dark)").matches) {
+  const address = new URL(location);
+  address.searchParams.set("darkMode", ""); // read by viser when the page is built
+  history.replaceState(null, "", address);
+}
 
 addEventListener("keydown", (event) => {
   if (event.key !== "?" || event.target.closest?.("input, textarea")) return;

@@ -28,8 +28,8 @@ RECONSTRUCTION_MS = 1_800_000
 def opened(browser: Any, address: str, *, password: str = "") -> Iterator[Any]:
     """Open a page; an error of its script or a refused resource fails the test."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
+    context.set_default_timeout(PATIENCE_MS)  # also of pages that this page opens
     page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda message: errors.append(message.text) if "Content Security Policy" in message.text else None)
@@ -104,7 +104,8 @@ def test_a_password_opens_the_page_and_no_report_has_its_cookie(browser: Any, ma
     report = Path(shutil.copytree(plant.result, lab.folder / "results" / "P7-2026-11-26")) / "report.html"
     report.write_text("<script>document.title = 'cookie ' + (() => { try { return document.cookie } catch { return 'apart' } })()</script>")
     with opened(browser, f"http://127.0.0.1:{lab.served.port}/", password="a long password") as page:
-        assert page.get_by_role("button", name="Home").is_disabled()
+        assert page.get_by_role("button", name="Start scan").is_disabled()
+        assert not page.locator("form#line input").is_visible()  # folded until it can be used
         take_control(page, "Anna")
         page.locator("form#line input").fill("home 0")
         page.get_by_role("button", name="Run").click()

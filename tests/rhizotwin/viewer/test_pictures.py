@@ -59,7 +59,7 @@ def test_outlines_lie_on_the_roots_and_are_those_of_the_union(shown: Shown):
     assert inside.sum() > 1000
     assert not outline[inside].any()  # no edge of one tube inside another
     selected = pictures.draw_outline(0, shown.surface(), lines, selected=[1]).astype(int)
-    assert ((selected[..., 2] - selected[..., 0]) > 100).sum() > 50  # blue
+    assert ((selected[..., 1] > 180) & (selected[..., 2] < 60)).sum() > 50  # yellow
 
 
 def test_filled_polygons_are_their_union():
