@@ -102,7 +102,7 @@ def console(_: Path, goal: Path) -> None:
         started = [sys.executable, "-u", "-m", "rhizotwin", *words]
         with subprocess.Popen(started, cwd=temporary, stdout=subprocess.PIPE, text=True) as process:
             try:
-                shown = opened.new_page(viewport={"width": 1280, "height": 1840})
+                shown = opened.new_page(viewport={"width": 1280, "height": 1250})
                 shown.set_default_timeout(PATIENCE_MS)
                 shown.goto(next(line.split()[0] for line in process.stdout or () if line.startswith("http")))
                 shown.locator("#take").click()

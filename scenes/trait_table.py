@@ -305,17 +305,18 @@ def lines(traits: Traits, assessed: Assessments) -> list[str]:
     width, rows = max(len(d.name) for d in DEFINITIONS) + 2, []
     for d in DEFINITIONS:
         value = getattr(traits, d.field)
-        judged = "" if value is None else format_assessment(assessed.get(d.field, NO_INTERVAL))
+        judged = "" if value is None else format_assessment(assessed.get(d.field, NO_INTERVAL), whole=isinstance(value, int))
         rows.append(f"{d.name:<{width}}{format_number(value):>12} {d.unit:<5} {judged:<24} {d.meaning}")
     known = {d.name: assessed.get(d.field, NO_INTERVAL) for d in DEFINITIONS if getattr(traits, d.field) is not None}
     return [*rows, *reasons(known)]
 
 
-def format_assessment(one: Assessment) -> str:
-    """Format an interval or a verdict for display."""
+def format_assessment(one: Assessment, *, whole: bool) -> str:
+    """Format an interval, whose limits are rounded to ``whole`` numbers for counts, or a verdict for display."""
     if one.interval is None:
         return one.verdict
-    interval = f"{format_number(one.interval[0])} to {format_number(one.interval[1])}"
+    low, high = (f"{end:.0f}" if whole else format_number(end) for end in one.interval)
+    interval = f"{low} to {high}"
     return interval if one.verdict == "reliable" else f"{one.verdict} ({interval})"
 
 
