@@ -58,7 +58,7 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
     list of Path
         Paths of the table and the page.
     str
-        Summary such as "3 of 12 volumes usable; not usable: 7 x inconsistent views, 2 x blurred pictures".
+        Summary such as "3 of 12 volumes reliable; not reliable: 7 x inconsistent views, 2 x blurred pictures".
     """
     rows = []
     broken = list(failed)
@@ -77,11 +77,11 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
 
 def summarise(summaries: Sequence[Json]) -> str:
-    """Return a text with the number of usable volumes, and with the number of scans for each reason against use."""
+    """Return a text with the number of reliable volumes, and with the number of scans for each reason of the others."""
     codes = Counter(code for summary in summaries for code in reasons.reasons_for_volume(summary))
-    usable = sum(bool(summary["volume_trusted"]) for summary in summaries)
+    reliable = sum(bool(summary["volume_trusted"]) for summary in summaries)
     counted = ", ".join(f"{count} x {code.replace('_', ' ')}" for code, count in codes.most_common())
-    return f"{usable} of {len(summaries)} volumes usable" + (f"; not usable: {counted}" if counted else "")
+    return f"{reliable} of {len(summaries)} volumes reliable" + (f"; not reliable: {counted}" if counted else "")
 
 
 def _thumbnail(result: Path) -> bytes | None:

@@ -188,7 +188,7 @@ class Hull:
             view.camera.focal_px[0] * 0.5 * np.sqrt(3.0) * edge_mm * self._optics.n_water / (view.rho_mm - self._optics.outer_radius_mm)
         )
         if edge_mm <= FINEST_MM:
-            half_px *= 0.5  # the smallest cells need not contain the roots, and look as thin as they are
+            half_px = 0.0  # the smallest cells need not contain all of the roots, and look hardly thicker than they are
         empty = np.zeros(len(middles), bool)
         empty[seen] = outline.away_px[row[seen], column[seen]] > SPARE_PX + half_px
         return seen, empty

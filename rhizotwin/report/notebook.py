@@ -18,7 +18,7 @@ def html(result: Result) -> str:
     used = sum(camera.used for camera in result.cameras)
     rows = [
         ("volume", Markup(f"<b>{found}</b>, 90 % interval {interval}")),
-        ("verdict", "usable" if result.trusted else Markup(f"<b>not reliable</b>: {escape(result.verdict)}")),
+        ("verdict", "reliable" if result.trusted else Markup(f"<b>not reliable</b>: {escape(result.verdict)}")),
         ("roots", "; ".join([f"{len(result.roots)}", *words.root_summary(summary)[:1]]) if result.roots else "no centre lines"),
         ("views", f"{used} of {len(result.cameras)} used"),
         *(("warning", warning) for warning in result.warnings),

@@ -90,11 +90,11 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     It shows pictures of the shapes, and leads to the reports in the folders of the results.
     """
     reports = [ReportData.read(Path(folder)) for folder in result_folders]
-    usable = sum(bool(one.summary["volume_trusted"]) for one in reports)
+    reliable = sum(bool(one.summary["volume_trusted"]) for one in reports)
     known = [name for name in subject.NAMES if any(name in one.subject.known for one in reports)]
     names = result_names.names_of([one.folder for one in reports])
     rows = [_row(place, name, one, known) for place, (name, one) in enumerate(zip(names, reports, strict=True))]
-    heading = f"{usable} of {len(reports)} volumes usable"
+    heading = f"{reliable} of {len(reports)} volumes reliable"
     head = ["verdict", "volume (90 % interval)", "result", *("scene", *known, "root length (mm)", "edits")]
     if not any(row[-1] for row in rows):
         head, rows = head[:-1], [row[:-1] for row in rows]
@@ -136,7 +136,7 @@ def _short_report(report: ReportData, page_folder: Path) -> str:
     """Return the short report of one of many results as HTML, for a page in a folder."""
     picture, own = report.small_picture(), report.folder / "report.html"
     shape = "" if picture is None else html_page.image("webp", sides.webp(picture), "Shape from the front and from the side")
-    link = quote(Path(os.path.relpath(own, page_folder)).as_posix())
+    link = quote(os.fsencode(Path(os.path.relpath(own, page_folder)).as_posix()))
     more = f'<p><a href="{link}">Report with the shape in 3D</a></p>' if own.is_file() else ""
     return f"<div>{_head(report, level=2)}{more}</div><figure>{shape}</figure><details><summary>Traits</summary>{_traits(report)}</details>"
 

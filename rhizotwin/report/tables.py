@@ -14,7 +14,7 @@ def verdict(summary: Json) -> tuple[Markup, Markup]:
     """Return two cells of a table: the verdict on a result, and its volume with the 90 % interval."""
     state = words.traffic_light(summary)[0]
     found, interval = words.volume_text(summary)
-    light = f'<span class="verdict {state}"><b></b>{"not reliable" if state == "bad" else "usable"}</span>'
+    light = f'<span class="verdict {state}"><b></b>{"not reliable" if state == "bad" else "reliable"}</span>'
     return Markup(light), Markup(f"{found}<br><small class=soft>{interval}</small>")
 
 

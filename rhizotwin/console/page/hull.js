@@ -1,7 +1,7 @@
 // Draws the cells of the coarse hull in the canister on a canvas, as a translucent cloud; dragging rotates the view.
 
-const OPACITY = 0.16; // of a cell; several cells one behind another are opaque
-const SOFT = 2.6; // size of the blurred disc that is drawn for a cell, relative to its edge
+const DENSEST = 0.9; // quantile of the number of cells one behind another that looks almost opaque
+const SOFT = 2; // size of the blurred disc that is drawn for a cell, relative to its edge
 const MARGIN = 1.15;
 
 export class Hull {
@@ -100,15 +100,23 @@ export class Hull {
     const sprite = new OffscreenCanvas(disc, disc);
     const brush = sprite.getContext("2d");
     const shade = brush.createRadialGradient(disc / 2, disc / 2, 0, disc / 2, disc / 2, disc / 2);
-    shade.addColorStop(0, style.getPropertyValue("--root"));
-    shade.addColorStop(1, "transparent");
+    const colour = style.getPropertyValue("--root").trim();
+    shade.addColorStop(0, colour);
+    shade.addColorStop(1, `${colour}00`);
     brush.fillStyle = shade;
     brush.fillRect(0, 0, disc, disc);
-    context.globalAlpha = OPACITY;
+    const places = [];
+    const behind = new Map();
     for (let k = 0; k + 2 < this.points.length; k += 3) {
       const [x, y] = project(this.points[k], this.points[k + 1], this.points[k + 2]);
-      context.drawImage(sprite, x - disc / 2, y - disc / 2);
+      const at = `${Math.round(x / size)} ${Math.round(y / size)}`;
+      behind.set(at, (behind.get(at) ?? 0) + 1);
+      places.push([x - disc / 2, y - disc / 2]);
     }
+    const counts = Array.from(behind.values()).sort((a, b) => a - b);
+    const deepest = counts[Math.floor(DENSEST * (counts.length - 1))] ?? 1;
+    context.globalAlpha = 1 - 0.1 ** (3 / (SOFT * SOFT * deepest)); // a disc has a third of the opacity of its centre on average
+    for (const [x, y] of places) context.drawImage(sprite, x, y);
     context.globalAlpha = 1;
   }
 }

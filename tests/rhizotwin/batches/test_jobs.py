@@ -115,15 +115,15 @@ def test_the_page_names_plants_and_failures_and_leads_to_reports(ball_result: Ca
     assert (found.scheme, os.fsdecode(unquote_to_bytes(found.path))) == ("file", str(tmp_path / name / "report.html"))
 
 
-def test_volumes_that_are_not_usable_are_counted_by_reason() -> None:
+def test_volumes_that_are_not_reliable_are_counted_by_reason() -> None:
     term = {"name": "radii", "less_mm3": 50.0, "more_mm3": 20.0}
     narrow = {"volume_mm3": 100.0, "volume_interval_mm3": [95.0, 105.0], "volume_budget": [term], "views": [{"used": True}] * 12}
     wide = narrow | {"volume_interval_mm3": [50.0, 120.0], "volume_trusted": False}
     dirty = narrow | {"volume_trusted": False, "checks": [{"name": "dirt", "state": "bad"}]}
     good = narrow | {"volume_trusted": True, "checks": [{"name": "dirt", "state": "fair"}]}
     reasons = "2 x dirty canister, 1 x wide interval, 1 x high radii"
-    assert overview.summarise([wide, dirty, dirty]) == f"0 of 3 volumes usable; not usable: {reasons}"
-    assert overview.summarise([good, good]) == "2 of 2 volumes usable"
+    assert overview.summarise([wide, dirty, dirty]) == f"0 of 3 volumes reliable; not reliable: {reasons}"
+    assert overview.summarise([good, good]) == "2 of 2 volumes reliable"
 
 
 def test_a_batch_folder_stands_for_its_results(tmp_path: Path, ball_result: Callable[..., Path], command: Command) -> None:

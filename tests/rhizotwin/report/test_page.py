@@ -135,8 +135,8 @@ def test_one_page_for_many(plant: plants.Plant, tmp_path: Path):
     text = page.write_many([plant.result, plant.result], tmp_path / "many.html").read_text(encoding="utf-8")
     assert text.count("data:image/webp;base64,") == 2
     assert "<script" not in text
-    assert text.count("usable</span>") == 2
-    assert "<h1>2 of 2 volumes usable</h1>" in text
+    assert text.count("reliable</span>") == 2
+    assert "<h1>2 of 2 volumes reliable</h1>" in text
     folders = [shutil.copytree(plant.result, tmp_path / day / "result") for day in ("day_1", "day_2")]
     text = page.write_many(folders, tmp_path / "many.html").read_text(encoding="utf-8")
     assert re.findall('<a href="#result-.">([^<]*)', text) == ["day_1/result", "day_2/result"]
