@@ -70,7 +70,7 @@ def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = polyline.unit_vectors(tree.centre_mm[tip] - tree.centre_mm[before])
-    explained = 1.0 - tube_picture.transmittance(evidence, tree, evidence.project(tree.centre_mm))
+    explained = 1.0 - tube_picture.transmittance(evidence, tree, tube_picture.project_axes(evidence, tree))
     dr.eval(explained)
     count = max(1, _AT_ONCE // (evidence.bank.count * _SAMPLES))
     parts = np.split(np.arange(len(tip)), np.arange(count, len(tip), count))

@@ -16,7 +16,7 @@ The kernel loops over the rows of each strip and visits only covered pixels, abo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import drjit as dr
@@ -26,6 +26,7 @@ import numpy as np
 from rhizotwin.recon import passes
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
 from rhizotwin.recon.device import Bool, Float, Int32, Kernel, UInt32, Vector2f, numbers, vectors, wholes
+from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
@@ -36,6 +37,8 @@ PIXEL_SIGMA = 12.0**-0.5
 _NARROWEST_PX = 0.1
 """Minimum width of the two boxes whose convolution is the pixel projected along an edge, px. Without this limit, a box
 would have zero width for edges parallel to rows or columns in pictures without blur."""
+_WIDE_MM = 0.5
+"""Radius of a tube above which its edges are projected, mm. The axis of thinner tubes is in the middle to 0.003 mm."""
 _LEAST_PX = 1e-3
 """Minimum length of a segment in a picture, px. The direction of shorter segments is undefined."""
 _NOTHING, _ENDS = 1e-4, 4.0
@@ -61,6 +64,32 @@ def _on_one_side(x: Float, outer: Float, inner: Float, per_area: Float) -> Float
     x = dr.clip(x, -_FAR_PX, _FAR_PX)
     ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
     return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
+
+
+def project_axes(evidence: Evidence, tubes: Tubes) -> Nodes:
+    """Project the nodes of tubes into all views, midway between both edges of the tube.
+
+    Water and lens magnify the two halves of a wide tube differently, so that its axis does not appear in the middle: in
+    a canister, by up to 0.1 mm for a root of 10 mm, towards the edge of the canister. The edges are the points beside
+    the axis, perpendicular to the line of sight.
+    """
+    at, wide = evidence.project(tubes.centre_mm), np.flatnonzero(tubes.radius_mm > _WIDE_MM)
+    if not len(wide):
+        return at
+    p, (view, number) = at.on_device, projection.pair_all(at.shape[0], len(wide))
+    node = dr.gather(mi.UInt32, wholes(wide), number)
+    place = view * dr.opaque(mi.UInt32, at.shape[1]) + node
+    visible, px = dr.gather(mi.Bool, p.visible, place), dr.gather(mi.Vector2f, p.px, place)
+    du, dv = (dr.gather(mi.Vector3f, part, place) for part in (p.du, p.dv))
+    across = dr.cross(dr.gather(mi.Vector3f, vectors(tubes.tangents), node), dr.cross(du, dv))
+    aside = dr.gather(mi.Float, numbers(tubes.radius_mm), node) * dr.normalize(across)
+    centre = dr.gather(mi.Vector3f, vectors(tubes.centre_mm), node)
+    edges = [projection.project(evidence.bank, view, mi.Point3f(centre + side * aside), visible) for side in (-1.0, 1.0)]
+    both = edges[0].visible & edges[1].visible
+    middle = mi.Vector2f(p.px)
+    dr.scatter(middle, dr.select(both, 0.5 * (edges[0].px + edges[1].px), px), place)
+    dr.eval(middle)
+    return Nodes(at.shape, replace(p, px=middle))
 
 
 def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
@@ -249,7 +278,7 @@ class Rendering:
     @staticmethod
     def draw(evidence: Evidence, tubes: Tubes) -> Rendering:
         """Render tubes in all views."""
-        at = evidence.project(tubes.centre_mm)
+        at = project_axes(evidence, tubes)
         passing = transmittance(evidence, tubes, at)
         difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.usable)
         dr.eval(passing, difference)
