@@ -36,7 +36,7 @@ tubes. The estimated refractive index is used only if the reduction is larger.
 
 On a radish, the correction of an index error of 0.0006 reduced the distance by 0.5 %. The reduction is proportional to
 the square of the error, so that this limit corresponds to 0.0018. Wide roots that are not quite round bias the index:
-for a printed phantom, the estimate is 0.0027 too high with five standard deviations, and the reduction is 0.6 to 0.8 %.
+for a printed phantom, the estimate is 0.0013 too high with 4.5 standard deviations, and the reduction is 1.3 %.
 The reduction is computed from the linear system, since refitting the tubes reduces the distance by some per cent with
 any index, depending on the rounding of the pictures."""
 _ROUNDS, _STEPS = 4, 3
