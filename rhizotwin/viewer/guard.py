@@ -13,6 +13,7 @@ import http
 import io
 import secrets
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
@@ -82,6 +83,8 @@ def serve(*, host: str = LOCAL, port: int = 8080, title: str = "rhizotwin") -> S
     UserError
         If the address is not an address of this computer, or no port is free.
     """
+    # viser warns of each drawing for a browser that has just left; the next browser gets it anyway
+    warnings.filterwarnings("ignore", message=r"Queued a \w+ on a closed connection")
     token, is_open = secrets.token_urlsafe(24), threading.Event()
     try:
         with _token_check(token, is_open), redirect_stdout(io.StringIO()):  # viser prints an address without the token
