@@ -30,22 +30,20 @@ def test_a_lateral_is_as_thick_as_it_is_from_its_parents_axis_on():
     np.testing.assert_allclose(drawn, 1.0 - (1.0 - parent) * (1.0 - lateral), atol=1e-3)
 
 
-def test_the_axis_of_a_wide_tube_appears_midway_between_its_edges():
-    """Its edges are the outermost of the pixels of its circumference; refraction bends its halves differently."""
+@pytest.mark.parametrize(("x", "y"), [(25.0, -20.0), (0.0, 30.0), (-35.0, 5.0)])
+def test_a_wide_tube_appears_midway_between_its_edges(x: float, y: float) -> None:
+    """Its edges are the outermost pixels of its circumference; refraction displaces them differently."""
     views, optics = views_of(SCENE), Optics.from_scene(SCENE)
-    for x, y in ((25.0, -20.0), (0.0, 30.0), (-35.0, 5.0)):
-        wide = strung(line((x, y, -30.0), (x, y, -60.0)), radius_mm=5.0)
-        node = len(wide.radius_mm) // 2
-        turn = np.linspace(0.0, 2.0 * np.pi, 1441)
-        ring = wide.centre_mm[node] + 5.0 * np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
-        seen = blank(views, optics)
-        at, plain = tube_picture.project_axes(seen, wide), seen.project(wide.centre_mm)
-        rims = [cameras.project_inner(view, optics, ring)[:, 0] for view in views]
-        whole = [v for v, rim in enumerate(rims) if np.isfinite(rim).all() and at.visible[v, node]]
-        middle = np.array([0.5 * (rims[v].min() + rims[v].max()) for v in whole]) - seen.window.low_px[0]
-        assert len(whole) > 6
-        np.testing.assert_allclose(at.px[whole, node, 0], middle, atol=0.01)
-        assert np.abs(plain.px[whole, node, 0] - middle).max() > 0.05, "small pictures"
+    wide, turn = strung(line((x, y, -30.0), (x, y, -60.0)), radius_mm=5.0), np.linspace(0.0, 2.0 * np.pi, 1441)
+    node, seen = len(wide.radius_mm) // 2, blank(views, optics)
+    ring = wide.centre_mm[node] + 5.0 * np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
+    at, plain = tube_picture.project_axes(seen, wide), seen.project(wide.centre_mm)
+    rims = np.stack([cameras.project_inner(view, optics, ring)[:, 0] for view in views])
+    whole = np.isfinite(rims).all(axis=1) & at.visible[:, node]
+    middle = 0.5 * (rims.min(axis=1) + rims.max(axis=1))[whole] - seen.window.low_px[0]
+    assert len(middle) > 6
+    np.testing.assert_allclose(at.px[whole, node, 0], middle, atol=0.01)
+    assert np.abs(plain.px[whole, node, 0] - middle).max() > 0.05, "small pictures"
 
 
 def across_mm(found: tubes.Tubes, true: tubes.Tubes) -> np.ndarray:
