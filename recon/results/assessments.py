@@ -23,10 +23,10 @@ _DERIVED = {
     "median_diameter_mm": {"mean_diameter_mm": 1},
     "roots": {"tips": 1},
     "branch_points": {"tips": 1},
+    "depth_mm": {"total_length_mm": 1},
 }
-"""Traits that are proportional to powers of others: each root has a tip, and each lateral a point of emergence."""
-_DEPTH = 0.01
-"""Relative 90 % half-width of the depth, apart from what the net pot hides."""
+"""Traits that are proportional to powers of others: each root has a tip, and each lateral a point of emergence. The
+depth lacks at most the fraction that the roots lack, besides what the net pot hides."""
 _PART_IS_WIDE = "the 90 % interval is too wide for a plant of this size, since it includes the uncertainty of all plants in the canister"
 
 
@@ -68,18 +68,11 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     powers = {base: (found[base], getattr(traits, base)) for base in ("volume_mm3", "total_length_mm", "tips", "mean_diameter_mm")}
     for name, factors in _DERIVED.items():
         found[name] = _derive(getattr(traits, name), *((*powers[base], power) for base, power in factors.items()))
-    found["depth_mm"] = _depth(found["total_length_mm"], traits.depth_mm, summary.get("hidden_height_mm"))
+    depth, hidden_mm = found["depth_mm"], summary.get("hidden_height_mm")
+    if depth.interval is not None:
+        low, high = depth.interval
+        found["depth_mm"] = NO_INTERVAL if hidden_mm is None else replace(depth, interval=(low, high + hidden_mm))
     return found
-
-
-def _depth(length: Assessment, depth_mm: float, hidden_mm: float | None) -> Assessment:
-    """Return the assessment of the depth, which is larger by at most the height of what the net pot hides.
-
-    It is as reliable as the total length: among roots that are missing may be the deepest one.
-    """
-    if length.interval is None or hidden_mm is None:
-        return replace(length, interval=None) if length.verdict == "not reliable" else NO_INTERVAL
-    return replace(length, interval=((1.0 - _DEPTH) * depth_mm, (1.0 + _DEPTH) * depth_mm + hidden_mm))
 
 
 def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -> Assessment:

@@ -245,6 +245,8 @@ class _Change:
 def _estimate(name: str, change: _Change, lost: Sequence[str], *, factor: float) -> Estimate:
     """Convert relative changes in each picture to an interval: means on their sides, scatter and model error on both.
 
+    The limits of a number of tips are whole numbers.
+
     Parameters
     ----------
     name : str
@@ -260,6 +262,8 @@ def _estimate(name: str, change: _Change, lost: Sequence[str], *, factor: float)
     under, over = _mean_of(change.less), _mean_of(change.more)
     less, more = (factor * math.hypot(error, _MODEL[name], side) for side in (under, over))
     low, high = max(0.0, value * (1.0 - less)), value * (1.0 + more)
+    if name == "tips":
+        low, high = math.floor(low), math.ceil(high)
     reasons = list(lost)
     if max(less, more) > WIDEST:
         causes = {

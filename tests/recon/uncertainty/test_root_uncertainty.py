@@ -50,7 +50,7 @@ def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
     found = [told(TRUE, taken)[name] for name in value]
     low, high = np.array([one.interval for one in found]).T / list(value.values())
     assert low.max() < 1.0 < high.min()
-    assert (high - low < [0.1, 0.21, 0.1]).all()  # twice the error that no picture shows
+    assert (high - low < [0.1, 0.51, 0.1]).all()  # twice the error that no picture shows; of tips 3 to 5
     assert all(one.trusted for one in found)
 
 
