@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -90,7 +91,7 @@ def _derive(derived: float | None, *factors: tuple[Assessment, float | None, int
     Parameters
     ----------
     derived : float or None
-        Value of the trait.
+        Value of the trait. The limits of a count are whole numbers.
     *factors : tuple
         Assessment, value and power of each of the other traits. Their relative uncertainties add up in quadrature.
     """
@@ -102,4 +103,6 @@ def _derive(derived: float | None, *factors: tuple[Assessment, float | None, int
             return replace(verdict, interval=None) if refused else NO_INTERVAL
         reach = np.hypot(reach, np.sort(power * np.log(np.divide(base.interval, value))))
     low, high = (derived * np.exp([-1.0, 1.0] * reach)).tolist()
+    if isinstance(derived, int):
+        low, high = math.floor(low), math.ceil(high)
     return replace(verdict, interval=(low, high))
