@@ -7,13 +7,14 @@ Examples
 rhizotwin timelapse example -o my_experiment.toml
 rhizotwin timelapse run my_experiment.toml
 rhizotwin timelapse status my_experiment.toml
+rhizotwin timelapse tips results scans -o my_tips
 """
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rhizotwin.scenes.formatting import count
-from rhizotwin.steps.arguments import Flag, OutputFile, Progress, check_new_file, with_metavar
+from rhizotwin.steps.arguments import Flag, OutputFile, OutputFolder, Progress, check_new_file, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.timelapse.experiment import Experiment
@@ -104,6 +105,39 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
         for visit in list_visits(catalogue) if every else ():
             print(f"{visit.due_utc}  {visit.state:<9}{visit.plant}{f': {visit.note}' if visit.note else ''}")
         _print(loaded, outcome_of(loaded, catalogue))
+
+
+def tips(sources: Annotated[list[Path], with_metavar("SOURCES")], /, *, output: OutputFolder, progress: Progress = Progress()) -> None:
+    """Measure the motion of root tips in short scans: speed, curvature, angle to gravity and circumnutation.
+
+    The roots are those of the full scans. In each later scan, their tips are fitted to the pictures.
+
+    Parameters
+    ----------
+    sources : list of Path
+        Results of full scans and datasets of short scans, folders that contain them, or a catalogue (.rhizotwin).
+    output : Path
+        Output folder for tips.csv (each root and scan), tracks.csv (mean rates and circumnutation of each root) and
+        tips.png.
+    progress : Progress
+        Progress output.
+
+    Examples
+    --------
+    rhizotwin timelapse tips results scans -o my_tips
+    rhizotwin timelapse tips my_experiment.rhizotwin -o my_tips
+    """
+    from rhizotwin import engine
+    from rhizotwin.catalogue import sources as listed
+
+    engine.start("auto")
+    from rhizotwin.experiment import motion_files
+
+    scans = [Path(path) for path in listed.expand_scans([str(source) for source in sources if listed.is_catalogue(source)])]
+    results, found = motion_files.find_sources([*listed.expand_results(sources), *scans])
+    for sentence in motion_files.write(results, found, output, say=print if progress.verbose else _silent):
+        print(sentence)
+    print(f"tables: {output / 'tips.csv'}, {output / 'tracks.csv'}; figure: {output / 'tips.png'}")
 
 
 def _silent(_: str) -> None:

@@ -24,6 +24,8 @@ Changing = Literal["person", "carousel"]
 EVERY_H = (0.25, 10000.0)
 """Minimum and maximum interval between two scans of a plant, in hours. The names of datasets contain the day with two
 decimals. Below 0.24 h, two scans could have the same name."""
+SHORT = "_tips"
+"""End of the names of short scans, which are only used for the motion of root tips."""
 MOST_DELAY = timedelta(hours=12)
 """Delay from which a scan has the age at its start instead of that at its planned time, unless half an interval is
 shorter."""
@@ -81,6 +83,11 @@ class Schedule:
     """Interval between two rounds, in hours."""
     rounds: int = bounded(10, 1, 10000)
     """Number of rounds, in each of which all plants are scanned."""
+    tips_every_min: float | None = field(default=None, metadata={"limits": (2.0, 1440.0)})
+    """Interval between the short scans after each scan of a plant, in minutes, from which the motion of its root tips
+    is measured. If it is empty, there are none."""
+    tips_views: int = bounded(8, 4, 1000)
+    """Number of pictures of a short scan, in the first ring of the scene."""
     late_h: float = bounded(12.0, 0.1, 10000.0)
     """Maximum delay of a scan, in hours. A scan that has not started by then is recorded as missed."""
     change: Changing = "person"
@@ -229,10 +236,31 @@ class Experiment:
         length_h = self.schedule.every_h * self.schedule.rounds
         found: list[tuple[datetime, int, str]] = []
         for number, one in enumerate(self.plants):
-            every_h = one.every_h or self.schedule.every_h
+            every_h, short_h = self._every_h(one), self._short_h(one)
             count = ceil(round(length_h / every_h, 6))  # rounded, because 168 / 0.7 is slightly above 240
-            found += [(self.start_utc + timedelta(hours=every_h * k), number, one.name) for k in range(count)]
+            between = ceil(round(every_h / short_h, 6))
+            hours = [every_h * k + short_h * j for k in range(count) for j in range(between)]
+            found += [(self.start_utc + timedelta(hours=after), number, one.name) for after in hours]
         return [(name, due.isoformat(timespec="seconds")) for due, _, name in sorted(found)]
+
+    def _every_h(self, member: Member) -> float:
+        """Return the interval between the scans of a plant, hours."""
+        return member.every_h or self.schedule.every_h
+
+    def _short_h(self, member: Member) -> float:
+        """Return the interval between all scans of a plant, including short ones, hours."""
+        every_min = None if member.phantom else self.schedule.tips_every_min
+        return self._every_h(member) if every_min is None else min(every_min / 60.0, self._every_h(member))
+
+    def is_short(self, member: Member, due_utc: str) -> bool:
+        """Return whether a planned scan is a short one, which is only used for the motion of root tips."""
+        rounds = (datetime.fromisoformat(due_utc) - self.start_utc) / timedelta(hours=self._every_h(member))
+        return abs(rounds - round(rounds)) * 3600.0 * self._every_h(member) > 1.5  # planned times are rounded to seconds
+
+    def most_late(self, plant: str, due_utc: str) -> timedelta:
+        """Return the delay after which a planned scan is missed. Short scans are missed when the next one is due."""
+        short = [self._short_h(one) for one in self.plants if one.name == plant and self.is_short(one, due_utc)]
+        return timedelta(hours=min([self.schedule.late_h, *short]))
 
     def day(self, member: Member, when: datetime) -> float:
         """Return the age of a plant at a given time, in days since sowing.
@@ -248,13 +276,15 @@ class Experiment:
         Its name depends only on the plant and the planned time.
         """
         day = self.day(member, datetime.fromisoformat(due_utc))
-        return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{day:06.2f}"
+        name = f"{day:08.4f}{SHORT}" if self.is_short(member, due_utc) else f"{day:06.2f}"
+        return self.scans_folder / f"{_UNSAFE.sub('_', member.name)}_day_{name}"
 
     def known_scene(self, member: Member, due_utc: str, begin: datetime | None = None) -> Scene:
         """Return the scene of a planned scan with nominal values.
 
         The age is that at the planned time, so that all plants of a round have the same age in the growth curves. From
-        a delay of half an interval or `MOST_DELAY`, whichever is shorter, it is the age at the start of the scan.
+        a delay of half an interval or `MOST_DELAY`, whichever is shorter, it is the age at the start of the scan. That
+        of short scans always is, because tips move in minutes.
 
         Parameters
         ----------
@@ -267,16 +297,20 @@ class Experiment:
         """
         due = datetime.fromisoformat(due_utc)
         begin = begin or due
-        half = timedelta(hours=member.every_h or self.schedule.every_h) / 2
-        day = self.day(member, due if begin - due < min(half, MOST_DELAY) else begin)
-        return self.scene_at(member, day=day, date=begin.astimezone(self.zone).date().isoformat())
+        most = timedelta(0) if self.is_short(member, due_utc) else min(timedelta(hours=self._every_h(member)) / 2, MOST_DELAY)
+        day = self.day(member, due if begin - due < most else begin)
+        date = begin.astimezone(self.zone).date().isoformat()
+        return self.scene_at(member, day=day, date=date, is_short=self.is_short(member, due_utc))
 
-    def scene_at(self, member: Member, *, day: float | None, date: str) -> Scene:
+    def scene_at(self, member: Member, *, day: float | None, date: str, is_short: bool = False) -> Scene:
         """Return the nominal scene of a plant at a given age and date.
 
-        It contains the marker strip, the subject and the nutrient solution of the plant.
+        It contains the marker strip, the subject and the nutrient solution of the plant. A short scan has few pictures.
         """
         base = self.base_scene()
+        if is_short:
+            ring = next(ring for ring in base.plan.rings if ring.kind == "root")
+            base = replace(base, plan=replace(base.plan, rings=(replace(ring, views=min(ring.views, self.schedule.tips_views)),)))
         whose = Subject(
             plant=member.name,
             species=member.species,

@@ -10,7 +10,7 @@ from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.experiment import growth_files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
-from rhizotwin.timelapse.experiment import Experiment
+from rhizotwin.timelapse.experiment import SHORT, Experiment
 
 GROWTH = "growth"
 """Name of the subfolder of growth curves in the folder of the results."""
@@ -72,6 +72,7 @@ class Reconstructor:
         """Return the complete scans without a result whose pictures show the plant."""
         known = {one.scan for one in catalogue.results()} | self._tried
         waiting = [one for one in catalogue.scans() if one.complete and one.path not in known and (one.path / "dataset.json").is_file()]
+        waiting = [one for one in waiting if not one.path.name.endswith(SHORT)]
         if sketches := [one for one in waiting if one.sketch]:
             self._say(f"the reconstruction of {count(len(sketches), 'scan')} was skipped, because sketches do not show the plant")
             self._tried.update(one.path for one in sketches)

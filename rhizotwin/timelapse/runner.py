@@ -92,6 +92,7 @@ class Runner:
         self.listener = listener or Listener()
         self._changer = changer
         self._calendar = calendar
+        self._placed: Member | None = None  # plant whose canister was put on the turntable last
         self._numbers = {visit: number for number, visit in enumerate(experiment.visits())}
         self.table: RealTable | EmulatedTable | None = None
         """Rig of the experiment with its turntable. It is None until the run starts."""
@@ -199,7 +200,9 @@ class Runner:
                 return
             visit = self._change(catalogue, visit, state="scanning", note=reason)
             try:
-                self._changer.change(member, reason)
+                if reason or member != self._placed or not self.experiment.is_short(member, visit.due_utc):
+                    self._changer.change(member, reason)
+                    self._placed = member
                 if self._miss_if_late(catalogue, visit, folder, reason=reason):
                     return
                 self._scan(catalogue, visit, member, folder)
@@ -228,7 +231,7 @@ class Runner:
         return True
 
     def _is_over(self, visit: Visit) -> bool:
-        return self._now() > datetime.fromisoformat(visit.due_utc) + timedelta(hours=self.experiment.schedule.late_h)
+        return self._now() > datetime.fromisoformat(visit.due_utc) + self.experiment.most_late(visit.plant, visit.due_utc)
 
     def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path) -> None:
         """Check the identity of the plant in the first picture, and scan it.
@@ -239,7 +242,8 @@ class Runner:
             raise RuntimeError("the run has not started")
         if (folder / "dataset.json").is_file():
             begun = load_dataset(folder).scene.subject
-            scene = self.experiment.scene_at(member, day=begun.day, date=begun.date)
+            is_short = self.experiment.is_short(member, visit.due_utc)
+            scene = self.experiment.scene_at(member, day=begun.day, date=begun.date, is_short=is_short)
         else:
             scene = self.experiment.known_scene(member, visit.due_utc, self._now())
         number = self._numbers.get((visit.plant, visit.due_utc), 0)

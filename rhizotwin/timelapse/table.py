@@ -79,7 +79,7 @@ class EmulatedTable:
             base = self._experiment.base_scene()
             strip = strip_for_canister(base.strip, self.canister) if self.canister else replace(base.strip, rows=0)
             true = replace(scene, strip=strip, specimen=base.specimen)
-        bench = rigs.twin_bench(replace(true, disturbances=self._experiment.disturbances()), pictures)
+        bench = rigs.twin_bench(replace(true, plan=scene.plan, disturbances=self._experiment.disturbances()), pictures)
         return replace(bench, scene=replace(scene, camera=bench.scene.camera)), pictures
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import save_scene
+from rhizotwin.scenes.model import CapturePlan, Ring
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.timelapse.example import EXAMPLE
@@ -33,6 +34,19 @@ def test_phantom_is_scanned_every_week_until_the_last_round(make_experiment, rou
     experiment = load_experiment(path)
     due = [due for name, due in experiment.visits() if name == "wires"]
     assert due == [f"2026-12-{day}T09:00:00+00:00" for day in days]
+
+
+def test_short_scans_lie_between_the_rounds_and_have_few_pictures(make_experiment):
+    experiment = load_experiment(make_experiment(plants=2, rounds=2, schedule="tips_every_min = 25\nevery_h = 2\ntips_views = 4"))
+    visits, member = [due for name, due in experiment.visits() if name == "P1"], experiment.member("P1")
+    assert [due[11:16] for due in visits] == ["09:00", "09:25", "09:50", "10:15", "10:40", "11:00", "11:25", "11:50", "12:15", "12:40"]
+    assert [experiment.is_short(member, due) for due in visits] == 2 * [False, True, True, True, True]
+    assert experiment.scan_folder(member, visits[1]).name == "P1_day_000.0174_tips"
+    assert len({experiment.scan_folder(member, due) for due in visits}) == 10
+    assert experiment.most_late("P1", visits[0]) > 20 * experiment.most_late("P1", visits[1])
+    wide = replace(experiment.base_scene(), plan=CapturePlan(rings=(Ring(views=40), Ring(views=20))))
+    save_scene(wide, experiment.folder / "small.toml")
+    assert [[ring.views for ring in experiment.known_scene(member, due).plan.rings] for due in visits[:2]] == [[40, 20], [4]]
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,24 @@ def test_wrong_canister_is_not_scanned(make_experiment):
     assert {path.parts[-3] for path in experiment.scans_folder.rglob("*.png")} == {"P2_day_000.00"}  # nothing is left of P1
 
 
+def test_short_scans_follow_without_a_person(make_experiment):
+    """The canister remains on the table; the short scans are not reconstructed."""
+    experiment, questions, lines = load_experiment(make_experiment(plants=1, rounds=1, schedule="tips_every_min = 480")), [], []
+
+    def ask(question: str) -> str:
+        runner.table.put(1)
+        questions.append(question)
+        return ""
+
+    runner = Runner(experiment, listener=Listener(ask=ask, say=lines.append), changer=PersonChanger(ask))
+    assert (runner.run().scanned, len(questions)) == (3, 1)
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        assert [(one.path.name, one.day) for one in catalogue.scans()] == [
+            ("P1_day_000.00", 0.0), ("P1_day_000.3333_tips", 0.3333), ("P1_day_000.6667_tips", 0.6667)
+        ]  # fmt: skip
+    assert any("reconstruction of 1 scan was skipped" in line for line in lines)
+
+
 def test_carousel_that_is_blocked_once_is_tried_again(make_experiment):
     experiment = load_experiment(make_experiment(plants=1, rounds=1, schedule="pause_min = 1"))
     places, lines = list[int](), list[str]()
