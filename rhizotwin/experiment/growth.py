@@ -14,14 +14,15 @@ from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml_reader import read_rsml
-from rhizotwin.scenes.trait_table import DEFINITIONS, SHOOT, csv_text, format_exact
+from rhizotwin.scenes.trait_table import COLOUR, DEFINITIONS, SHOOT, csv_text, format_exact
 from rhizotwin.stored import result_files
 
-CURVES = ("total_length", "volume", "depth", "tips", "leaves", "leaf_area")
-"""Traits for which growth curves and comparisons are computed. Those of the shoot are known if pictures show it."""
+CURVES = ("total_length", "volume", "depth", "tips", "leaves", "leaf_area", "ndvi")
+"""Traits for which growth curves and comparisons are computed. Those of the shoot are known if pictures show it, and
+the mean greenness of its leaves (NDVI) if they have bands."""
 SIZES = ("total_length", "volume")
 """Traits that do not fall as long as a plant lives. The depth can, because roots bend, and tips hide each other."""
-_COLUMNS = {d.name: d.column for d in (*DEFINITIONS, *SHOOT)}
+_COLUMNS = {d.name: d.column for d in (*DEFINITIONS, *SHOOT, *COLOUR)}
 
 
 @dataclass(frozen=True, kw_only=True)

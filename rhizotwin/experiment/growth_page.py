@@ -16,12 +16,12 @@ from rhizotwin.experiment.growth import Growth
 from rhizotwin.scenes import html_page
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.solution import UNIT
-from rhizotwin.scenes.trait_table import DEFINITIONS, SHOOT
+from rhizotwin.scenes.trait_table import COLOUR, DEFINITIONS, SHOOT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_HEADINGS = {definition.name: definition.heading for definition in (*DEFINITIONS, *SHOOT)}
+_HEADINGS = {definition.name: definition.heading for definition in (*DEFINITIONS, *SHOOT, *COLOUR)}
 NO_TREATMENT = "plants without a treatment"
 MOST_SHOWN = 3.0
 """Largest end of the axis of a curve, relative to the largest mean. Intervals of two plants can be ten times wider."""

@@ -8,18 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.experiment import biomass, growth, model_file
+from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import exclusion_notes, read_all
 from rhizotwin.recon.results import assessments
-from rhizotwin.scenes import rsml
+from rhizotwin.scenes import rsml, trait_table
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files, stored_traits
 from tests.roots import straight
 
 HEAD = "result,plant,treatment,day,{0} (mm),{0}_low (mm),{0}_high (mm),{0}_verdict,volume (mm3),trusted\n".format("total_length")
-LEAVES = "plant,treatment,day,leaves,leaf_area_mm2\n" + "".join(
-    f"p{k},{'ab'[k % 2]},{day},{day // 5 + 1},{day * (10.0 + k) / (1 + k % 2)}\n" for k in range(6) for day in (5, 10)
+LEAVES = "plant,treatment,day,leaves,leaf_area_mm2,ndvi\n" + "".join(
+    f"p{k},{'ab'[k % 2]},{day},{day // 5 + 1},{day * (10.0 + k) / (1 + k % 2)},{(0.8 + 0.01 * k) / (1 + k % 2)}\n"
+    for k in range(6)
+    for day in (5, 10)
 )
 TERM = {"name": "noise", "less_mm3": 5.0, "more_mm3": 5.0, "why": "noise"}
 
@@ -59,6 +61,8 @@ def test_leaves_are_counted_and_measured_over_time(tmp_path: Path) -> None:
     found = growth.measure(read_all([written(tmp_path, LEAVES)]))
     assert [(point.day, round(point.mean, 9)) for point in found.curves["leaves"] if point.treatment == "a"] == [(5.0, 2.0), (10.0, 3.0)]
     assert found.compared["leaf_area"][0].size == pytest.approx(0.5, abs=0.1)
+    assert found.compared["ndvi"][0].size == pytest.approx(0.5, abs=0.1)
+    assert "ndvi" in growth_page.page(found)
 
 
 def test_rates_and_emergence_are_computed_from_reliable_days(ball_result: Callable[..., Path]) -> None:
@@ -111,7 +115,8 @@ def test_intervals_follow_from_those_of_other_traits(ball_result: Callable[..., 
     estimates = [
         {"name": name, "value": v, "interval": [low, high], "trusted": True, "verdict": ""} for name, (v, low, high) in values.items()
     ]
-    folder = ball_result("one", volume_budget=[TERM], estimates=estimates, hidden_height_mm=3.0)
+    forks = {"name": "forks", "state": "fair", "value": 0.05, "unit": "share", "fair": None, "bad": None, "found": "", "advice": ""}
+    folder = ball_result("one", volume_budget=[TERM], estimates=estimates, hidden_height_mm=3.0, checks=[forks])
     measured = {name: v for name, (v, _, _) in values.items()} | {
         "tips": 10,
         "roots": 11,
@@ -126,6 +131,10 @@ def test_intervals_follow_from_those_of_other_traits(ball_result: Callable[..., 
     assert found["surface_mm2"].interval == pytest.approx((600.0 * np.exp(-reach[0]), 600.0 * np.exp(reach[1])))
     low, high = found["depth_mm"].interval
     assert (low, high) == pytest.approx((45.0, 58.0)), "a tenth, and 3 mm behind the net pot"
+    traits = replace(stored_traits.read(folder), **measured, length_by_order_mm=(100.0, 290.0, 10.0))
+    orders = next(one["bins"] for one in trait_table.to_json(traits, found)["histograms"] if one["name"] == "length_by_order_mm")
+    ranges = [(one["low"], one["high"]) for one in orders]
+    assert ranges == [pytest.approx(end) for end in ((70.0, 130.0), (241.0, 339.0), (0.0, 31.0))], "a tenth, and 20 mm whose order is open"
     assert {found[name].verdict for name in ("depth_mm", "surface_mm2", "roots")} == {"reliable"}
 
 
