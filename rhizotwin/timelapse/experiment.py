@@ -305,7 +305,18 @@ class Experiment:
     def scene_at(self, member: Member, *, day: float | None, date: str, is_short: bool = False) -> Scene:
         """Return the nominal scene of a plant at a given age and date.
 
-        It contains the marker strip, the subject and the nutrient solution of the plant. A short scan has few pictures.
+        It contains the marker strip, the subject and the nutrient solution of the plant.
+
+        Parameters
+        ----------
+        member : Member
+            Plant in the canister.
+        day : float or None
+            Age of the plant, days.
+        date : str
+            Date of the scan (ISO 8601).
+        is_short : bool
+            Whether the scene is that of a short scan, with few pictures.
         """
         base = self.base_scene()
         if is_short:

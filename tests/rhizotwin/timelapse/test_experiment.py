@@ -36,7 +36,7 @@ def test_phantom_is_scanned_every_week_until_the_last_round(make_experiment, rou
     assert due == [f"2026-12-{day}T09:00:00+00:00" for day in days]
 
 
-def test_short_scans_lie_between_the_rounds_and_have_few_pictures(make_experiment):
+def test_short_scans_lie_between_rounds_and_have_few_pictures(make_experiment):
     experiment = load_experiment(make_experiment(plants=2, rounds=2, schedule="tips_every_min = 25\nevery_h = 2\ntips_views = 4"))
     visits, member = [due for name, due in experiment.visits() if name == "P1"], experiment.member("P1")
     assert [due[11:16] for due in visits] == ["09:00", "09:25", "09:50", "10:15", "10:40", "11:00", "11:25", "11:50", "12:15", "12:40"]
