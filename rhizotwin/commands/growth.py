@@ -13,9 +13,9 @@ def growth(results: Annotated[list[Path], with_metavar("RESULTS")], /, *, output
     of emergence and its growth rate. Growth curves of length, volume, depth, root tips, leaves, leaf area and greenness
     show the mean of each day with its 90 % interval. Treatments are compared with a linear mixed model; if nutrient
     solutions differ, the response to each ion is fitted as well. Values that are not reliable are excluded, and their
-    number is reported. The datasets must specify plant and day, and the treatment if there are several treatments. Mass tables,
-    weighed or predicted, add curves of fresh mass, dry mass and water content. Tables of the nutrient solution add its
-    readings, and the net uptake of ions per root length.
+    number is reported. The datasets must specify plant and day, and the treatment if there are several treatments. Mass
+    tables, weighed or predicted, add curves of fresh mass, dry mass and water content. Tables of the nutrient solution
+    add its readings, and the net uptake of ions per root length.
 
     Parameters
     ----------
