@@ -96,7 +96,6 @@ def make_solid(
     with monitor.stage("uncertainty"):
         assessed = assess_volume(carved, shape, settings, scattered=scattered)
     hidden, extrapolate, warnings = assessed.hidden, settings.hull.extrapolate_taproot, _warnings(assessed.budget, solids.kept_mm3)
-    hidden_mm, hidden_height_mm = (0.0, 0.0) if hidden is None else (hidden.length_mm, hidden.height_mm)
     if hidden is not None:
         bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * extrapolate
         warnings = [*warnings, hidden.warning(is_added=extrapolate)]
@@ -112,8 +111,9 @@ def make_solid(
             bounds_mm3=bounds,
             untrimmed_mm3=solids.kept_mm3,
         )
-    hiding = {"hidden_mm": hidden_mm, "hidden_height_mm": hidden_height_mm}
-    solid = replace(solid, **hiding, warnings=(*warnings, *solid.warnings), checks=assessed.checks)
+    if hidden is not None:
+        solid = replace(solid, hidden_mm=hidden.length_mm, hidden_height_mm=hidden.height_mm)
+    solid = replace(solid, warnings=(*warnings, *solid.warnings), checks=assessed.checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     attenuation = system.attenuation

@@ -55,6 +55,9 @@ class Histogram:
     follows: tuple[str, ...] = ()
     """Fields of the traits from whose intervals those of the bins are derived. The bins are multiplied by the relative
     interval of the first, and their limits are divided by that of the second."""
+    moves: bool = False
+    """Whether length may be moved between the bins. The assessment with the key ``field`` then has the interval by
+    which each bin may change for this reason."""
 
     @property
     def column(self) -> str:
@@ -145,7 +148,15 @@ HISTOGRAMS = (
         DEPTH_BIN_MM,
         ("total_length_mm",),
     ),
-    Histogram("length_by_order_mm", "length_by_order", "length of the roots of each order; 0 is a taproot", "", 0.0),
+    Histogram(
+        "length_by_order_mm",
+        "length_by_order",
+        "length of the roots of each order; 0 is a taproot",
+        "",
+        0.0,
+        ("total_length_mm",),
+        moves=True,
+    ),
     Histogram(
         "length_by_diameter_mm",
         "length_by_diameter",
@@ -168,7 +179,10 @@ PROFILES = (
 
 
 WITH_INTERVAL = frozenset(
-    ("total_length_mm", "volume_mm3", "mean_diameter_mm", "tips", "specific_root_length_m_per_g", "tissue_density_g_per_ml")
+    (
+        *("total_length_mm", "volume_mm3", "mean_diameter_mm", "tips", "specific_root_length_m_per_g", "tissue_density_g_per_ml"),
+        *("surface_mm2", "median_diameter_mm", "roots", "branch_points", "depth_mm"),
+    )
 )
 """Fields of the traits for which the method estimates 90 % intervals."""
 
@@ -236,14 +250,15 @@ def _assess_bins(h: Histogram, values: Sequence[float], traits: Traits, assessed
     judged = [assessed.get(field, NO_INTERVAL) for field in h.follows]
     ends = [one.interval for one in judged]
     factors = [np.array(end) / getattr(traits, field) for field, end in zip(h.follows, ends, strict=True) if end]
-    if not factors or None in ends:
+    change = assessed.get(h.field, NO_INTERVAL).interval if h.moves else (0.0, 0.0)
+    if not factors or None in ends or change is None:
         return [NO_INTERVAL] * len(values)
     above = np.append(0.0, np.cumsum(values))
-    limits = h.bin_width * np.arange(len(above))
+    limits = (h.bin_width or 1.0) * np.arange(len(above))
     scales = [1.0, *(float(scale) for low, high in factors[1:] for scale in np.linspace(max(low, 1e-6), high, SCALES))]
     scaled = [np.diff(np.interp(limits / scale, limits, above)) for scale in scales]
     worst = next((one for one in judged if one.verdict != "reliable"), judged[0])
-    low, high = factors[0][0] * np.min(scaled, axis=0), factors[0][1] * np.max(scaled, axis=0)
+    low, high = np.maximum(factors[0][0] * np.min(scaled, axis=0) + change[0], 0.0), factors[0][1] * np.max(scaled, axis=0) + change[1]
     return [replace(worst, interval=(float(begin), float(end))) for begin, end in zip(low, high, strict=True)]
 
 

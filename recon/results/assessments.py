@@ -35,7 +35,8 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     """Return the assessment of each trait, keyed by its field in `Traits`.
 
     Volume, length, tips and mean diameter have their own intervals, from which those of the depth and of the traits in
-    `_DERIVED` are derived. All other traits have no interval. They are not reliable if the volume is not reliable. If a
+    `_DERIVED` are derived. All other traits have no interval. That of ``length_by_order_mm`` is the change of each
+    order by ambiguous forks. Traits without an interval are not reliable if the volume is not reliable. If a
     length, number of tips or mean diameter of the whole scan is not reliable, that of each of its plants is not
     reliable either.
 
@@ -69,11 +70,20 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     powers = {base: (found[base], getattr(traits, base)) for base in ("volume_mm3", "total_length_mm", "tips", "mean_diameter_mm")}
     for name, factors in _DERIVED.items():
         found[name] = _derive(getattr(traits, name), *((*powers[base], power) for base, power in factors.items()))
+    found["length_by_order_mm"] = _moved_length(summary, traits, found["total_length_mm"])
     depth, hidden_mm = found["depth_mm"], summary.get("hidden_height_mm")
     if depth.interval is not None:
         low, high = depth.interval
         found["depth_mm"] = NO_INTERVAL if hidden_mm is None else replace(depth, interval=(low, high + hidden_mm))
     return found
+
+
+def _moved_length(summary: Json, traits: Traits, length: Assessment) -> Assessment:
+    """Return the assessment of the length that may belong to another order, because forks are ambiguous."""
+    share = next((check["value"] for check in summary.get("checks") or () if check["name"] == "forks"), None)
+    if share is None or traits.total_length_mm is None:
+        return replace(length, interval=None)
+    return replace(length, interval=(-share * traits.total_length_mm, share * traits.total_length_mm))
 
 
 def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -> Assessment:
@@ -85,12 +95,12 @@ def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -
     )
 
 
-def _derive(derived: float | None, *factors: tuple[Assessment, float | None, int]) -> Assessment:
+def _derive(derived: float | int | None, *factors: tuple[Assessment, float | None, int]) -> Assessment:
     """Return the assessment of a trait that is proportional to powers of other traits.
 
     Parameters
     ----------
-    derived : float or None
+    derived : float, int or None
         Value of the trait. The limits of a count are whole numbers.
     *factors : tuple
         Assessment, value and power of each of the other traits. Their relative uncertainties add up in quadrature.

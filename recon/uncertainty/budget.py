@@ -93,7 +93,7 @@ class Budget:
     def objections(self) -> tuple[str, ...]:
         """Return the reasons for which the volume is not trusted; empty if it is."""
         if not self.terms:
-            return ("this method gives no uncertainty, so that its volume is not assessed",)
+            return ("this method gives no uncertainty, so that its volume has no interval",)
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
             found.append(f"only {self.views} views were used, and false roots cannot be ruled out with fewer than {trust.least_views}")
