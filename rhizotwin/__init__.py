@@ -30,6 +30,7 @@ if _TYPE_CHECKING:
     from rhizotwin.steps.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.steps.illustrated import Result
     from rhizotwin.steps.results import edit, traits, write_report
+    from rhizotwin.steps.verification import verify
 
     __version__: str
 
@@ -61,6 +62,7 @@ __all__ = [
     "score_file",
     "simulate",
     "traits",
+    "verify",
     "view",
     "write_report",
 ]
@@ -93,6 +95,7 @@ _PLACES = {
     "score_file": "steps.front_door",
     "simulate": "steps.front_door",
     "traits": "steps.results",
+    "verify": "steps.verification",
     "view": "steps.display",
     "write_report": "steps.results",
 }

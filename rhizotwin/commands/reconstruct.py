@@ -107,7 +107,6 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
     rhizotwin reconstruct my_dataset -o my_hull --method hull
     rhizotwin reconstruct my_dataset -o my_result --leave-out view_007.png,view_012.png
-    rhizotwin reconstruct my_dataset -o my_result --hold-out 5
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     command_steps.start_engine(device, quiet=progress.quiet)
