@@ -108,9 +108,10 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
 
 
 def tips(sources: Annotated[list[Path], with_metavar("SOURCES")], /, *, output: OutputFolder, progress: Progress = Progress()) -> None:
-    """Measure the motion of root tips in short scans: speed, curvature, angle to gravity and circumnutation.
+    """Measure the motion of root tips in short scans.
 
-    The roots are those of the full scans. In each later scan, their tips are fitted to the pictures.
+    The roots are those of the full scans. In each later scan, their tips are fitted to the pictures. The tables contain
+    speed, elongation, curvature and angle to gravity of each tip, and circumnutation, with 90 % intervals.
 
     Parameters
     ----------

@@ -37,6 +37,8 @@ WAVE_MM, WAVE_SHARE = 0.015, 0.15
 to the path of the tip. The error has a period of about a pixel, and does not scatter between successive scans."""
 LEAST_PERIODS, LEAST_PER_PERIOD = 2.0, 4.0
 """Minimum number of periods in a series, and of scans per period, for a circumnutation."""
+LEAST_SEEN = 0.5
+"""Minimum fraction of the scans of a series in which a tip is seen. Ends that are not tips are seen in fewer."""
 SURE = 0.01
 """Maximum p value of a circumnutation, for all tried periods together."""
 
@@ -98,7 +100,8 @@ class TipTrack:
     @cached_property
     def angle(self) -> Smoothed:
         """Smoothed angle between the growth direction and straight down, deg."""
-        return smooth(self.hours, np.array([tip.angle_deg for tip in self.tips]))
+        found = smooth(self.hours, np.array([tip.angle_deg for tip in self.tips]))
+        return replace(found, mean_rate_sigma=float(np.hypot(found.mean_rate_sigma, SIGMA_DEG / self.hours[-1])))
 
     @cached_property
     def curvature(self) -> Smoothed:
@@ -254,7 +257,7 @@ def _measure_series(
     tracks = []
     for number, root in enumerate(full.roots):
         days = [day for day, tips in found.items() if number in tips]
-        if root.tip_seen and len(days) >= LEAST:
+        if root.tip_seen and len(days) >= max(LEAST, LEAST_SEEN * len(found)):
             tips = tuple(found[day][number] for day in days)
             whose = root.plant or full.plant
             tracks.append(TipTrack(plant=whose, root=names[number], order=root.order, days=np.array(days), tips=tips))

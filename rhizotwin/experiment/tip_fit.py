@@ -227,8 +227,8 @@ class _Windows:
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
         view = np.broadcast_to(np.arange(len(middle))[:, None, None], row.shape)
         inside &= usable[view, row, column] > 0.5
-        parts = (np.moveaxis(part, 0, 1).reshape(middle.shape[1], -1) for part in (view, row, column, inside))
-        return _Windows(*parts)
+        view, row, column = (np.moveaxis(part, 0, 1).reshape(middle.shape[1], -1) for part in (view, row, column))
+        return _Windows(view, row, column, np.moveaxis(inside, 0, 1).reshape(middle.shape[1], -1))
 
     def cut(self, pictures: NDArray[np.float32]) -> Array:
         """Return the pixels (T, P) of pictures (V, H, W) in the windows. Pixels that are not usable are 0."""

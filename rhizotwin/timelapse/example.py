@@ -19,6 +19,7 @@ results = "results"
 start = "2026-12-01T09:00"  # local time
 every_h = 24
 rounds = 10
+# tips_every_min = 30       # short scans between the rounds for the motion of root tips; tips_views = 8 pictures each
 late_h = 12                 # maximum delay of a scan; a later scan is recorded as missed
 change = "person"           # who or what puts the canisters on the turntable: person or carousel
 tries = 3                   # number of attempts if a scan fails
