@@ -45,7 +45,7 @@ _TURN_RAD, _SHIFT_MM = 1e-3, 0.2
 """Rotation and shift with which the effects of a camera's error are computed."""
 _LEAST_EDGE = 0.05
 """Minimum gradient of the rendered opacity, per pixel, of the pixels that are compared."""
-NEAR_HIT_PX = 1.5
+_NEAR_HIT_PX = 1.5
 """Maximum distance from a pixel of an outline to the nearest pixel whose central line of sight meets the root, px."""
 _MOST_PIXELS = 4000
 """Maximum number of pixels of a picture that are compared. More pixels of the same roots add hardly any information,
@@ -147,9 +147,10 @@ class Equations:
     def add(self, picture: Picture, rendered: Image) -> None:
         """Add the outlines of a picture, given its rendered opacity (H, W)."""
         camera = true_camera(picture.camera, self.scene)
-        gradient = np.stack(np.gradient(rendered)[::-1], axis=-1).astype(np.float64)
+        down, right = np.gradient(rendered.astype(np.float64))
+        gradient = np.stack([right, down], axis=-1)
         surface = self.synthesis.surface(camera, rendered)
-        outline = (np.linalg.norm(gradient, axis=-1) > _LEAST_EDGE) & picture.usable & (surface.distance_px <= NEAR_HIT_PX)
+        outline = (np.linalg.norm(gradient, axis=-1) > _LEAST_EDGE) & picture.usable & (surface.distance_px <= _NEAR_HIT_PX)
         px = np.argwhere(outline)[:, ::-1]
         if not len(px):
             return

@@ -127,7 +127,7 @@ def _missing_points(compared: Sequence[Comparison], synthesis: Synthesis, scene:
     along_mm = np.arange(0.0, 2.0 * optics.inner_radius_mm, step_mm)
     points = []
     for one in compared:
-        px = np.argwhere(one.missing)[:, ::-1].astype(np.float64)
+        px = np.argwhere(one.missing)[:, ::-1]
         px = px[:: max(1, -(-len(px) * len(along_mm) * len(compared) // _MOST_POINTS))]
         rays = synthesis.rays(true_camera(one.picture.camera, scene), px)
         origin, direction = rays.origin_mm[rays.known], rays.direction[rays.known]
@@ -135,7 +135,7 @@ def _missing_points(compared: Sequence[Comparison], synthesis: Synthesis, scene:
     place = np.concatenate(points)
     place = place[(np.hypot(place[:, 0], place[:, 1]) < optics.inner_radius_mm) & (place[:, 2] > optics.floor_z_mm)]
     place = place[place[:, 2] < optics.water_z_mm]
-    px = np.full((len(place), len(compared), 2), -1)
+    px = np.full((len(place), len(compared), 2), -1, np.int64)
     for v, one in enumerate(compared):
         inside, at = _pixels(one, optics, place)
         wide = cv2.dilate(one.missing.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
@@ -163,7 +163,7 @@ def _pixels(one: Comparison, optics: Optics, place_mm: Array) -> tuple[Mask, Num
     """Return whether a picture shows each point (N,), and the nearest pixels (N, 2), which are 0 otherwise."""
     height, width = one.missing.shape
     px = cameras.project_inner(one.picture.view, optics, place_mm)
-    inside = np.isfinite(px).all(axis=1)
+    inside = np.asarray(np.isfinite(px).all(axis=1))
     near = np.where(inside[:, None], np.rint(np.where(inside[:, None], px, 0.0)), 0.0).astype(np.int64)
     inside &= (near >= 0).all(axis=1) & (near < (width, height)).all(axis=1)
     return inside, np.where(inside[:, None], near, 0)

@@ -131,7 +131,7 @@ class Synthesis:
         """Render the light (H, W) of the canister without roots, and the coverage (H, W) by its outer wall."""
         return self.empty.look(camera, ring=0)
 
-    def rays(self, camera: TrueCamera, px: Array) -> Rays:
+    def rays(self, camera: TrueCamera, px: NDArray[Any]) -> Rays:
         """Trace the lines of sight of pixels (N, 2) into the water."""
         if not len(px):
             return Rays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool))

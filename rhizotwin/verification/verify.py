@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -167,8 +168,11 @@ def verify(result: Result, dataset: Dataset, *, folder: Path | None = None, moni
                 rendered = synthesis.opacity(camera)
                 equations.add(picture, rendered)
                 edges.append(canister_width.measure_edges(picture.light.astype(np.float32), *synthesis.canister(camera)))
-                compared.append(structures.compare(picture, rendered, synthesis.mm_per_px(camera, _middle(rendered))))
+                if math.isfinite(scale := synthesis.mm_per_px(camera, _middle(rendered))):
+                    compared.append(structures.compare(picture, rendered, scale))
                 step()
+        if not compared:
+            raise UserError("no picture shows the place of the reconstructed roots through the water; the cameras or the shape are wrong")
         verification = Verification(
             scene=result.scene,
             held_out=is_held_out,
