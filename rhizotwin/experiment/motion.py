@@ -29,18 +29,21 @@ from rhizotwin.stored import result_files
 
 Array = NDArray[np.float64]
 
-SIGMA_MM, SIGMA_DEG, SIGMA_PER_MM = 0.06, 1.2, 0.015
-"""Standard deviations of constant errors of the position of a tip, its angle to gravity and its curvature, which
-scatter does not show. They are those of the twin (docs/timelapse.md)."""
-WAVE_MM, WAVE_SHARE = 0.015, 0.15
-"""Standard deviation of the error of a tip that changes with its position in the pixels, mm, and of its change relative
+SIGMA_PX, SIGMA_DEG, SIGMA_PER_MM = 0.2, 1.3, 0.02
+"""Standard deviations of constant errors of the position of a tip (in px), its angle to gravity and its curvature,
+which scatter does not show. They are those of the twin with 0.26 mm per pixel (docs/timelapse.md)."""
+WAVE_PX, WAVE_SHARE = 0.06, 0.15
+"""Standard deviation of the error of a tip that changes with its position in the pixels, px, and of its change relative
 to the path of the tip. The error has a period of about a pixel, and does not scatter between successive scans."""
+COARSE_MM = 0.3
+"""Size of a pixel, mm, above which the intervals were not verified. With 0.42 mm, the angle of a tip that circles was
+wrong by up to 12 degrees."""
 LEAST_PERIODS, LEAST_PER_PERIOD = 2.0, 4.0
 """Minimum number of periods in a series, and of scans per period, for a circumnutation."""
 LEAST_SEEN = 0.5
 """Minimum fraction of the scans of a series in which a tip is seen. Ends that are not tips are seen in fewer."""
-SURE = 0.01
-"""Maximum p value of a circumnutation, for all tried periods together."""
+SURE, LEAST_WAVES = 0.01, 2.0
+"""Maximum p value of a circumnutation, for all tried periods together, and minimum radius relative to `WAVE_PX`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +73,8 @@ class TipTrack:
     """Age (N,) of the plant at each scan, days."""
     tips: tuple[Tip, ...]
     """Tip in each scan."""
+    px_mm: float
+    """Size of a pixel at the roots, mm."""
 
     @property
     def hours(self) -> Array:
@@ -90,7 +95,7 @@ class TipTrack:
     def length(self) -> Smoothed:
         """Smoothed length of the root, mm. Its rate is the elongation, mm/h."""
         found = smooth(self.hours, np.array([tip.length_mm for tip in self.tips]))
-        ends = np.sqrt(2.0) * WAVE_MM / self.hours[-1]
+        ends = np.sqrt(2.0) * WAVE_PX * self.px_mm / self.hours[-1]
         return replace(
             found,
             rate_sigma=np.hypot(found.rate_sigma, WAVE_SHARE * np.abs(found.rate)),
@@ -119,7 +124,7 @@ class TipTrack:
     @cached_property
     def nutation(self) -> Nutation | None:
         """Circumnutation. It is None if it is not significant."""
-        return find_nutation(self.hours, self.points_mm)
+        return find_nutation(self.hours, self.points_mm, wave_mm=WAVE_PX * self.px_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +135,7 @@ class Motion:
     notes: tuple[str, ...]
 
 
-def find_nutation(hours: Array, points_mm: Array) -> Nutation | None:
+def find_nutation(hours: Array, points_mm: Array, *, wave_mm: float) -> Nutation | None:
     """Find the period of an elliptic motion around a parabola.
 
     The period with the smallest residual is chosen. Its interval are the periods that an F test does not reject.
@@ -141,6 +146,8 @@ def find_nutation(hours: Array, points_mm: Array) -> Nutation | None:
         Ascending times.
     points_mm : (N, 3) array
         Positions of a tip, mm.
+    wave_mm : float
+        Standard deviation of errors that change with the position in the pixels, mm.
     """
     number, span = len(hours), float(hours[-1] - hours[0])
     shortest, longest = LEAST_PER_PERIOD * float(np.median(np.diff(hours))), span / LEAST_PERIODS
@@ -160,17 +167,17 @@ def find_nutation(hours: Array, points_mm: Array) -> Nutation | None:
     without = float(((points_mm - trend @ np.linalg.lstsq(trend, points_mm, rcond=None)[0]) ** 2).sum())
     ratio = (without - rest[best]) / 6.0 / max(rest[best] / free, 1e-18)
     tried = max(1.0, span * (frequencies[-1] - frequencies[0]))  # frequencies that are independent
-    if f_distribution.sf(ratio, 6, free) * tried > SURE:
+    axes = np.linalg.svd(fits[best][1], compute_uv=False)
+    if f_distribution.sf(ratio, 6, free) * tried > SURE or axes[0] < LEAST_WAVES * wave_mm:
         return None
     within = frequencies[rest <= rest[best] * (1.0 + f_distribution.ppf(0.9, 1, free) / free)]
     half = 0.5 * (frequencies[1] - frequencies[0])  # spacing of the tried frequencies
     cosine, sine = fits[best][1]
-    axes = np.linalg.svd(fits[best][1], compute_uv=False)
     return Nutation(
         period_h=1.0 / frequencies[best],
         period_interval_h=(1.0 / (within.max() + half), 1.0 / (within.min() - half)),
         radii_mm=(float(axes[0]), float(axes[1])),
-        sigma_mm=float(np.sqrt(rest[best] / free * 2.0 / number)),
+        sigma_mm=float(np.hypot(np.sqrt(rest[best] / free * 2.0 / number), wave_mm)),
         is_counterclockwise=bool(np.cross(cosine, sine)[2] > 0.0),
     )
 
@@ -260,7 +267,12 @@ def _measure_series(
         if root.tip_seen and len(days) >= max(LEAST, LEAST_SEEN * len(found)):
             tips = tuple(found[day][number] for day in days)
             whose = root.plant or full.plant
-            tracks.append(TipTrack(plant=whose, root=names[number], order=root.order, days=np.array(days), tips=tips))
+            tracks.append(TipTrack(plant=whose, root=names[number], order=root.order, days=np.array(days), tips=tips, px_mm=fitter.px_mm))
+    if fitter.px_mm > COARSE_MM:
+        notes.append(
+            f"{full.plant}: the pictures have {fitter.px_mm:.2f} mm per pixel, but intervals were verified up to {COARSE_MM:g} mm; "
+            "use larger pictures"
+        )
     if lost := len(full.roots) - len(tracks):
         notes.append(
             f"{full.plant}: {lost} of {count(len(full.roots), 'root tip')} after day {full.day:g} were seen in fewer than {LEAST} scans"
@@ -274,7 +286,7 @@ def tips_csv(motion: Motion) -> str:
     head = ["plant", "root", "order", "day", "hours", "x_mm", "y_mm", "z_mm", "position_90_mm"]
     rows: list[Sequence[str]] = [[*head, *(f"{name}{end}" for name in numbers for end in ("", "_low", "_high"))]]
     for track in motion.tracks:
-        away = IN_90 * np.hypot(np.max([axis.value_sigma for axis in track.position], axis=0), SIGMA_MM)
+        away = IN_90 * np.hypot(np.max([axis.value_sigma for axis in track.position], axis=0), SIGMA_PX * track.px_mm)
         columns = [
             *([*axis.value] for axis in track.position),
             away,

@@ -133,6 +133,8 @@ class TipFitter:
         tree, _, self._numbers = as_tubes(lines, self._thick_mm)
         self._tree = tubes.with_geometry(tree, tree.centre_mm, _even_ends(tree))
         self._rounds = FIRST_ROUNDS
+        self.px_mm = 0.0
+        """Size of a pixel at the roots in the last scan, mm. It is 0 before the first."""
 
     @tuned_process()
     def fit(self, dataset: Dataset) -> dict[int, Tip]:
@@ -149,6 +151,7 @@ class TipFitter:
             If the pictures cannot be used.
         """
         evidence = self._read(dataset)
+        self.px_mm = 1.0 / projection.px_a_mm(evidence.bank, self._tree.centre_mm.mean(axis=0))
         seen = np.zeros(len(self._numbers), bool)
         for _ in range(self._rounds):
             tree = tubes.fill_gaps(self._tree)

@@ -41,13 +41,14 @@ def test_rates_are_in_their_intervals():
 def test_circumnutation_is_found_only_where_there_is_one():
     rng, phase = np.random.default_rng(2), 2.0 * np.pi * HOURS / 3.0
     path = np.stack([0.0 * HOURS, 0.01 * HOURS, -0.04 * HOURS], axis=1) + rng.normal(0.0, 0.02, (49, 3))
-    assert motion.find_nutation(HOURS, path) is None
+    assert motion.find_nutation(HOURS, path, wave_mm=0.01) is None
     circle = np.stack([np.cos(phase), -0.5 * np.sin(phase), 0.0 * phase], axis=1)
-    found = motion.find_nutation(HOURS, path + 0.2 * circle)
+    found = motion.find_nutation(HOURS, path + 0.2 * circle, wave_mm=0.01)
     assert found is not None
     assert found.period_interval_h[0] < 3.0 < found.period_interval_h[1]
     assert found.radii_mm == pytest.approx((0.2, 0.1), abs=4.0 * found.sigma_mm)
     assert not found.is_counterclockwise
+    assert motion.find_nutation(HOURS, path + 0.2 * circle, wave_mm=0.15) is None
 
 
 def test_tips_are_fitted_to_few_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -79,7 +80,7 @@ def test_tables_have_intervals():
     down = np.array([0.6, 0.0, -0.8])
     ways = 0.04 * HOURS
     tips = [tip_fit.Tip(tip_mm=way * down, direction=down, curvature_per_mm=0.02, length_mm=9.0 + way) for way in ways]
-    track = motion.TipTrack(plant="P", root="1", order=0, days=3.0 + HOURS / 24.0, tips=tuple(tips))
+    track = motion.TipTrack(plant="P", root="1", order=0, days=3.0 + HOURS / 24.0, tips=tuple(tips), px_mm=0.25)
     rows = [line.split(",") for line in motion.tips_csv(SimpleNamespace(tracks=(track,))).splitlines()]
     row = dict(zip(rows[0], rows[-1], strict=True))
     for name, value in (("speed_mm_per_h", 0.04), ("elongation_mm_per_h", 0.04), ("angle_deg", 36.87), ("curvature_per_mm", 0.02)):
