@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -26,7 +25,8 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.verification.synthesis import calibrated_camera
 
 _MOST_USED = 8
-"""Maximum number of pictures that are compared if none was held out. They are spread over a revolution."""
+"""Maximum number of used pictures that are measured, spread over a revolution. The refraction is tested in them, too:
+they double the number of pictures of a small scan. If no picture was held out, they are compared as well."""
 _SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian that is applied to opacities before they are compared with the noise, px, as in
 `recon.coverage.silhouettes.above_noise`."""
@@ -46,6 +46,8 @@ class Picture:
     """(H, W) light absorbed by roots, relative to an opaque root."""
     usable: Mask
     """(H, W) usable pixels."""
+    is_compared: bool
+    """Whether the roots of the picture are compared, or only the refraction is tested."""
 
     @property
     def smooth(self) -> Image:
@@ -74,12 +76,12 @@ def smooth(opacity: Image, usable: Mask) -> Image:
 def measure_pictures(result: Result, dataset: Dataset, *, monitor: Monitor) -> tuple[tuple[Picture, ...], Optics, bool]:
     """Measure the opacity of the pictures that the reconstruction did not use.
 
-    If it used all pictures, some of the used ones are measured.
+    Some of the used pictures are measured as well.
 
     Returns
     -------
     pictures : tuple of Picture
-        Pictures to compare.
+        Measured pictures.
     optics : Optics
         Calibrated optics of the result.
     held_out : bool
@@ -106,21 +108,15 @@ def measure_pictures(result: Result, dataset: Dataset, *, monitor: Monitor) -> t
         optics = replace(optics, n_water=float(n_water))
     cameras = Cameras(lens=calibrated_camera(result, dataset.scene).as_pinhole(), optics=optics, all=every, order=order)
     cameras, coverage = measure_coverage(read, cameras, monitor=monitor)
-    numbers, is_held_out = _choose(cameras, coverage.silhouettes)
+    measured = coverage.silhouettes
+    held = [k for k in cameras.order if k in measured and every[k].reason == HELD_OUT]
+    used = [k for k in cameras.order if k in measured and every[k].used]
     pictures = []
-    for k in numbers:
-        measured = coverage.silhouettes[k]
-        pictures.append(Picture(every[k], cameras.by_frame[k], read.images[k], _opacity(measured), measured.usable))
-    return tuple(pictures), optics, is_held_out
-
-
-def _choose(cameras: Cameras, measured: Mapping[int, Silhouette]) -> tuple[Sequence[int], bool]:
-    """Return the frame numbers of the pictures to compare, and whether they were held out."""
-    held = [k for k in cameras.order if k in measured and cameras.all[k].reason == HELD_OUT]
-    if held:
-        return held, True
-    used = [k for k in cameras.order if k in measured]
-    return [used[place] for place in spread(len(used))[:_MOST_USED]], False
+    for k in (*held, *(used[place] for place in spread(len(used))[:_MOST_USED])):
+        shown = measured[k]
+        is_compared = k in held or not held
+        pictures.append(Picture(every[k], cameras.by_frame[k], read.images[k], _opacity(shown), shown.usable, is_compared))
+    return tuple(pictures), optics, bool(held)
 
 
 def _opacity(silhouette: Silhouette) -> Image:

@@ -48,7 +48,7 @@ _LEAST_EDGE = 0.05
 _NEAR_HIT_PX = 1.5
 """Maximum distance from a pixel of an outline to the nearest pixel whose central line of sight meets the root, px."""
 _MOST_PIXELS = 4000
-"""Maximum number of pixels of a picture that are compared. More pixels of the same roots add hardly any information,
+"""Maximum number of pixels of a picture that are used. More pixels of the same roots add hardly any information,
 because their errors are correlated."""
 _DEGREE = 3
 _DEFORMED_MM = 1.0

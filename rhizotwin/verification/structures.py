@@ -186,19 +186,38 @@ def _join(compared: Sequence[Comparison], points: _Points, kind: Literal["missin
     number = ndimage.label(grid, np.ones((3, 3, 3)))[0][tuple(cell.T)]
     order = np.argsort(number, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
-    found = [_measure(compared, points.place_mm[part], points.px[part], kind) for part in parts]
-    return [one for one in found if len(one.pixels) >= min(_SUPPORT, len(compared))]
+    enough = min(_SUPPORT, len(compared))
+    claimed = [np.zeros(one.missing.shape, bool) for one in compared]
+    found = []
+    for part in sorted(parts, key=lambda part: (-_views(points.px[part]), -len(part))):
+        structure = _measure(compared, points.place_mm[part], points.px[part], claimed, kind)
+        if len(structure.pixels) >= enough:
+            found.append(structure)
+    return found
 
 
-def _measure(compared: Sequence[Comparison], place_mm: Array, px: Numbers, kind: Literal["missing", "surplus"]) -> Structure:
-    """Measure the length of a structure in the picture that shows most of it."""
+def _views(px: Numbers) -> int:
+    """Return the number of views that show some points (N, V, 2)."""
+    return int((px[:, :, 0] >= 0).any(axis=0).sum())
+
+
+def _measure(
+    compared: Sequence[Comparison], place_mm: Array, px: Numbers, claimed: Sequence[Mask], kind: Literal["missing", "surplus"]
+) -> Structure:
+    """Measure the length of a structure in the picture that shows most of it.
+
+    Its pixels are added to the masks ``claimed`` of all views, and do not count for later structures: where lines of
+    sight of two pictures meet by chance, their pixels usually belong to a structure that more pictures show.
+    """
     pixels, length_mm = {}, 0.0
-    for v, one in enumerate(compared):
-        there = px[px[:, v, 0] >= 0, v]
+    for one, own, at in zip(compared, claimed, px.transpose(1, 0, 2), strict=True):
+        there = at[at[:, 0] >= 0]
+        there = there[~own[there[:, 1], there[:, 0]]]
         if not len(there):
             continue
         shape = np.zeros(one.missing.shape, np.uint8)
         shape[there[:, 1], there[:, 0]] = 1
+        own |= cv2.dilate(shape, _disc()) > 0
         shape = cv2.morphologyEx(shape, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         length_mm = max(length_mm, line_length_px(shape > 0) * one.mm_per_px)
         x, y = there.mean(axis=0)

@@ -168,7 +168,7 @@ def verify(result: Result, dataset: Dataset, *, folder: Path | None = None, moni
                 rendered = synthesis.opacity(camera)
                 equations.add(picture, rendered)
                 edges.append(canister_width.measure_edges(picture.light.astype(np.float32), *synthesis.canister(camera)))
-                if math.isfinite(scale := synthesis.mm_per_px(camera, _middle(rendered))):
+                if picture.is_compared and math.isfinite(scale := synthesis.mm_per_px(camera, _middle(rendered))):
                     compared.append(structures.compare(picture, rendered, scale))
                 step()
         if not compared:
