@@ -166,7 +166,7 @@ def find_folded(tubes: Tubes) -> Mask:
 
     No tube has a centre line with a radius of curvature below its own radius, since it would overlap itself. Where a
     branch extends beyond the tip of its root, it turns back into the root, or winds around its end. Thin roots that
-    leave a bulb bend as well, but protrude from it.
+    leave a bulb bend as well, but protrude from it before they are once around it.
     """
     folded = np.zeros(len(tubes.radius_mm), bool)
     for line in tubes.branches:
@@ -177,8 +177,9 @@ def find_folded(tubes: Tubes) -> Mask:
         straight = np.sum(polyline.unit_vectors(before) * polyline.unit_vectors(after), axis=1)
         resolved = (wide > SPACING_MM) & (way > radius[0] + wide) & (way < way[-1])
         for bend in np.flatnonzero(resolved & (straight < np.cos(1.0))).tolist():
-            once_round = bend + 1 + np.flatnonzero(way[bend + 1 :] - way[bend] < 2.0 * np.pi * wide[bend])
-            outside_mm = cdist(points[once_round], points[: bend + 1]) - radius[: bend + 1]
+            outside_mm = cdist(points[bend:], points[: bend + 1]) - radius[: bend + 1]
+            around = max(wide[bend], radius[outside_mm[0].argmin()])  # within a bulb, it is that of the bulb
+            outside_mm = outside_mm[1:][way[bend + 1 :] - way[bend] < 2.0 * np.pi * around]
             if outside_mm.min(axis=1).max() < _SHORT_MM:
                 folded[line[bend + 1 :]] = True
                 break

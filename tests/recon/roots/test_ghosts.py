@@ -102,6 +102,14 @@ def test_a_thin_line_that_returns_is_no_root(radius_mm: float, away_mm: float, *
     assert not folded[found.centre_mm[:, 0] < 0.1].any()
 
 
+def test_a_root_that_bends_inside_a_bulb_is_not_folded() -> None:
+    """At the end of a bulb, its path was thin already, and stayed inside for five of its own diameters: a root of 100 mm was lost."""
+    found = strung(line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0), (30.0, 0.0, -50.0)))
+    bulb, inside = found.centre_mm[:, 2] > -46.0, found.centre_mm[:, 0] < 0.3
+    found = tubes.with_geometry(found, found.centre_mm, np.where(bulb, 7.0, np.where(inside, 0.8, 0.4)))
+    assert not ghosts.find_folded(found).any()
+
+
 @pytest.mark.parametrize(("tail_mm", "base_mm", "ghost"), [(0.02, 1.5, True), (0.1, 1.5, False), (0.02, 0.05, False)])
 def test_the_invisible_rest_of_a_thick_root_is_a_ghost(tail_mm: float, base_mm: float, *, ghost: bool):
     """A root that narrows and stays visible, and one that is as thin everywhere, are kept."""
