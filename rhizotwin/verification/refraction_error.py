@@ -47,6 +47,9 @@ _LEAST_EDGE = 0.05
 """Minimum gradient of the rendered opacity, per pixel, of the pixels that are compared."""
 _NEAR_HIT_PX = 1.5
 """Maximum distance from a pixel of an outline to the nearest pixel whose central line of sight meets the root, px."""
+_MOST_ENLARGED = 3.0
+"""Maximum scale of a picture at a point, px/mm, relative to the median. It is infinite where lines of sight cross near
+the wall, and a single such point would determine the estimate."""
 _MOST_PIXELS = 4000
 """Maximum number of pixels of a picture that are used. More pixels of the same roots add hardly any information,
 because their errors are correlated."""
@@ -158,10 +161,11 @@ class Equations:
         hit_px, points_mm = surface.at(px)
         rays = self.synthesis.rays(camera, hit_px)
         sideways = [self.synthesis.rays(camera, hit_px + step) for step in (*np.eye(2), *-np.eye(2))]
-        known = np.logical_and.reduce([one.known for one in sideways])
         moves = [one.offset_mm(points_mm) for one in sideways]
         to_px = np.linalg.pinv(np.stack([0.5 * (moves[k] - moves[k + 2]) for k in range(2)], axis=-1))  # (N, 2, 3)
         slope = gradient[px[:, 1], px[:, 0]]
+        size = np.linalg.norm(to_px, axis=(1, 2))
+        known = np.logical_and.reduce([one.known for one in sideways]) & (size < _MOST_ENLARGED * np.median(size))
 
         def effect(other: Rays, step: float) -> Array:
             """Return the change (N,) of the opacity per unit, if other lines of sight belong to the pixels."""

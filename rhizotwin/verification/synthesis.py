@@ -109,8 +109,9 @@ class Synthesis:
         self.scene, self.world = _build_world(result, scene, n_water_error, wall_error_mm)
         mesh = result.solid.surface
         solid = SpecimenSolid(vertices=mesh.vertices_mm, faces=mesh.faces.astype(np.int32), volume_mm3=result.volume_mm3)
-        self.roots = Renderer(self.scene, self.world, solid)
-        self.is_translucent = result.solid.mu_per_mm is not None
+        # lines of sight are traced up to opaque roots, because they continue behind translucent ones
+        self.roots = Renderer(replace(self.scene, disturbances=Disturbances()), self.world, solid)
+        self.translucent = None if result.solid.mu_per_mm is None else Renderer(self.scene, self.world, solid)
 
     @cached_property
     def empty(self) -> Renderer:
@@ -121,9 +122,9 @@ class Synthesis:
 
     def opacity(self, camera: TrueCamera) -> Image:
         """Render the opacity of the roots (H, W), which is 0 for the empty backlight and 1 for an opaque root."""
-        light, coverage = self.roots.look(camera, ring=0)
-        if not self.is_translucent:
-            return coverage
+        if self.translucent is None:
+            return self.roots.look(camera, ring=0)[1]
+        light, _ = self.translucent.look(camera, ring=0)
         empty, _ = self.empty.look(camera, ring=0)
         return np.clip(1.0 - light / np.maximum(empty, np.float32(1e-6)), 0.0, 1.0).astype(np.float32)
 
