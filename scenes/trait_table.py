@@ -344,6 +344,19 @@ def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
     return {d.name: known.get(d.field) for d in (*SHOOT, *COLOUR) if d in SHOOT or d.field in known}
 
 
+def leaves_csv(shoot: Mapping[str, Any]) -> str:
+    """Return a table of the leaves of a shoot, the largest first, with the colours that are known.
+
+    ``shoot`` is part of ``result.json``.
+    """
+    areas, colours = shoot["blades_mm2"], shoot.get("leaf_colours") or [{}] * len(shoot["blades_mm2"])
+    known = [name for name in COLOURS if any(name in one for one in colours)]
+    rows = [("leaf", "area_mm2", *known)]
+    for number, (area, one) in enumerate(zip(areas, colours, strict=True), start=1):
+        rows.append((str(number), format_exact(area), *(format_exact(one.get(name)) for name in known)))
+    return csv_text(rows)
+
+
 def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
     """Format the traits of a shoot as aligned lines."""
     width = max(len(d.name) for d in DEFINITIONS) + 2

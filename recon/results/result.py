@@ -8,6 +8,7 @@
              shoot.ply             surface of the shoot's visual hull, if there are pictures of a shoot
              roots.rsml            centre lines and diameters of the roots, if any were found
              roots.csv             length, diameters, parent, order and place of each of these roots
+             leaves.csv            area and colour of each leaf, if there is a shoot
              traits.csv, .json     traits with units and definitions
              silhouettes/NAME.png  16 bit: measured fraction of each pixel that roots cover
              seen/NAME.png         8 bit: 255 for usable pixels, 0 for all others
@@ -302,7 +303,7 @@ class Result:
         (folder / "shoot.ply").unlink(missing_ok=True)
         if self.shoot is not None:
             atomic.write_bytes(folder / "shoot.ply", bytes(trimesh.exchange.ply.export_ply(self.shoot.mesh)))
-        for name in ("roots.rsml", "roots.csv"):
+        for name in ("roots.rsml", "roots.csv", "leaves.csv"):
             (folder / name).unlink(missing_ok=True)
         if solid.roots:
             rsml.write_rsml(folder / "roots.rsml", solid.roots)

@@ -127,7 +127,9 @@ def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTrai
 
 
 def trait_files(traits: Traits, summary: Json, roots: Sequence[Root], *, mass_g: float | None) -> dict[str, str]:
-    """Return the contents of ``traits.csv``, ``traits.json`` and, if there are roots, ``roots.csv``, by file name.
+    """Return the contents of ``traits.csv``, ``traits.json``, and of ``roots.csv`` and ``leaves.csv`` if there are any.
+
+    The keys are the names of the files.
 
     Parameters
     ----------
@@ -147,7 +149,8 @@ def trait_files(traits: Traits, summary: Json, roots: Sequence[Root], *, mass_g:
         plants = [(one.subject.plant, one.traits, one.assessed) for one in traits_by_plant("result.json", summary, traits)]
         table = trait_table.by_plant_csv([("", traits, whole), *plants])
     single = {"roots.csv": root_table.to_csv(roots, verdict=whole["total_length_mm"].verdict)} if roots else {}
-    return {"traits.csv": table, "traits.json": f"{content}\n", **single}
+    leaves = {"leaves.csv": trait_table.leaves_csv(summary["shoot"])} if (summary.get("shoot") or {}).get("blades_mm2") else {}
+    return {"traits.csv": table, "traits.json": f"{content}\n", **single, **leaves}
 
 
 def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:

@@ -47,6 +47,8 @@ class Blades:
     """(N, 3) points, evenly distributed over the surface, mm."""
     is_blade: Mask = field(repr=False)
     """(N,) whether each point is on a blade."""
+    leaf: NDArray[np.int64] = field(repr=False)
+    """(N,) index of each point's blade in ``areas_mm2``, or -1 on stalks and on pieces that are too small."""
     areas_mm2: tuple[float, ...]
     """One-sided area of each connected piece, in decreasing order, mm2. A piece is one leaf, or several touching
     leaves."""
@@ -74,13 +76,17 @@ def find_blades(mesh: trimesh.Trimesh) -> Blades:
     likely = (spread[:, 0] < _FLAT * spread[:, 1]) & (spread[:, 1] > _WIDE * spread[:, 2])
     a, b = _find_pairs(tree, _VOTE_MM)
     is_blade = np.bincount(a, weights=likely[b], minlength=len(points)) > 0.5 * np.bincount(a, minlength=len(points))
-    blades = np.flatnonzero(is_blade)
+    blades, leaf = np.flatnonzero(is_blade), np.full(len(points), -1)
     if not len(blades):
-        return Blades(points_mm=points, is_blade=is_blade, areas_mm2=(), area_mm2=0.0)
+        return Blades(points_mm=points, is_blade=is_blade, leaf=leaf, areas_mm2=(), area_mm2=0.0)
     a, b = _find_pairs(cKDTree(points[blades]), _APART_MM)
     pieces = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(len(blades),) * 2), directed=False)[1]
-    areas = sorted((float(area) for area in each_mm2 * np.bincount(pieces) if area >= _LEAST_MM2), reverse=True)
-    return Blades(points_mm=points, is_blade=is_blade, areas_mm2=tuple(areas), area_mm2=each_mm2 * len(blades))
+    areas = each_mm2 * np.bincount(pieces)
+    order = np.argsort(-areas, kind="stable")[: int((areas >= _LEAST_MM2).sum())]
+    number = np.full(len(areas), -1)
+    number[order] = np.arange(len(order))
+    leaf[blades] = number[pieces]
+    return Blades(points_mm=points, is_blade=is_blade, leaf=leaf, areas_mm2=tuple(areas[order].tolist()), area_mm2=each_mm2 * len(blades))
 
 
 def _find_pairs(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -65,7 +65,7 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
             list(drawn.values()), [views[k] for k in drawn], dataset.scene, finest_mm=FINEST_MM, monitor=monitor
         )
         told = blades.find_blades(mesh)
-        colour = measure_colour(pictures, drawn, views)
+        colour = measure_colour(pictures, drawn, views, told)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
     hidden = sum(float(one.coverage[~one.usable].sum()) for one in drawn.values()) / max(covered, 1e-9)
     enclosed = shoot_hull.enclosed_share(hull, told)
@@ -86,6 +86,7 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
         hidden_share=hidden,
         enclosed_share=enclosed,
         colour=colour.values,
+        leaf_colours=colour.leaves,
         warnings=(*pictures.warnings, *cameras.warnings, *said, *colour.warnings),
     )
 

@@ -47,6 +47,8 @@ class Shoot:
     """Reflectances of the leaves relative to white paper, one for each wavelength range, and vegetation indices. The
     keys are the field names in `scenes.trait_table.COLOURS`. The mapping is empty if the shoot was photographed in only
     one band."""
+    leaf_colours: tuple[Mapping[str, float], ...] = ()
+    """The same for each blade, in the order of ``blades_mm2``. It is empty if it was not measured."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -123,5 +125,6 @@ class Shoot:
             "pot_top_mm": self.pot_top_mm,
             "hidden_share": self.hidden_share,
             "enclosed_share": self.enclosed_share,
+            "leaf_colours": [dict(one) for one in self.leaf_colours],
             **self.colour,
         }

@@ -14,6 +14,7 @@ from rhizotwin.recon.coverage.silhouettes import Mask, Silhouette
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.read_pictures import Pictures
+from rhizotwin.recon.shoots.blades import STEP_MM, Blades
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.bands import bands_by_range, vegetation_indices
 from rhizotwin.scenes.dataset import Frame, read_image
@@ -29,6 +30,10 @@ _FACING = 0.7
 _LEAST_LIGHT, _FULL = 0.02, 0.99
 """Minimum and maximum brightness of white paper, as a fraction of full scale. Below the minimum, noise would dominate.
 Above the maximum, the camera is saturated (`rig.scanning.preflight.FULL`)."""
+_ALL = -1
+"""Number of all leaves together, where leaves are numbered from 0."""
+_LEAST_PX = 30
+"""Minimum number of pixels of a leaf in a picture from which its brightness is measured."""
 _MOST_FULL = 0.01
 """Maximum fraction of the leaves' pixels that are saturated. Their true brightness is unknown, and without these
 pixels, which are the brightest, the mean would be too small."""
@@ -42,11 +47,13 @@ class Colour:
     """Reflectances of the leaves in the ranges of `scenes.bands.RANGES_NM`, and vegetation indices. A reflectance is
     relative to the white paper of the strip, and averaged over the leaves. The keys are the field names in
     `scenes.trait_table.COLOURS`."""
+    leaves: tuple[Mapping[str, float], ...] = ()
+    """The same values for each leaf of `blades.Blades`. A value is missing if no picture shows it."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
 
-def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: Mapping[int, View]) -> Colour:
+def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: Mapping[int, View], blades: Blades) -> Colour:
     """Measure the reflectance of a shoot's leaves in all bands in which the panel is off.
 
     Leaves and paper are lit by the same lamp, and cover the same pixels in all bands of a view. The strength of the
@@ -60,6 +67,8 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
         Pictures in the band from which the silhouettes were measured.
     drawn, views : mapping of Silhouette, mapping of View
         Silhouettes and cameras of these pictures, keyed by frame number.
+    blades : Blades
+        Blades of the shoot.
 
     Returns
     -------
@@ -69,15 +78,17 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
     scene, unread, saturated = pictures.dataset.scene, list[str](), Counter[str]()
     ranges = {band: name for name, band in _dark_bands(scene).items()}
     number = {pictures.frames[k].view: k for k in drawn}
-    ratios: dict[str, dict[int, float]] = {}
+    shown = {k: _label_leaves(views[k], blades, silhouette.coverage.shape) for k, silhouette in drawn.items()}
+    # reflectances by leaf (all leaves together are _ALL), wavelength range and frame number
+    ratios: dict[int, dict[str, dict[int, float]]] = {leaf: {} for leaf in range(_ALL, len(blades.areas_mm2))}
     for frame in pictures.dataset.frames:
         if frame.kind != "shoot" or frame.band not in ranges:
             continue
-        of_band = ratios.setdefault(ranges[frame.band], {})
+        ratios[_ALL].setdefault(ranges[frame.band], {})
         if (k := number.get(frame.view)) is None:
             continue
         try:
-            light = _measure_light(pictures, frame, drawn[k], views[k])
+            light = _measure_light(pictures, frame, drawn[k], views[k], shown[k])
         except UserError as error:
             unread.append(f"{frame.file} is not used for the colour of the shoot: {error}")
             continue
@@ -86,7 +97,8 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
         if light.saturated > _MOST_FULL:
             saturated[frame.band] += 1
         elif _LEAST_LIGHT <= light.paper <= _FULL:
-            of_band[k] = light.leaves / light.paper
+            for leaf, brightness in light.leaves.items():
+                ratios[leaf].setdefault(ranges[frame.band], {})[k] = brightness / light.paper
     warnings = [
         f"{count} of {len(drawn)} pictures in the band {band} are not used for the colour, because the leaves are overexposed; "
         "reduce front_level of the band, or the exposure"
@@ -94,10 +106,11 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
     ]
     warnings += [
         f"the reflectance in the range {name} could not be determined, because no view shows both leaves and paper well exposed"
-        for name, found in ratios.items()
+        for name, found in ratios[_ALL].items()
         if not found
     ]
-    return Colour(values=_average(ratios), warnings=(*unread, *warnings, *_lit_bands(scene)))
+    whole, *leaves = (_average(found) for found in ratios.values())
+    return Colour(values=whole, leaves=tuple(leaves), warnings=(*unread, *warnings, *_lit_bands(scene)))
 
 
 def _average(ratios: Mapping[str, Mapping[int, float]]) -> dict[str, float]:
@@ -136,16 +149,19 @@ def _lit_bands(scene: Scene) -> tuple[str, ...]:
 class _Light:
     """Brightness in one picture, as fractions of full scale."""
 
-    leaves: float
-    """Mean brightness of the leaves."""
+    leaves: Mapping[int, float]
+    """Mean brightness of all leaves (`_ALL`) and of each leaf in the picture."""
     saturated: float
     """Fraction of the leaves' pixels that are saturated."""
     paper: float
     """Median brightness of the strip's paper."""
 
 
-def _measure_light(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> _Light | None:
-    """Measure the brightness of leaves and paper in a picture; None if one of them is not visible."""
+def _measure_light(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View, shown: NDArray[np.int64]) -> _Light | None:
+    """Measure the brightness of leaves and paper in a picture; None if one of them is not visible.
+
+    ``shown`` (H, W) is the leaf that each pixel shows (`_label_leaves`).
+    """
     curve = pictures.curve
     picture = read_image(pictures.dataset, frame, curve=None if curve is None or curve.warning is None else curve.curve)
     image = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
@@ -155,7 +171,27 @@ def _measure_light(pictures: Pictures, frame: Frame, silhouette: Silhouette, vie
         return None
     on_leaves, on_paper = image[leaves], image[paper[:, 1], paper[:, 0]]
     saturated = float((on_leaves > _FULL).mean())
-    return _Light(leaves=float(on_leaves.mean()), saturated=saturated, paper=float(np.median(on_paper)))
+    brightness = {_ALL: float(on_leaves.mean())}
+    count = np.bincount(shown[leaves] + 1)
+    total = np.bincount(shown[leaves] + 1, on_leaves)
+    brightness |= {leaf: float(total[leaf + 1] / count[leaf + 1]) for leaf in np.flatnonzero(count[1:] >= _LEAST_PX).tolist()}
+    return _Light(leaves=brightness, saturated=saturated, paper=float(np.median(on_paper)))
+
+
+def _label_leaves(view: View, blades: Blades, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return the index of the nearest leaf in each pixel (H, W), or -1 in pixels that show no leaf."""
+    labels, cam = np.full(shape, -1), frames.apply(view.cam_from_canister, blades.points_mm)
+    if not len(cam):
+        return labels
+    reach = int(np.ceil(STEP_MM * max(view.camera.focal_px) / cam[:, 2].min()))
+    beside = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
+    far_first = np.argsort(-cam[:, 2])
+    px = np.round(cameras.cam_pixels(view.camera, cam[far_first])).astype(np.int64)[:, None] + beside
+    leaf = np.broadcast_to(blades.leaf[far_first, None], px.shape[:2])
+    within = ((px >= 0) & (px < shape[::-1])).all(axis=2)
+    x, y = px[within].T
+    labels[y, x] = leaf[within]  # of repeated pixels, the last one counts
+    return labels
 
 
 def _interior_mask(silhouette: Silhouette) -> Mask:

@@ -114,6 +114,7 @@ def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
         hidden_share=float(summary["hidden_share"]),
         enclosed_share=float(summary.get("enclosed_share", 0.0)),
         colour={name: float(summary[name]) for name in trait_table.COLOURS if name in summary},
+        leaf_colours=tuple({name: float(value) for name, value in one.items()} for one in summary.get("leaf_colours", ())),
     )
 
 

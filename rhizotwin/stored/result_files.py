@@ -29,7 +29,7 @@ MOST_SHAPE_MIB = 512
 """Maximum size, MiB, of an unpacked shape (40 bytes per leaf, including the hull) and of a surface file (25 bytes per
 triangle). A shape of this size has 13 million leaves and needs 2 GiB of memory."""
 RESULT_NAMES = (
-    *("result.json", "shape.npz", "shape.ply", "shoot.ply", "roots.rsml", "roots.csv", "traits.csv", "traits.json"),
+    *("result.json", "shape.npz", "shape.ply", "shoot.ply", "roots.rsml", "roots.csv", "leaves.csv", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages", "verify"),
 )
 """Names of the files and folders that a new result may replace in an existing result folder. A folder with a log of

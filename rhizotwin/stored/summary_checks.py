@@ -203,6 +203,7 @@ _OPTIONAL: dict[str, Fits] = {
                 **dict.fromkeys(("leaf_area_mm2", "leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
                 **dict.fromkeys(trait_table.COLOURS, _number),
                 "blades_mm2": _list(_number),
+                "leaf_colours": _list(_only(_with({}, dict.fromkeys(trait_table.COLOURS, _number)), set(trait_table.COLOURS))),
             },
         )
     ),
