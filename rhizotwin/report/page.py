@@ -300,10 +300,10 @@ def _traits(report: ReportData) -> str:
 
 
 def _lengths(report: ReportData) -> str:
-    """Return bar charts of root length by depth, diameter and order as HTML. It is empty without roots."""
-    if not report.roots:
-        return ""
+    """Return bar charts of root length by depth, diameter and order as HTML. It is empty if no lengths are known."""
     traits, up = report.traits, "length (mm)"
+    if not traits.length_by_depth_mm:
+        return ""
     orders = traits.length_by_order_mm
     shades = [f"rgb{root_colours.ORDERS[min(order, len(root_colours.ORDERS) - 1)]}" for order in range(len(orders))]
     drawn = (
