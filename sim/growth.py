@@ -19,6 +19,7 @@ from rhizotwin.scenes.model import Canister, NetPot
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.specimens import BasalRoots, GrownSpecimen, RootOrder
 from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
+from rhizotwin.sim.elongation import age_at, length_at
 
 Array = NDArray[np.float64]
 
@@ -131,50 +132,6 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
                 )
         buds = children
     return roots
-
-
-def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the length of a root at a given age.
-
-    It is k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
-
-    Parameters
-    ----------
-    age_days : (N,) array
-        Time since the emergence of the root, days.
-    max_length_mm : (N,) array
-        Final length k, mm.
-    elongation_mm_per_day : (N,) array
-        Initial growth rate r, mm/day.
-
-    Returns
-    -------
-    (N,) array
-        Length, mm.
-    """
-    return max_length_mm * -np.expm1(-elongation_mm_per_day * np.maximum(age_days, 0.0) / max_length_mm)
-
-
-def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the age at which a root has a given length.
-
-    The function is the inverse of `length_at`.
-
-    Parameters
-    ----------
-    length_mm : (N,) array
-        Length, mm, smaller than the final length.
-    max_length_mm : (N,) array
-        Final length k, mm.
-    elongation_mm_per_day : (N,) array
-        Initial growth rate r, mm/day.
-
-    Returns
-    -------
-    (N,) array
-        Age, days.
-    """
-    return -max_length_mm / elongation_mm_per_day * np.log1p(-length_mm / max_length_mm)
 
 
 def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:

@@ -10,7 +10,7 @@ from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.steps.calls import Progress, require, watch
 
 if TYPE_CHECKING:
-    from rhizotwin.stored.save import Result
+    from rhizotwin.recon.results.result import Result
     from rhizotwin.verification.verify import Verification
 
 

@@ -69,9 +69,9 @@ def measure_edges(light: Image, rendered: Image, coverage: Image) -> Array:
             continue
         own, other = (np.diff(gaussian_filter1d(image[rows].mean(axis=0, dtype=np.float64), _SMOOTH_PX)) for image in (rendered, light))
         across = float(inside[-1] - inside[0])
-        shifts = [_shift(own, other, edge, across) for edge in (inside[0], inside[-1])]
-        if None not in shifts:
-            found.append((shifts[1] - shifts[0]) / across)  # type: ignore[operator]
+        left, right = (_shift(own, other, edge, across) for edge in (inside[0], inside[-1]))
+        if left is not None and right is not None:
+            found.append((right - left) / across)
     return np.array(found)
 
 

@@ -9,7 +9,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, NetPot
 from rhizotwin.scenes.polyline import length_mm
 from rhizotwin.scenes.specimens import BasalRoots, GrownSpecimen, RootOrder
-from rhizotwin.sim import growth
+from rhizotwin.sim import elongation, growth
 
 STRAIGHT = RootOrder(
     diameter_mm=1.0, diameter_sd=0.0, taper=0.5, elongation_mm_per_day=10.0, max_length_mm=80.0, length_sd=0.0, interlateral_mm=6.0,
@@ -39,8 +39,8 @@ def test_laterals_are_where_distance_angle_and_apex_say() -> None:
         assert root.order == 1
     lengths_mm = [length_mm(root.points_mm) for root in laterals]
     assert lengths_mm == sorted(lengths_mm, reverse=True)  # acropetal: the oldest is nearest the base
-    born_days = growth.age_at(starts_mm + 10.0, max_length_mm=np.array(80.0), elongation_mm_per_day=np.array(10.0))
-    expected_mm = growth.length_at(8.0 - born_days, max_length_mm=np.array(80.0), elongation_mm_per_day=np.array(10.0))
+    born_days = elongation.age_at(starts_mm + 10.0, max_length_mm=np.array(80.0), elongation_mm_per_day=np.array(10.0))
+    expected_mm = elongation.length_at(8.0 - born_days, max_length_mm=np.array(80.0), elongation_mm_per_day=np.array(10.0))
     assert lengths_mm == pytest.approx(expected_mm, abs=1e-6)
 
 

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rhizotwin import engine
+from rhizotwin.experiment import motion, tip_fit
+from rhizotwin.experiment.smoothing import smooth
 from rhizotwin.scenes import series
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.files import load_profile, load_scene
@@ -15,11 +16,6 @@ from rhizotwin.scenes.rsml_reader import read_rsml
 from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder
 from rhizotwin.steps import front_door
 from rhizotwin.stored import result_files
-
-engine.ensure("cpu")
-
-from rhizotwin.experiment import motion, tip_fit  # noqa: E402
-from rhizotwin.experiment.smoothing import smooth  # noqa: E402
 
 HOURS = np.linspace(0.0, 24.0, 49)
 

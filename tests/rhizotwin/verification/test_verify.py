@@ -41,7 +41,7 @@ def test_a_right_result_agrees_and_its_residuals_are_written(made: Path, found: 
 
 
 def test_a_displaced_shape_is_named(made: Path, found: Reconstructed) -> None:
-    wrong = rt.verify(moved(found.result, (0.0, 0.0, -10.0)), made)  # type: ignore[arg-type]
+    wrong = rt.verify(moved(found.result, (0.0, 0.0, -10.0)), made)
     assert not wrong.agrees
     assert "are missing in the result" in wrong.verdict
     assert "are not in the pictures" in wrong.verdict
@@ -55,7 +55,7 @@ def test_another_size_of_the_canister_is_named(made: Path, found: Reconstructed,
     (tmp_path / "scan" / "dataset.json").write_text(json.dumps(listed))
     command.fails("verify", found.folder, tmp_path / "scan", named=["not reconstructed from the present content"])
     scan = load_dataset(tmp_path / "scan")
-    wrong = rt.verify(replace(found.result, dataset_sha256=scan.sha256), scan)  # type: ignore[arg-type]
+    wrong = rt.verify(replace(found.result, dataset_sha256=scan.sha256), scan)
     assert wrong.canister is not None
     assert wrong.canister.error == pytest.approx(1.0 / 1.02 - 1.0, abs=2e-3)
     assert "the radius of the canister is wrong" in wrong.verdict
@@ -63,7 +63,7 @@ def test_another_size_of_the_canister_is_named(made: Path, found: Reconstructed,
 
 def test_masks_are_refused(made: Path, found: Reconstructed) -> None:
     with pytest.raises(rt.UserError, match="contains masks without light"):
-        rt.verify(found.result, replace(load_dataset(made), masks=True))  # type: ignore[arg-type]
+        rt.verify(found.result, replace(load_dataset(made), masks=True))
 
 
 def test_every_nth_view_is_held_out() -> None:
