@@ -153,6 +153,17 @@ _ESTIMATE = _only(
     {field.name for field in fields(Estimate)},
 )
 """Validator for one entry of the list of estimates, each with its interval."""
+_SHOOT = _with(
+    {"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number},
+    {
+        **dict.fromkeys(("stalks_mm3", "surface_area_mm2", "projected_mean_mm2", "leaves", "enclosed_share"), _number),
+        **dict.fromkeys(("leaf_area_mm2", "leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
+        **dict.fromkeys(trait_table.COLOURS, _number),
+        "blades_mm2": _list(_number),
+        "leaf_colours": _list(_only(_with({}, dict.fromkeys(trait_table.COLOURS, _number)), set(trait_table.COLOURS))),
+    },
+)
+"""Validator for the shoot. Colours are those of all blades, or of none."""
 _REQUIRED: dict[str, Fits] = {
     "scene": _text,
     "dataset_sha256": _text,
@@ -195,18 +206,7 @@ _OPTIONAL: dict[str, Fits] = {
             {"last": _or_none(_text), "volume_before_mm3": _number, "base_mm": _or_none(_numbers(3))},
         )
     ),
-    "shoot": _or_none(
-        _with(
-            {"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number},
-            {
-                **dict.fromkeys(("stalks_mm3", "surface_area_mm2", "projected_mean_mm2", "leaves", "enclosed_share"), _number),
-                **dict.fromkeys(("leaf_area_mm2", "leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
-                **dict.fromkeys(trait_table.COLOURS, _number),
-                "blades_mm2": _list(_number),
-                "leaf_colours": _list(_only(_with({}, dict.fromkeys(trait_table.COLOURS, _number)), set(trait_table.COLOURS))),
-            },
-        )
-    ),
+    "shoot": _or_none(lambda value: _SHOOT(value) and len(value.get("leaf_colours", ())) in (0, len(value.get("blades_mm2", ())))),
     **dict.fromkeys(get_args(Pass), _number),
     "mass_g": _or_none(_positive),
     **dict.fromkeys(("root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),

@@ -115,6 +115,8 @@ OTHER_KINDS = [
     ("plants", 2),
     ("settings", {"finest_mm": "fine"}),
     ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
+    ("hidden_height_mm", -1.0),
+    ("shoot", {"hull_mm3": 9.0, "pot_top_mm": 8.0, "hidden_share": 0.0, "blades_mm2": [2.0, 1.0], "leaf_colours": [{"ndvi": 0.8}]}),
     ("traits", {"total_length_mm": -5.0}),
     ("traits", {"length_by_depth_mm": [1.0, "none"]}),
 ]
