@@ -1,6 +1,7 @@
 """Small trees whose roots were joined wrongly, and what they should be."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -77,11 +78,16 @@ def test_a_line_bent_into_a_lateral_is_left_for_the_axis():
     assert lateral.points_mm[-1] == pytest.approx([8.0, 24.0, -54.0])
 
 
-@pytest.mark.parametrize(("turn_mm", "diameter", "orders"), [(3.0, 0.3, [0, 1, 1]), (3.0, 0.12, [0, 1, 2]), (14.0, 0.3, [0, 1, 2])])
-def test_two_roots_that_ran_along_each_other_are_siblings(turn_mm: float, diameter: float, orders: list[int]):
-    """A lateral is thinner than its parent, or leaves at a large angle."""
+@pytest.mark.parametrize(
+    ("turn_mm", "diameter", "before", "orders"),
+    [(3.0, 0.3, 1.25, [0, 1, 1]), (3.0, 0.12, 1.25, [0, 1, 2]), (14.0, 0.3, 1.0, [0, 1, 2]), (3.0, 0.2, 1.0, [0, 1, 2])],
+)
+def test_two_roots_that_ran_along_each_other_are_siblings(turn_mm: float, diameter: float, before: float, orders: list[int]):
+    """A lateral is thinner than its parent, leaves at a large angle, or the parent is as thick before as beyond it."""
     other = root([7.5, 0, -20], [16.5, turn_mm, -26], order=2, parent=1, diameters=(diameter, diameter))
-    assert [one.order for one in arrange([TAP, LATERAL, other])] == orders
+    thicker = np.where(np.arange(len(LATERAL.points_mm)) < len(LATERAL.points_mm) // 2, before, 1.0)
+    parent = replace(LATERAL, diameters_mm=LATERAL.diameters_mm * thicker)
+    assert [one.order for one in arrange([TAP, parent, other])] == orders
 
 
 def test_a_bulb_ends_where_only_thin_roots_go_on():
