@@ -10,7 +10,7 @@ from typing import TypeVar
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
 from rhizotwin.rig.errors import RigError
-from rhizotwin.rig.open import open_arm, open_board
+from rhizotwin.rig.open import connect_shutter, open_arm, open_board
 from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.safety import Say
@@ -73,7 +73,7 @@ def check(
             report.line("arm", "ok", "the rig file has no arm; the camera is on a tripod")
         else:
             arm = report.look("arm", lambda: _arm(rig, clock, recorder))
-        camera = report.look("camera", lambda: _camera(open_camera))
+        camera = report.look("camera", lambda: _camera(open_camera, rig, None if board is None else board[1]))
         if camera is not None:
             try:
                 _look_at_pictures(report, camera, None if board is None else board[1], rig, scene)
@@ -144,9 +144,11 @@ def _arm(rig: RigFile, clock: Clock, recorder: Recorder | None) -> tuple[Arm | N
         raise
 
 
-def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
+def _camera(open_camera: Callable[[], Camera], rig: RigFile, lights: Lights | None) -> tuple[Camera, str]:
     camera = open_camera()
     try:
+        if lights is not None:
+            connect_shutter(camera, rig, lambda: lights)
         return camera, preflight.check_camera(camera)
     except BaseException:
         camera.close()

@@ -16,6 +16,10 @@ LEAST_DEG = -90.0
 """Minimum table angle, deg. A Marlin board that was reset reports -360 deg; the distance leaves room for the overshoot
 before an approach. There is no maximum, because no cable turns with the table."""
 
+SHUTTER_S = 0.1
+"""Time for which a board closes the contact of a camera's shutter input, s. Marlin's own triggers close it for 0.05 s
+(CHDK_DELAY in Configuration_adv.h)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
@@ -92,6 +96,15 @@ class Lights(Protocol):
 
     def off(self) -> None:
         """Switch all lamps off."""
+
+    def release_shutter(self, pin: int | None) -> None:
+        """Release the shutter of a camera whose shutter input is connected to the board of the lamps.
+
+        Parameters
+        ----------
+        pin : int or None
+            Pin of the board; None for the board's command for cameras.
+        """
 
 
 def check_angle(angle_deg: float) -> None:

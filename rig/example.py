@@ -101,12 +101,13 @@ min_deg = -112.0
 max_deg = 112.0
 
 [camera]
-kind = "picamera2"  # picamera2: this Raspberry Pi's. v4l2: on USB. http: on another computer that runs 'rhizotwin camera'
-address = "0"  # number of the camera (v4l2: or its device file); http: such as http://raspberrypi:8471
+kind = "picamera2"  # picamera2: this Raspberry Pi's. v4l2, gphoto2: on USB. http: on another computer that runs 'rhizotwin camera'
+address = "0"  # number of the camera (v4l2: or its device file; gphoto2: or its port); http: such as http://raspberrypi:8471
 exposure_s = 0.01  # the panel should reach about 75 % of full scale, see 'rhizotwin rig check'
-gain = 1.0
-colour_gains = [2.0, 2.0]  # fixed white balance: red, blue (picamera2)
+gain = 1.0  # gphoto2: the ISO divided by 100
+colour_gains = [2.0, 2.0]  # fixed white balance: red, blue (picamera2, gphoto2)
 white_balance_kelvin = 5000  # fixed white balance (v4l2)
+trigger = "usb"  # gphoto2: usb, or board if the table's board is connected to the shutter input, see docs/camera.md
 bands = []  # for a scene with [[camera.bands]]: [{name = "nir", panel_level = 0.0, front_level = 0.0, output = 0}], see docs/bands.md
 
 [clearance]  # obstacles of the arm, in addition to the scene's canister and net pot

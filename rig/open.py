@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rhizotwin.rig.arm.arm import open_arm as arm_on
 from rhizotwin.rig.cameras import open_camera
+from rhizotwin.rig.cameras.gphoto import GphotoCamera
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
 from rhizotwin.rig.errors import RigError
@@ -83,13 +84,32 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
         arm = open_arm(rig, clock=clock, recorder=recorder)
         opened += [] if arm is None else [arm]
         lens = scene.camera
-        eye = open_camera(rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=clock) if camera is None else camera
+        linear = lens.transfer == "linear"
+        eye = open_camera(rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=clock, linear=linear) if camera is None else camera
     except BaseException:
         for device in opened:
             with suppress(RigError):
                 device.close()
         raise
-    return Devices(rig=rig, clock=clock, table=table, lights=lights, camera=eye, arm=arm, open_board=board)
+    devices = Devices(rig=rig, clock=clock, table=table, lights=lights, camera=eye, arm=arm, open_board=board)
+    connect_shutter(eye, rig, lambda: devices.lights)
+    return devices
+
+
+def connect_shutter(camera: Camera, rig: RigFile, lights: Callable[[], Lights]) -> None:
+    """Let the board release the shutter of a camera whose rig file says so.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera of the rig.
+    rig : RigFile
+        Rig file with the trigger.
+    lights : callable
+        Function that returns the present driver of the board's lamps.
+    """
+    if isinstance(camera, GphotoCamera):
+        camera.shutter = lambda: lights().release_shutter(rig.camera.trigger_pin)
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:

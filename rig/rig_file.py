@@ -103,6 +103,11 @@ class HatPart:
     panel_pixels: int = bounded(300, 1, 5000)
     front_pixels: int = bounded(18, 1, 5000)
 
+    @property
+    def pins(self) -> list[int]:
+        """Numbers of the GPIO pins in use."""
+        return [value for name, value in vars(self).items() if name.endswith("_pin")]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
@@ -187,18 +192,27 @@ class BandPart:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPart:
-    """Camera connected to this Raspberry Pi (picamera2), by USB (v4l2), or to another computer (http)."""
+    """Camera of this Raspberry Pi (picamera2), on USB (v4l2, gphoto2), or of another computer (http)."""
 
-    kind: Literal["picamera2", "v4l2", "http"] = "picamera2"
+    kind: Literal["picamera2", "v4l2", "gphoto2", "http"] = "picamera2"
     address: str = "0"
-    """Camera address. picamera2 and v4l2: number of the camera (for v4l2 also its device file). http: URL such as
-    http://raspberrypi:8471."""
+    """Camera address. picamera2, v4l2 and gphoto2: number of the camera (for v4l2 also its device file, for gphoto2
+    also its port, such as usb:001,004). http: URL such as http://raspberrypi:8471."""
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
+    """Gain of the sensor. For gphoto2 it is the ISO divided by 100."""
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
-    """Gains of red and blue for a fixed white balance (picamera2)."""
+    """Gains of red and blue for a fixed white balance (picamera2, and raw files of gphoto2)."""
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
     """Colour temperature for a fixed white balance, K (v4l2)."""
+    f_number: float | None = field(default=None, metadata={"limits": (0.5, 128.0)})
+    """Aperture of a lens that the camera controls (gphoto2). If it is None, the present aperture is kept."""
+    trigger: Literal["usb", "board"] = "usb"
+    """Device that releases the shutter (gphoto2). usb: the computer. board: the electronics of the table, which are
+    connected to the camera's shutter input; the file is still read over USB."""
+    trigger_pin: int | None = field(default=None, metadata={"limits": (0, 255)})
+    """Pin that releases the shutter: of the Marlin board (M42), or GPIO pin of the Raspberry Pi (hat). If it is None, a
+    Marlin board releases the shutter by M240."""
     bands: tuple[BandPart, ...] = ()
     """Lamp and filter settings for each entry of ``[[camera.bands]]`` in the scene."""
 
@@ -280,6 +294,7 @@ def check_rig(rig: RigFile, place: Place) -> None:
         )
     _check_hat(rig.hat, place.at("hat"))
     _check_bands(rig, place.at("camera"))
+    _check_trigger(rig, place.at("camera"))
     for i, bar in enumerate(rig.clearance.bars):
         if any(low >= high for low, high in zip(bar.low_mm, bar.high_mm, strict=True)):
             raise place.at("clearance", "bars", i, "high_mm").error("must be above low_mm on every axis", list(bar.high_mm))
@@ -308,15 +323,23 @@ def _check_hat(hat: HatPart, place: Place) -> None:
         raise place.at("microsteps").error("must be 1, 2, 4, 8, 16 or 32", hat.microsteps)
 
 
+def _check_trigger(rig: RigFile, place: Place) -> None:
+    camera = rig.camera
+    if camera.trigger == "board" and camera.kind != "gphoto2":
+        raise place.at("trigger").error(f"is possible only for kind gphoto2, not {camera.kind}", camera.trigger)
+    if camera.trigger == "board" and rig.turntable.kind == "hat" and camera.trigger_pin not in set(range(28)) - set(rig.hat.pins):
+        raise place.at("trigger_pin").error("must be a GPIO pin, from 0 to 27, that is not used in [hat]", camera.trigger_pin)
+
+
 def _check_bands(rig: RigFile, place: Place) -> None:
     wheel = None if rig.arm is None else rig.arm.filter
-    taken = [] if rig.turntable.kind != "hat" else [value for name, value in vars(rig.hat).items() if name.endswith("_pin")]
+    taken = [] if rig.turntable.kind != "hat" else [*rig.hat.pins, rig.camera.trigger_pin]
     names = [band.name for band in rig.camera.bands]
     for i, band in enumerate(rig.camera.bands):
         here = place.at("bands", i)
         if not band.name or band.name in names[:i]:
             raise here.at("name").error("must be the name of a band in the scene, and unique", band.name)
-        if band.output in taken:
+        if band.output is not None and band.output in taken:
             raise here.at("output").error("must not be a pin that is used in [hat]", band.output)
         if band.filter_deg is not None and wheel is None:
             raise here.at("filter_deg").error(

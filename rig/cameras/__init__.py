@@ -1,5 +1,6 @@
 """Cameras with a common interface. They are connected to this Raspberry Pi, by USB, or to another computer."""
 
+from rhizotwin.rig.cameras.gphoto import GphotoCamera
 from rhizotwin.rig.cameras.http import HttpCamera
 from rhizotwin.rig.cameras.pi import PiCamera
 from rhizotwin.rig.cameras.settings import CameraSettings, combine_settings
@@ -9,7 +10,7 @@ from rhizotwin.rig.devices import Camera
 from rhizotwin.rig.rig_file import CameraPart
 
 
-def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock: Clock) -> Camera:
+def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock: Clock, linear: bool = True) -> Camera:
     """Create the camera described in a rig file. It is opened by `Camera.prepare`.
 
     Parameters
@@ -19,7 +20,9 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
     image_wh, bits : tuple of int, int
         Size and bit depth of the pictures, as in the scene's camera.
     clock : Clock
-        Clock for pauses between attempts over the network.
+        Clock for waiting times.
+    linear : bool
+        Whether the scene's camera is linear in light.
 
     Returns
     -------
@@ -29,14 +32,31 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
     Raises
     ------
     RigError
-        If the address is invalid for this kind of camera, or picamera2 is missing.
+        If the address is invalid for this kind of camera, or a library is missing.
     """
-    settings = combine_settings(part, image_wh=image_wh, bits=bits)
+    settings = combine_settings(part, image_wh=image_wh, bits=bits, linear=linear)
     if part.kind == "http":
         return HttpCamera(part.address, settings, clock=clock)
-    return local_camera(part, settings)
+    return local_camera(part, settings, clock=clock)
 
 
-def local_camera(part: CameraPart, settings: CameraSettings) -> Camera:
-    """Create a camera that is connected to this computer."""
+def local_camera(part: CameraPart, settings: CameraSettings, *, clock: Clock) -> Camera:
+    """Create a camera that is connected to this computer.
+
+    Parameters
+    ----------
+    part : CameraPart
+        Section of the rig file.
+    settings : CameraSettings
+        Required settings.
+    clock : Clock
+        Clock for waiting times.
+
+    Returns
+    -------
+    Camera
+        Camera, not yet open.
+    """
+    if part.kind == "gphoto2":
+        return GphotoCamera(part.address, settings, clock=clock, on_board=part.trigger == "board")
     return PiCamera(part.address, settings) if part.kind == "picamera2" else V4l2Camera(part.address, settings)

@@ -73,6 +73,8 @@ class PiCamera:
     def prepare(self) -> None:
         """Open the camera with its settings, and verify them with a picture."""
         self.close()
+        if not self._settings.linear:
+            raise RigError(f"{self._name}: the pictures are linear in light; remove transfer from the scene's [camera]")
         try:
             self._open()
         except RigError:

@@ -12,7 +12,7 @@ lost: a session is not prepared twice, and a picture is not taken twice. A sessi
 import re
 
 PROGRAM = "rhizotwin camera"
-PROTOCOL = 1
+PROTOCOL = 2
 DEFAULT_PORT = 8471
 SHA256 = "Rhizotwin-Sha256"
 PICTURE = "Rhizotwin-Picture"

@@ -15,6 +15,7 @@ from rhizotwin.rig.cameras import local_camera, protocol
 from rhizotwin.rig.cameras.requests import RequestServer
 from rhizotwin.rig.cameras.service import CameraService
 from rhizotwin.rig.cameras.settings import CameraSettings, combine_settings
+from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.devices import Camera
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart
@@ -54,10 +55,16 @@ def serve_camera(
     """
     if part.kind == "http":
         raise RigError(
-            "camera: kind is http in this rig file, but the served camera must be connected to this computer; set kind to picamera2 or v4l2"
+            "camera: kind is http in this rig file, but the served camera must be connected to this computer; set kind to picamera2, v4l2 "
+            "or gphoto2"
         )
-    camera = local_camera(part, combine_settings(part, image_wh=image_wh, bits=bits))
-    server = CameraServer(camera, host=host, port=port, reopen=lambda settings: local_camera(part, settings), say=say)
+    if part.trigger == "board":
+        raise RigError(
+            "camera: trigger is board in this rig file, but a served camera must be released by its computer; set trigger to usb"
+        )
+    clock = SystemClock()
+    camera = local_camera(part, combine_settings(part, image_wh=image_wh, bits=bits), clock=clock)
+    server = CameraServer(camera, host=host, port=port, reopen=lambda settings: local_camera(part, settings, clock=clock), say=say)
     try:
         say(f"{camera.describe()}; available at {server.url}; press Ctrl-C to stop")
         if not _is_loopback(host):

@@ -1,6 +1,6 @@
 """Settings that all types of cameras have in common, and the comparison of pictures with these settings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart
@@ -20,9 +20,12 @@ class CameraSettings:
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
+    f_number: float | None = field(default=None, metadata={"limits": (0.5, 128.0)})
+    linear: bool = True
+    """Whether the scene states that pixel values are linear in light."""
 
 
-def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
+def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int, linear: bool = True) -> CameraSettings:
     """Combine the camera settings of the rig file with the size and bit depth of the scene's camera.
 
     Parameters
@@ -31,6 +34,8 @@ def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int) 
         Section of the rig file.
     image_wh, bits : tuple of int, int
         Picture size and bit depth of the scene's camera.
+    linear : bool
+        Whether the scene's camera is linear in light.
 
     Returns
     -------
@@ -44,6 +49,8 @@ def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int) 
         gain=part.gain,
         colour_gains=part.colour_gains,
         white_balance_kelvin=part.white_balance_kelvin,
+        f_number=part.f_number,
+        linear=linear,
     )
 
 

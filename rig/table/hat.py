@@ -11,7 +11,7 @@ from contextlib import suppress
 import numpy as np
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.devices import LEAST_DEG, check_angle, check_levels
+from rhizotwin.rig.devices import LEAST_DEG, SHUTTER_S, check_angle, check_levels
 from rhizotwin.rig.errors import LostError, RigError
 from rhizotwin.rig.rig_file import BandPart, HatPart, LightsPart, TurntablePart
 from rhizotwin.rig.table.hat_pins import Pins, Pixels
@@ -199,6 +199,14 @@ class HatLights:
         check_levels(panel=panel, front=front)
         self._fill(panel, front, band)
         self._clock.sleep(self._part.settle_s)
+
+    def release_shutter(self, pin: int | None) -> None:
+        """Release the shutter of a camera by a pulse on a GPIO pin."""
+        if pin is None:
+            raise ValueError("pin=None but must be a GPIO pin")
+        self._pins.output(pin, 1)
+        self._clock.sleep(SHUTTER_S)
+        self._pins.output(pin, 0)
 
     def off(self) -> None:
         """Switch all lamps off."""

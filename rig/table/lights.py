@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.devices import check_levels
+from rhizotwin.rig.devices import SHUTTER_S, check_levels
 from rhizotwin.rig.errors import LostError, NoAnswerError
 from rhizotwin.rig.rig_file import BandPart, LightsPart
 from rhizotwin.rig.table.marlin import MarlinLink
@@ -58,6 +58,19 @@ class MarlinLights:
             strips = (f"M150 S{strip} R0 U0 B0 P0" for strip in (self._part.panel_strip, self._part.front_strip))
             self._link.send_unheard(*strips, *(f"M107 P{output}" for output in self._outputs))
             raise
+
+    def release_shutter(self, pin: int | None) -> None:
+        """Release the shutter of a camera, by M42 at a pin, or by M240.
+
+        Raises
+        ------
+        RigError
+            If the firmware has no M240 (PHOTO_GCODE), or the connection is lost.
+        """
+        pulse = (f"M42 P{pin} S{_FULL}", f"G4 P{round(1000.0 * SHUTTER_S)}", f"M42 P{pin} S0")
+        for command in ("M240",) if pin is None else pulse:
+            self._link.command(command, expect_s=SHUTTER_S)
+        self._link.ask("M114", POSITION)
 
     def close(self) -> None:
         """Close the port, which the turntable and the lights share."""

@@ -48,6 +48,8 @@ class MarlinCommands:
         self._used_s = math.inf  # time of the motor's last use
         self._colours = [(0, 0, 0), (0, 0, 0)]
         self.stopped = False
+        self.shutter: Callable[[int | None], None] = lambda _: None
+        """Function that is called with a pin when it is switched on, and with None at M240."""
         self._table: dict[str, Callable[[Words, float], Answer]] = {
             "G0": self._move,
             "G1": self._move,
@@ -57,6 +59,7 @@ class MarlinCommands:
             "G92": self._set_position,
             "M17": self._energise,
             "M18": self._release,
+            "M42": self._set_pin,
             "M84": self._release,
             "M92": self._steps,
             "M106": self._switch,
@@ -65,6 +68,7 @@ class MarlinCommands:
             "M115": self._about,
             "M150": self._light,
             "M204": self._accelerate,
+            "M240": self._photograph,
             "M400": self._finish,
             "M999": self._restart,
         }
@@ -218,6 +222,15 @@ class MarlinCommands:
 
     def _switch_off(self, words: Words, _now_s: float) -> Answer:
         self._outputs_on.discard(int(words.get("P") or 0))
+        return Answer()
+
+    def _set_pin(self, words: Words, _now_s: float) -> Answer:
+        if (pin := words.get("P")) is not None and (words.get("S") or 0.0) > 0.0:
+            self.shutter(int(pin))
+        return Answer()
+
+    def _photograph(self, _words: Words, _now_s: float) -> Answer:
+        self.shutter(None)
         return Answer()
 
     def _restart(self, _words: Words, _now_s: float) -> Answer:

@@ -9,6 +9,8 @@ from typing import Literal, Protocol
 
 import serial
 
+from rhizotwin.rig.cameras.gphoto import GphotoCamera
+from rhizotwin.rig.cameras.settings import combine_settings
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.rig_file import LSC_BAUD, ArmPart, BandPart, CameraPart, RigFile
 from rhizotwin.rig.twin import protocol_twin
@@ -17,6 +19,7 @@ from rhizotwin.rig.twin.adapter import Adapter
 from rhizotwin.rig.twin.camera import Look, TwinCamera
 from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.faults import Device, Fault, Pending
+from rhizotwin.rig.twin.gphoto_library import EmulatedBody, EmulatedLibrary
 from rhizotwin.rig.twin.imperfections import device_errors
 from rhizotwin.rig.twin.line import Line
 from rhizotwin.rig.twin.lsc_adapter import LscAdapter
@@ -112,7 +115,9 @@ class Twin:
             protocol_twin.register(url, socket)
             self._sockets.append(socket)
 
-    def open_camera(self, part: CameraPart | None = None, *, clock: Clock | None = None, look: Look | None = None) -> TwinCamera:
+    def open_camera(
+        self, part: CameraPart | None = None, *, clock: Clock | None = None, look: Look | None = None
+    ) -> TwinCamera | GphotoCamera:
         """Create a driver of the twin's camera.
 
         Parameters
@@ -125,12 +130,17 @@ class Twin:
 
         Returns
         -------
-        TwinCamera
-            Driver of the camera, not yet open.
+        TwinCamera or GphotoCamera
+            Driver of the camera, not yet open. If the kind is gphoto2, the library is emulated.
         """
-        return TwinCamera(
-            look or self.look, clock or self.clock, part=part or self.rig.camera, nominal=self.rig.camera, pending=self.pending
-        )
+        part, clock, nominal = part or self.rig.camera, clock or self.clock, self.rig.camera
+        if part.kind != "gphoto2":
+            return TwinCamera(look or self.look, clock, part=part, nominal=nominal, pending=self.pending)
+        lens = self.scene.camera
+        body = EmulatedBody(look=look or self.look, clock=clock, nominal_s=nominal.exposure_s * nominal.gain, bits=lens.bits)
+        self.board.commands.shutter = body.release
+        settings = combine_settings(part, image_wh=lens.image_wh, bits=lens.bits, linear=lens.transfer == "linear")
+        return GphotoCamera(part.address, settings, clock=clock, on_board=part.trigger == "board", library=EmulatedLibrary(body))
 
     def look(self, exposure: float = 1.0) -> Grey:
         """Return the picture (H, W) that the camera stores for the present state of the rig, and record it."""

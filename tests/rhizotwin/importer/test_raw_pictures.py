@@ -1,4 +1,4 @@
-"""Raw pictures: a DNG of known light, written by tifffile, comes back as that light, and an import of it says that it is light."""
+"""Raw pictures: a DNG of known light comes back as that light, and an import of it says that it is light."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,18 +6,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import tifffile
 
-from rhizotwin.importer import raw_pictures
 from rhizotwin.importer.picture_import import import_pictures
 from rhizotwin.importer.raw_pictures import read_raw
+from rhizotwin.rig.cameras import raw_files
+from rhizotwin.rig.twin.raw_file import encode_dng
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 
 WH, HALF = (96, 64), (48, 32)
-BLACK, WHITE = 256, 4095
 GAINS = 2.0, 1.5
 
 
@@ -29,25 +28,7 @@ def light() -> np.ndarray:
 
 
 def write_dng(path: Path, *, orientation: int = 1) -> None:
-    """Write a 12-bit DNG of the ramp, of a sensor whose red and blue are weak by the gains (TIFF/EP and DNG 1.4 tags)."""
-    pattern, colour = bytes([2, 1, 1, 0]), {0: 1.0 / GAINS[0], 1: 1.0, 2: 1.0 / GAINS[1]}
-    raw = np.zeros(WH[::-1], np.uint16)
-    for place, kind in enumerate(pattern):
-        raw[place // 2 :: 2, place % 2 :: 2] = np.rint(BLACK + light() * colour[kind] * (WHITE - BLACK))
-    neutral = [10000 * number // 10000 for number in (5000, 10000, 10000, 10000, 6667, 10000)]
-    tags = [
-        (274, 3, 1, orientation, True),
-        (33421, 3, 2, (2, 2), True),  # CFARepeatPatternDim
-        (33422, 1, 4, pattern, True),  # CFAPattern
-        (50706, 1, 4, (1, 4, 0, 0), True),  # DNGVersion
-        (50708, 2, 0, "test", True),  # UniqueCameraModel
-        (50714, 4, 1, BLACK, True),  # BlackLevel
-        (50717, 4, 1, WHITE, True),  # WhiteLevel
-        (50721, 10, 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),  # ColorMatrix1: the identity
-        (50728, 5, 3, neutral, True),  # AsShotNeutral
-        (50778, 3, 1, 21, True),  # CalibrationIlluminant1: D65
-    ]
-    tifffile.imwrite(path, raw, photometric=32803, extratags=tags, metadata=None)
+    path.write_bytes(encode_dng(light(), exposure_s=0.01, gains=GAINS, orientation=orientation))
 
 
 def test_a_raw_picture_is_the_light_that_made_it(tmp_path: Path) -> None:
@@ -82,6 +63,6 @@ def test_other_raw_pictures_are_refused_in_a_sentence(tmp_path: Path, monkeypatc
     cv2.imwrite(str(tmp_path / "d.png"), np.zeros(HALF[::-1], np.uint8))
     with pytest.raises(UserError, match="a separate folder"):
         import_pictures(tmp_path, Scene(camera=Camera().resized(HALF)), tmp_path / "out")
-    monkeypatch.setattr(raw_pictures, "find_spec", lambda _: None)
+    monkeypatch.setattr(raw_files, "find_spec", lambda _: None)
     with pytest.raises(UserError, match="pip install"):
         read_raw(tmp_path / "a.dng", image_wh=HALF)

@@ -382,13 +382,13 @@ def test_own_names_and_no_other_pages(server: CameraServer) -> None:
     for host in ("192.168.0.7:8471", "[::1]:8471", f"{socket.gethostname()}.local."):
         status, data = raw_request(server, "GET", "/describe", headers={"Host": host})
         assert (host, status) == (host, 200)
-        assert json.loads(data) == {"program": "rhizotwin camera", "protocol": 1, "camera": "camera of the test"}
+        assert json.loads(data) == {"program": "rhizotwin camera", "protocol": 2, "camera": "camera of the test"}
     assert raw_request(server, "GET", "/")[0] == 404
     assert raw_request(server, "GET", "/describe", headers={"Host": "evil.example"})[0] == 403
 
 
 def test_serve_camera_says_where_and_gives_the_camera_back(monkeypatch: pytest.MonkeyPatch, camera: _NumberedCamera) -> None:
-    monkeypatch.setattr(server_module, "local_camera", lambda *_: camera)
+    monkeypatch.setattr(server_module, "local_camera", lambda *_, **__: camera)
     monkeypatch.setattr(CameraServer, "serve_forever", Mock(side_effect=KeyboardInterrupt))
     said: list[str] = []
     with pytest.raises(KeyboardInterrupt):
