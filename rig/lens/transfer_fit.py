@@ -29,6 +29,19 @@ SMOOTH = 2.0
 """Weight of the second differences of the logarithmic curve g = log f, relative to the equation of a pixel. The noise
 of a pixel is about 0.01 in g, and the changes of slope between adjacent knots are smaller."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
+MOST_RESIDUAL = 0.01
+"""Maximum residual, as a fraction of the light. With a larger residual, the pixel values are no function of the light,
+for example because the camera adapts its curve to each picture."""
+LEVELS = 8
+"""Number of ranges of pixel values per picture in which residuals are averaged, so that noise does not count as
+residual."""
+STOPS = 3
+"""Number of steps per factor of two of a camera's shutter."""
+ROUNDED = 0.10
+"""Maximum relative difference between the exposure time on a camera's scale and the true one, which is a power of
+2^(1/3): 1/60 s is 1/64 s, and 15 s are 16 s."""
+CLEARLY = 0.5
+"""Ratio of residuals below which the true exposure times of the scale replace the stated ones."""
 KNOWN = 0.01
 """Maximum difference at which the measured curve is replaced by a known curve. The curves are compared after scaling by
 a factor, because exposure times determine the curve only up to a factor."""
@@ -40,7 +53,11 @@ class TransferFit:
 
     curve: Curve
     residual: float
-    """Root mean square residual, as a fraction of the light."""
+    """Root mean square of the mean residuals in `LEVELS` ranges of pixel values of each picture, as a fraction of the
+    light."""
+    rounded: bool
+    """Whether the stated exposure times were rounded values of a shutter scale. The powers of 2^(1/3) were used
+    instead."""
     reached: tuple[float, float]
     """Lowest and highest pixel value in the fit, as fractions of full scale. The curve is extrapolated outside this
     range."""
@@ -59,8 +76,8 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     Raises
     ------
     RigError
-        If there are too few pictures or well exposed pixels, the exposure times are too similar, or the pictures differ
-        in size.
+        If there are too few pictures or well exposed pixels, the exposure times are too similar, the pictures differ
+        in size, or the residual exceeds `MOST_RESIDUAL`.
     """
     times = np.asarray(exposures_s, np.float64)
     if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():
@@ -81,12 +98,22 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
             "to bright"
         )
     g, left = _solve(number, use, times)
+    scale = 2.0 ** (np.round(STOPS * np.log2(times)) / STOPS)
+    g_scale, left_scale = _solve(number, use, scale) if np.abs(scale / times - 1.0).max() < ROUNDED else (g, np.inf)
+    if rounded := left_scale < CLEARLY * left:
+        g, left = g_scale, left_scale
+    if left > MOST_RESIDUAL:
+        raise RigError(
+            f"the pixel values are no function of the light: the residual is {100.0 * left:.1f} % of the light, at most "
+            f"{100.0 * MOST_RESIDUAL:g} % are permitted; use raw files, switch off automatic contrast and flickering lamps, and check the "
+            "exposure times"
+        )
     share = np.linspace(0.0, 1.0, KNOTS)
     light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))
     curve = Curve("the measured curve", tuple(light.tolist()))
     known = (one for one in (transfer.LINEAR, transfer.SRGB) if _apart(light, one.of(share)) < KNOWN)
     reached = float(number[use].min()), float(number[use].max())
-    return TransferFit(curve=next(known, curve), residual=left, reached=reached)
+    return TransferFit(curve=next(known, curve), residual=left, rounded=rounded, reached=reached)
 
 
 def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
@@ -123,4 +150,7 @@ def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[n
     right[row] = weight * np.log(times[picture])
     found = lsqr(matrix, right, atol=1e-10, btol=1e-10, iter_lim=5000)[0]
     left = (matrix @ found - right)[row] / weight
-    return np.asarray(found[:KNOTS]), float(np.sqrt(np.average(left**2, weights=weight**2)))
+    level = picture * LEVELS + (number[use] * LEVELS).astype(np.int64)
+    total = np.bincount(level, weight**2)
+    mean = np.bincount(level, weight**2 * left)[total > 0.0] / total[total > 0.0]
+    return np.asarray(found[:KNOTS]), float(np.sqrt(np.average(mean**2, weights=total[total > 0.0])))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from PIL import Image, UnidentifiedImageError
 
+from rhizotwin.rig.cameras.raw_files import SUFFIXES, open_raw
 from rhizotwin.rig.lens.transfer_fit import TransferFit
 from rhizotwin.scenes import toml_text
 from rhizotwin.scenes.errors import UserError
@@ -37,9 +38,9 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
     UserError
         If a picture is damaged, or an exposure time is missing or not positive.
     """
-    images = [decode_grey(path.read_bytes(), where=str(path)) for path in paths]
+    images, stated = zip(*(_read(path) for path in paths), strict=True) if paths else ((), ())
     if exposures_s is None:
-        return images, [_exif_time(path) for path in paths]
+        return list(images), [_known(path, time) for path, time in zip(paths, stated, strict=True)]
     try:
         times = [float(part) for part in exposures_s.split(",")]
     except ValueError:
@@ -49,7 +50,7 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
             f"--exposures-s {exposures_s}: {len(times)} exposure times for {len(paths)} pictures; specify a positive exposure time for "
             "each picture"
         )
-    return images, times
+    return list(images), times
 
 
 def transfer_text(found: TransferFit, pictures: int) -> str:
@@ -65,12 +66,26 @@ def transfer_text(found: TransferFit, pictures: int) -> str:
     return head + toml_text.dumps({"transfer": "table", "transfer_table": [round(light, 6) for light in found.curve.light]})
 
 
-def _exif_time(path: Path) -> float:
+def _read(path: Path) -> tuple[Grey, float | None]:
+    """Read a picture, and the exposure time that its file states. A raw file is read with half its width and height."""
+    data = path.read_bytes()
+    if path.suffix.lower() not in SUFFIXES:
+        return decode_grey(data, where=str(path)), _exif_time(path)
+    raw = open_raw(data, where=str(path))
+    height, width = (side // 2 for side in raw.pixels.shape)
+    return raw.light(image_wh=(width, height), gains=raw.gains, bits=16, where=str(path)), raw.exposure_s
+
+
+def _exif_time(path: Path) -> float | None:
     try:
         with Image.open(path) as opened:
             time = opened.getexif().get_ifd(_EXIF).get(_EXPOSURE_TIME)
     except (UnidentifiedImageError, OSError):
         time = None
-    if not time or not float(time) > 0.0:
-        raise UserError(f"{path}: the EXIF metadata contain no exposure time; specify all exposure times with --exposures-s")
-    return float(time)
+    return None if time is None else float(time)
+
+
+def _known(path: Path, time: float | None) -> float:
+    if not time or not time > 0.0:
+        raise UserError(f"{path}: the file states no exposure time; specify all exposure times with --exposures-s")
+    return time

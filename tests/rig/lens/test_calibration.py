@@ -18,6 +18,7 @@ from rhizotwin.rig.lens.calibration_report import write_report
 from rhizotwin.rig.lens.lens_fit import fit_lens
 from rhizotwin.rig.lens.transfer_fit import fit_transfer
 from rhizotwin.rig.lens.transfer_series import read_series
+from rhizotwin.rig.twin.raw_file import encode_dng
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board
@@ -270,8 +271,29 @@ def test_a_curve_comes_back(curve: Curve) -> None:
     factor = found.curve.of(np.array(0.6)) / curve.of(np.array(0.6))  # exposures tell no common factor
     assert factor == pytest.approx(1.0, abs=0.04)
     np.testing.assert_allclose(found.curve.of(share), factor * curve.of(share), atol=0.015)
-    assert found.residual < 0.05
+    assert found.residual < 0.005
     assert (found.curve in (LINEAR, SRGB)) == (curve in (LINEAR, SRGB))
+
+
+def test_rounded_times_of_a_shutter_are_corrected_and_adaptive_curves_refused() -> None:
+    stated, true = (1 / 125, 1 / 60, 1 / 30, 1 / 15, 1 / 8), (1 / 128, 1 / 64, 1 / 32, 1 / 16, 1 / 8)
+    exposed = pictures(LINEAR, tuple(time / 4 for time in true))
+    found = fit_transfer(exposed, stated)
+    assert (found.curve, found.rounded) == (LINEAR, True)
+    assert found.residual < 0.005
+    adapted = [np.rint(255.0 * (image / 255.0) ** (1.0 - 0.05 * k)).astype(np.uint8) for k, image in enumerate(exposed)]
+    with pytest.raises(RigError, match=r"no function of the light: the residual is .* use raw files"):
+        fit_transfer(adapted, stated)
+
+
+def test_an_exposure_series_of_raw_files(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{k}.dng" for k in range(3)]
+    light = np.tile(np.linspace(0.1, 0.9, 16), (16, 1))
+    for k, path in enumerate(paths):
+        path.write_bytes(encode_dng(light / 2**k, exposure_s=0.016 / 2**k))
+    images, times = read_series(paths, None)
+    assert times == pytest.approx([0.016, 0.008, 0.004])
+    assert images[2] / 65535.0 == pytest.approx(light / 4.0, abs=2e-4)
 
 
 @pytest.mark.parametrize("exposures", ["0.002,nan,0.008", "0.002,0,0.008", "0.002,0.008"])
