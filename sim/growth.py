@@ -294,12 +294,8 @@ def _place_basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -
         azimuth_rad = np.deg2rad(number * HEADING_FAN_DEG + rng.normal(0.0, HEADING_FAN_SD_DEG))
         insertion_rad = np.deg2rad(np.clip(rng.normal(basal.insertion_deg, basal.insertion_sd_deg), 5.0, 175.0))
         at_mm = basal.at_mm + basal.zone_mm * (number + 0.5) / basal.count
-        age_days = bud.age_days - basal.delay_days
-        children.append(
-            _place_bud(
-                bud, taproot, 0, path, at_mm=at_mm, turn_rad=(azimuth_rad, insertion_rad), age_days=age_days, buried_mm=specimen.buried_mm
-            )
-        )
+        insertion = _Insertion(at_mm, azimuth_rad, insertion_rad, specimen.buried_mm)
+        children.append(_place_bud(bud, taproot, 0, path, insertion, age_days=bud.age_days - basal.delay_days))
     return children
 
 
@@ -323,30 +319,27 @@ def _place_laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, f
             return buds
         passed_mm = np.array(at_mm + order.apex_mm)
         began_days = age_at(passed_mm, max_length_mm=np.array(max_length_mm), elongation_mm_per_day=np.array(elongation_mm_per_day))
-        age_days, path = bud.age_days - float(began_days), (*bud.path, len(buds))
-        buds.append(
-            _place_bud(
-                bud, root, index, path, at_mm=at_mm, turn_rad=(azimuth_rad, insertion_rad), age_days=age_days, buried_mm=specimen.buried_mm
-            )
-        )
+        path = (*bud.path, len(buds))
+        insertion = _Insertion(at_mm, azimuth_rad, insertion_rad, specimen.buried_mm)
+        buds.append(_place_bud(bud, root, index, path, insertion, age_days=bud.age_days - float(began_days)))
 
 
-def _place_bud(
-    bud: _Bud,
-    root: Root,
-    index: int,
-    path: tuple[int, ...],
-    *,
-    at_mm: float,
-    turn_rad: tuple[float, float],
-    age_days: float,
-    buried_mm: float,
-) -> _Bud:
-    """Return a bud at a given distance along its parent root.
+class _Insertion(NamedTuple):
+    """Place and initial direction of a bud on its parent root."""
 
-    Its initial direction is given by an azimuth and an insertion angle relative to the parent.
-    """
-    azimuth_rad, insertion_rad = turn_rad
+    at_mm: float
+    """Distance along the parent, mm."""
+    azimuth_rad: float
+    """Azimuth about the parent, rad."""
+    insertion_rad: float
+    """Angle from the direction of the parent, rad."""
+    buried_mm: float
+    """Depth of the base of the root below the surface of the parent, mm."""
+
+
+def _place_bud(bud: _Bud, root: Root, index: int, path: tuple[int, ...], insertion: _Insertion, *, age_days: float) -> _Bud:
+    """Return a bud at its place on its parent root."""
+    at_mm, azimuth_rad, insertion_rad, buried_mm = insertion
     ladder_mm = polyline.arc_length_mm(root.points_mm)
     segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
     part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)

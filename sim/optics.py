@@ -6,7 +6,7 @@ camera and the lights move around it, so that only the two rectangles of the lig
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
@@ -103,7 +103,7 @@ def build(
         haze = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_hair_mu_per_mm}) if hairs is not None else None
         items[SPECIMEN] = _specimen(solid, wrong, world.n_water, haze or water)
         if hairs is not None:
-            items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, interior=haze, exterior=water)
+            items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, _Media(interior=haze, exterior=water))
     if solid is not None and solid.shoot is not None and scene.shoot is not None:
         green = {"type": "twosided", "bsdf": _diffuse(scene.shoot.reflectance)}
         items[SHOOT] = _mesh(SHOOT, solid.shoot.vertices, solid.shoot.faces, green)
@@ -192,7 +192,7 @@ def _canister(scene: Scene, world: World, water: Any) -> dict[str, Any]:
 
     def wall(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], medium: dict[str, Any] | None = None) -> Any:
         if (oval_mm := scene.disturbances.canister_out_of_round_mm) > 0.0:
-            return _oval(radius_mm, oval_mm, world.oval_rad, low_mm, high_mm, bsdf, (medium or {}).get("interior"))
+            return _oval(radius_mm, oval_mm, world.oval_rad, (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
         return _cylinder(radius_mm, low_mm, high_mm, bsdf) | (medium or {})
 
     inside = {"interior": water} if water is not None else {}
@@ -269,14 +269,16 @@ def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str,
 def _specimen(solid: SpecimenSolid, wrong: Disturbances, n_water: float, water: Any) -> mi.Mesh:
     if wrong.root_mu_per_mm is None:
         return _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
-    flesh = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_mu_per_mm})
+    media = _Media(interior=mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_mu_per_mm}), exterior=water)
     if wrong.root_n is None:
-        return _mesh(SPECIMEN, solid.vertices, solid.faces, {"type": "null"}, interior=flesh, exterior=water)
+        return _mesh(SPECIMEN, solid.vertices, solid.faces, {"type": "null"}, media)
     glass = _dielectric(wrong.root_n, n_water)
-    return _mesh(SPECIMEN, solid.vertices, solid.faces, glass, interior=flesh, exterior=water, normals=solid.normals)
+    return _mesh(SPECIMEN, solid.vertices, solid.faces, glass, media, normals=solid.normals)
 
 
-def _oval(radius_mm: float, oval_mm: float, oval_rad: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
+def _oval(
+    radius_mm: float, oval_mm: float, oval_rad: float, z_range_mm: tuple[float, float], bsdf: dict[str, Any], interior: Any
+) -> mi.Mesh:
     """Return a vertical wall with exact normals.
 
     Its radius is ``radius + oval cos(2 (azimuth - oval_rad))``.
@@ -286,12 +288,20 @@ def _oval(radius_mm: float, oval_mm: float, oval_rad: float, low_mm: float, high
     slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
     c, s = np.cos(azimuth), np.sin(azimuth)
     ring, out = np.stack([radius * c, radius * s], axis=1), np.stack([radius * c + slope * s, radius * s - slope * c], axis=1)
-    vertices = np.concatenate([np.column_stack([ring, np.full(OVAL_SIDES, z)]) for z in (low_mm, high_mm)])
+    vertices = np.concatenate([np.column_stack([ring, np.full(OVAL_SIDES, z)]) for z in z_range_mm])
     normals = np.tile(np.column_stack([out / np.linalg.norm(out, axis=1, keepdims=True), np.zeros(OVAL_SIDES)]), (2, 1))
     a = np.arange(OVAL_SIDES)
     b = (a + 1) % OVAL_SIDES
     faces = np.concatenate([np.stack([a, b, b + OVAL_SIDES], axis=1), np.stack([a, b + OVAL_SIDES, a + OVAL_SIDES], axis=1)])
-    return _mesh(f"oval_{radius_mm:g}_{low_mm:g}", vertices, faces, bsdf, interior=interior, normals=normals)
+    return _mesh(f"oval_{radius_mm:g}_{z_range_mm[0]:g}", vertices, faces, bsdf, _Media(interior=interior), normals=normals)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Media:
+    """Media on both sides of a surface; None for a medium without attenuation."""
+
+    interior: Any = None
+    exterior: Any = None
 
 
 def _mesh(
@@ -299,17 +309,15 @@ def _mesh(
     vertices: NDArray[Any],
     faces: NDArray[Any],
     bsdf: dict[str, Any],
+    media: _Media = _Media(),
     *,
-    interior: Any = None,
-    exterior: Any = None,
     normals: NDArray[Any] | None = None,
 ) -> mi.Mesh:
     props = mi.Properties()
     props["bsdf"] = mi.load_dict(bsdf)
-    if interior is not None:
-        props["interior"] = interior
-    if exterior is not None:
-        props["exterior"] = exterior
+    for side, medium in vars(media).items():
+        if medium is not None:
+            props[side] = medium
     smooth = normals is not None
     mesh = mi.Mesh(name, vertex_count=len(vertices), face_count=len(faces), props=props, has_vertex_normals=smooth)
     parameters = mi.traverse(mesh)

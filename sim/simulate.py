@@ -3,7 +3,7 @@
 import hashlib
 import json
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -96,22 +96,32 @@ def simulate(
         done = _load_progress(folder, settings)
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
-        frames = _render_frames(folder, scene, world, solid, settings, done, monitor=monitor)
+        rendering = _Rendering(scene=scene, world=world, solid=solid, settings=settings)
+        frames = _render_frames(folder, rendering, done, monitor=monitor)
         save_truth(folder, build_truth(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
         return save_dataset(Dataset(folder=folder, scene=scene_for_reconstruction(scene), frames=frames, seed=seed, origin=origin))
 
 
-def _render_frames(
-    folder: Path,
-    scene: Scene,
-    world: World,
-    solid: SpecimenSolid,
-    settings: dict[str, Any],
-    done: dict[str, list[str]],
-    *,
-    monitor: Monitor,
-) -> tuple[Frame, ...]:
+@dataclass(frozen=True, kw_only=True)
+class _Rendering:
+    """What is rendered."""
+
+    scene: Scene
+    world: World
+    solid: SpecimenSolid
+    settings: dict[str, Any]
+    """Settings that are stored with the pictures, among them fidelity and samples."""
+
+    def renderer(self, band: str) -> Renderer:
+        """Return a renderer of the scene in a band."""
+        lit = scene_in_band(self.scene, band)
+        return Renderer(lit, self.world, self.solid, fidelity=self.settings["fidelity"], samples=self.settings["samples"])
+
+
+def _render_frames(folder: Path, rendering: _Rendering, done: dict[str, list[str]], *, monitor: Monitor) -> tuple[Frame, ...]:
+    scene = rendering.scene
+    world = rendering.world
     renderers: dict[str, Renderer] = {}
     quality = scene.disturbances.jpeg_quality
     suffix = ".png" if quality is None else ".jpg"
@@ -129,7 +139,7 @@ def _render_frames(
         write_image(image_path, expose(light, scene.camera, wrong, rng=rng), jpeg_quality=quality)
         write_image(mask_path, mask_picture(coverage))
         done[name] = _hashes(image_path, mask_path)
-        write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
+        write_json(folder / PROGRESS_FILE, {"settings": rendering.settings, "frames": done})
 
     # Each picture is exposed and written while the next picture is rendered.
     with monitor.stage("render"), monitor.steps("render", len(pictures), "picture") as step, ThreadPoolExecutor(1) as writer:
@@ -139,8 +149,7 @@ def _render_frames(
             hashes = done.get(name)
             if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
                 if band not in renderers:
-                    lit = scene_in_band(scene, band)
-                    renderers[band] = Renderer(lit, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
+                    renderers[band] = rendering.renderer(band)
                 light, coverage = renderers[band].view(view.index)
                 if kept is not None:
                     kept.result()
