@@ -2,10 +2,13 @@
 
 import importlib.util
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,9 +21,13 @@ from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart, RigFile, load_rig
 from rhizotwin.rig.scanning.markers import read_strip
+from rhizotwin.rig.scanning.observers import Observers
+from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.gphoto_library import EmulatedBody, EmulatedLibrary
 from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Ring
 from rhizotwin.scenes.transfer import SRGB
 from tests.rig.fake_devices import CLEAN, opened
 from tests.rig.fake_time import Time
@@ -132,6 +139,27 @@ def test_the_board_releases_the_shutter(pin: int | None) -> None:
         twin.board.commands.shutter = lambda _: None  # a broken cable
         with pytest.raises(RigError, match=r"no picture arrived within 20 s .* check the shutter cable"):
             devices.camera.capture()
+
+
+def test_an_interrupted_scan_resumes(tmp_path: Path) -> None:
+    scene = replace(CLEAN, plan=CapturePlan(rings=(Ring(views=4),)))
+    rig = RigFile(camera=CameraPart(kind="gphoto2"))
+
+    def scan_with(stop_at: int, **options: bool) -> Dataset:
+        twin = Twin(scene, profile_name="clean", pictures="sketch", rig=rig)
+        camera, taken = twin.open_camera(), count(1)
+        capture = camera.capture
+        camera.capture = Mock(side_effect=lambda: capture() if next(taken) != stop_at else signal.raise_signal(signal.SIGINT))
+        with opened(twin, camera=camera) as devices:
+            return scan(devices, twin.calibrated_scene(), tmp_path / "d", observers=Observers(say=lambda _: None), **options)
+
+    with pytest.raises(KeyboardInterrupt):
+        scan_with(7)
+    before = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "d").rglob("view_*.png")}
+    assert before
+    made = scan_with(0, resume=True)
+    assert [frame.table_deg for frame in made.frames] == [0.0, 90.0, 180.0, 270.0]
+    assert before.items() <= {path.name: path.stat().st_mtime_ns for path in made.folder.rglob("view_*.png")}.items()
 
 
 def test_triggers_of_a_rig_file(tmp_path: Path) -> None:
