@@ -21,6 +21,7 @@ from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.scanning.session import Origin
 from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, fault_kind
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import plan
@@ -185,7 +186,7 @@ def run_scan(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, scene, folder, resume=resume, seed=twin.seed, observers=Observers(say=lambda _: None))
+        return scan(devices, scene, folder, resume=resume, origin=Origin(seed=twin.seed), observers=Observers(say=lambda _: None))
     finally:
         devices.close()
 

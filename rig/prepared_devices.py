@@ -7,7 +7,7 @@ from rhizotwin.rig.errors import LostError, RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
-from rhizotwin.rig.scanning.safety import Say, make_safe, park
+from rhizotwin.rig.scanning.safety import ArmState, BoardState, Say, make_safe, park
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
@@ -120,15 +120,9 @@ class PreparedDevices:
         except RigError:
             known = False
         finally:
-            make_safe(
-                self._devices,
-                self._scene,
-                say=self._say,
-                board=self._board_ready,
-                arm=self._arm_used,
-                finished=not known,
-                arm_failed=not self._arm_ready,
-            )
+            board = BoardState(used=self._board_ready, finished=not known)
+            arm = ArmState(used=self._arm_used, failed=not self._arm_ready)
+            make_safe(self._devices, self._scene, board, arm, say=self._say)
         if known:
             self._say("turntable: the motor remains on, so that the table's angle is not lost")
 

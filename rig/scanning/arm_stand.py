@@ -21,7 +21,7 @@ from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.model import Ring, Scene
+from rhizotwin.scenes.model import Ring
 from rhizotwin.scenes.plan import visible_markers
 
 NEAR_MM, NEAR_DEG = 3.0, 0.6
@@ -60,17 +60,15 @@ class ArmPlacement:
 class ArmStand:
     """Camera stand that moves the camera with the robot arm."""
 
-    def __init__(
-        self, devices: Devices, arm: Arm, part: ArmPart, scene: Scene, camera: ScanCamera, *, note: Callable[[str, str], None]
-    ) -> None:
+    def __init__(self, devices: Devices, arm: Arm, part: ArmPart, camera: ScanCamera, *, note: Callable[[str, str], None]) -> None:
         self._rig = devices.rig
         self._clock = devices.clock
         self._arm = arm
         self._part = part
-        self._scene = scene
+        self._scene = camera.scene
         self._camera = camera
         self._note = note
-        self._ring = scene.plan.rings[0]
+        self._ring = camera.scene.plan.rings[0]
         self._placed: ArmPlacement | None = None
         self._health_due_s = -np.inf
         self.failed = False

@@ -5,7 +5,7 @@ from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.arm_stand import ArmStand
 from rhizotwin.rig.scanning.observers import Observers
-from rhizotwin.rig.scanning.safety import make_safe
+from rhizotwin.rig.scanning.safety import ArmState, BoardState, make_safe
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.scenes import plan
@@ -43,7 +43,7 @@ def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Gre
     camera = ScanCamera(devices.camera, devices.clock, scene, note=note)
     stand: Stand = Tripod(scene, camera, ask=observers.ask, note=note)
     if devices.arm is not None and devices.rig.arm is not None:
-        stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, camera, note=note)
+        stand = ArmStand(devices, devices.arm, devices.rig.arm, camera, note=note)
     stand.check_rings([ring])
     used = False
     try:
@@ -59,4 +59,4 @@ def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Gre
         preflight.check_picture(shot.image, scene.camera)
         return shot.image
     finally:
-        make_safe(devices, scene, say=observers.say, board=True, arm=used, finished=False, arm_failed=stand.failed)
+        make_safe(devices, scene, BoardState(used=True), ArmState(used=used, failed=stand.failed), say=observers.say)

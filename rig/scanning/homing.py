@@ -73,24 +73,13 @@ def angle_against(cam_from_canister: Array, references: Sequence[Reference], sce
     return angles[0] + float(np.median([wrap_angle(angle - angles[0]) for angle in angles]))
 
 
-def find_angle(
-    seen: Sighting | None,
-    references: Sequence[Reference],
-    scene: Scene,
-    *,
-    near_deg: float,
-    given_deg: float | None = None,
-    ask: Ask | None = None,
-    why: str = "the strip cannot be read",
-) -> Angle:
+def seen_angle(seen: Sighting, references: Sequence[Reference], scene: Scene, *, near_deg: float, given_deg: float | None = None) -> Angle:
     """Determine the present table angle from the markers.
-
-    If the strip cannot be read, the given angle is used, or the user is asked. The angle is never assumed.
 
     Parameters
     ----------
-    seen : Sighting or None
-        Present measurement of the strip; None if the strip cannot be read.
+    seen : Sighting
+        Present measurement of the strip.
     references : sequence of Reference
         Earlier poses at known angles, with the camera in the present or a nearby position. May be empty.
     scene : Scene
@@ -99,7 +88,33 @@ def find_angle(
         Expected angle. Full turns are added to the result to bring it nearest to this angle, but not below the minimum
         angle of the turntable.
     given_deg : float or None
-        Angle given by the user, which is used if the strip cannot be read.
+        Angle given by the user, with which the measurement is compared.
+
+    Returns
+    -------
+    Angle
+        Table angle and its source.
+
+    Raises
+    ------
+    RigError
+        If the markers contradict the given angle.
+    """
+    angle = angle_against(seen.cam_from_canister, references, scene) if references else facing_angle(seen, scene)
+    if given_deg is not None and abs(wrap_angle(angle - given_deg)) > DISAGREE_DEG:
+        raise RigError(f"turntable: --table-angle is {given_deg:g} deg, but the markers show {angle % 360.0:.1f} deg; omit --table-angle")
+    return Angle(table_deg=nearest_turn(angle, near_deg), source=f"{seen.markers} markers")
+
+
+def told_angle(*, near_deg: float, given_deg: float | None = None, ask: Ask | None = None, why: str = "the strip cannot be read") -> Angle:
+    """Return the present table angle according to the user, if the strip cannot be read. The angle is never assumed.
+
+    Parameters
+    ----------
+    near_deg : float
+        Expected angle, see `seen_angle`.
+    given_deg : float or None
+        Angle given by the user in advance.
     ask : Ask or None
         Function that asks the user; None if there is no user.
     why : str
@@ -113,15 +128,8 @@ def find_angle(
     Raises
     ------
     RigError
-        If the angle cannot be determined, or the markers contradict the given angle.
+        If no angle is given, and there is no user.
     """
-    if seen is not None:
-        angle = angle_against(seen.cam_from_canister, references, scene) if references else facing_angle(seen, scene)
-        if given_deg is not None and abs(wrap_angle(angle - given_deg)) > DISAGREE_DEG:
-            raise RigError(
-                f"turntable: --table-angle is {given_deg:g} deg, but the markers show {angle % 360.0:.1f} deg; omit --table-angle"
-            )
-        return Angle(table_deg=nearest_turn(angle, near_deg), source=f"{seen.markers} markers")
     if given_deg is not None:
         return Angle(table_deg=nearest_turn(given_deg, near_deg), source="as given")
     if ask is None:
@@ -129,8 +137,7 @@ def find_angle(
             f"turntable: the table's angle is unknown ({why}); light and focus the strip, or run the command in a terminal, "
             "or specify --table-angle DEG (0: the strip's seam faces the camera)"
         )
-    answer = _ask_angle(ask, why)
-    return Angle(table_deg=nearest_turn(answer, near_deg), source="given by the operator")
+    return Angle(table_deg=nearest_turn(_ask_angle(ask, why), near_deg), source="given by the operator")
 
 
 def nearest_turn(angle_deg: float, near_deg: float) -> float:

@@ -18,6 +18,8 @@ class Observers:
 
     ask: Ask | None = None
     """Function that asks the user a question. It is None if there is no user."""
+    table_angle_deg: float | None = None
+    """Present table angle given by the user, deg, which is used if the strip cannot be read at the start."""
     say: Say = tqdm.write
     """Function that receives messages for the user."""
     observer: Observer = field(default_factory=Observer)

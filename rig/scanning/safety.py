@@ -6,6 +6,7 @@ the scan is finished.
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from rhizotwin.rig.arm.clearance import plan_path
@@ -18,9 +19,30 @@ from rhizotwin.scenes.model import Scene
 Say: TypeAlias = Callable[[str], None]
 
 
-def make_safe(
-    devices: Devices, scene: Scene, *, say: Say, board: bool, arm: bool, finished: bool, board_lost: bool = False, arm_failed: bool = False
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class BoardState:
+    """State of the board of table and lights at the end of a scan."""
+
+    used: bool
+    """Whether the board was used. An unused board is not changed."""
+    lost: bool = False
+    """Whether the connection was lost, so that it must be restored to switch the lights off."""
+    finished: bool = False
+    """Whether to switch the table's motor off. Otherwise it remains on, so that the table's angle is not lost until the
+    scan is resumed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmState:
+    """State of the arm at the end of a scan."""
+
+    used: bool
+    """Whether the arm was used. An unused arm is not changed."""
+    failed: bool = False
+    """Whether the arm has failed. In this case only its torque is switched off."""
+
+
+def make_safe(devices: Devices, scene: Scene, board: BoardState, arm: ArmState, *, say: Say) -> None:
     """Switch the lights off, park the arm, and switch the table's motor off if the scan is finished.
 
     Failures are reported but never raised, so that they do not hide the error that ended the scan.
@@ -31,29 +53,22 @@ def make_safe(
         Devices of the rig, which are open or lost.
     scene : Scene
         Scene with the obstacles of the arm.
+    board, arm : BoardState, ArmState
+        States of the board of table and lights, and of the arm.
     say : Say
         Function that receives messages about failures.
-    board, arm : bool
-        Whether the board of table and lights, and the arm, were used. Unused devices are not changed.
-    finished : bool
-        Whether to switch the table's motor off. Otherwise it remains on, so that the table's angle is not lost until
-        the scan is resumed.
-    board_lost : bool
-        Whether the connection to the board was lost, so that it must be restored to switch the lights off.
-    arm_failed : bool
-        Whether the arm has failed. In this case only its torque is switched off.
     """
     try:
-        if board:
-            if board_lost:
+        if board.used:
+            if board.lost:
                 _attempt("turntable and lights: the board cannot be reached", devices.reconnect_board, say, again=False)
             _attempt("lights: the lamps may still be on; switch them off by hand", lambda: devices.lights.off(), say)
     finally:
         try:
-            if arm and devices.arm is not None:
-                leave_arm(devices.arm, devices.rig, scene, say=say, move=not arm_failed)
+            if arm.used and devices.arm is not None:
+                leave_arm(devices.arm, devices.rig, scene, say=say, move=not arm.failed)
         finally:
-            if board and finished:
+            if board.used and board.finished:
                 _attempt("turntable: the motor may still be on", lambda: devices.table.release(), say)
 
 

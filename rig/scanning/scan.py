@@ -6,11 +6,11 @@ from the markers. If the camera fails, it is reopened. Any other error stops the
 taken are kept, and a later run takes only the missing pictures.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from rhizotwin.rig import bands
 from rhizotwin.rig.devices import LEAST_DEG
@@ -21,10 +21,11 @@ from rhizotwin.rig.scanning.acceleration_choice import choose_acceleration
 from rhizotwin.rig.scanning.arm_stand import ArmStand
 from rhizotwin.rig.scanning.canister_check import other_canister
 from rhizotwin.rig.scanning.observers import Observers
-from rhizotwin.rig.scanning.safety import make_safe
+from rhizotwin.rig.scanning.safety import ArmState, BoardState, make_safe
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
+from rhizotwin.rig.scanning.scan_log import ScanLog
 from rhizotwin.rig.scanning.scan_turntable import BoardFaultError, ScanTurntable, Taken
-from rhizotwin.rig.scanning.session import Session, open_session
+from rhizotwin.rig.scanning.session import Origin, Session, open_session
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.rig.scanning.turn_check import TurnCheck
 from rhizotwin.rig.scanning.view_pictures import ViewPictures
@@ -47,9 +48,7 @@ def scan(
     folder: Path | str,
     *,
     resume: bool = False,
-    settings: Mapping[str, Any] | None = None,
-    seed: int | None = None,
-    table_angle_deg: float | None = None,
+    origin: Origin = Origin(),
     observers: Observers | None = None,
 ) -> Dataset:
     """Take every view of a scene's plan that is missing in a folder.
@@ -66,12 +65,9 @@ def scan(
         New or empty folder, or the folder of an interrupted scan.
     resume : bool
         Whether to resume an interrupted scan.
-    settings : mapping of object or None
-        Further settings of the scan. They are written to the dataset, and compared when the scan is resumed.
-    seed : int or None
-        Random seed of the twin's errors.
-    table_angle_deg : float or None
-        Present table angle given by the user, which is used if the strip cannot be read at the start.
+    origin : Origin
+        Further settings of the scan, and random seed. They are written to the dataset, and compared when the scan is
+        resumed.
     observers : Observers or None
         Observers of the scan, and callbacks for the user.
 
@@ -92,10 +88,10 @@ def scan(
     _check_plan(scene, planned)
     bands.check_bands(devices.rig, scene)
     with lock_folder(folder):
-        session = open_session(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
+        session = open_session(folder, scene, planned, rig=devices.rig, origin=origin, resume=resume)
         try:
             observers.begun()
-            return _Scan(devices, scene, session, observers, table_angle_deg=table_angle_deg).run(planned)
+            return _Scan(devices, scene, session, observers).run(planned)
         finally:
             session.close()
 
@@ -103,23 +99,22 @@ def scan(
 class _Scan:
     """Procedure of one run of a scan, with its devices, dataset and observers."""
 
-    def __init__(self, devices: Devices, scene: Scene, session: Session, observers: Observers, *, table_angle_deg: float | None) -> None:
+    def __init__(self, devices: Devices, scene: Scene, session: Session, observers: Observers) -> None:
         self._devices = devices
         self._scene = scene
         self._session = session
-        self._say_line = observers.say
         self._observer = observers.observer
         self._monitor = observers.monitor
         self._identify = observers.identify
-        self._begun_s = devices.clock.now_s()
-        self._camera = ScanCamera(devices.camera, devices.clock, scene, note=self._note)
-        self._turntable = ScanTurntable(devices, scene, self._camera, ask=observers.ask, given_deg=table_angle_deg, note=self._note)
+        self._log = ScanLog(session, devices.clock, observers)
+        self._camera = ScanCamera(devices.camera, devices.clock, scene, note=self._log.note)
+        self._turntable = ScanTurntable(devices, scene, self._camera, observers, note=self._log.note)
         self._watch = TurnCheck(self._turntable, scene, observers.observer)
-        self._stand: Stand = Tripod(scene, self._camera, ask=observers.ask, note=self._note)
+        self._stand: Stand = Tripod(scene, self._camera, ask=observers.ask, note=self._log.note)
         if devices.arm is not None and devices.rig.arm is not None:
-            self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._camera, note=self._note)
+            self._stand = ArmStand(devices, devices.arm, devices.rig.arm, self._camera, note=self._log.note)
         self._board_used = self._arm_used = self._homed = False
-        self._views = ViewPictures(devices, self._camera, self._turntable, self._stand, note=self._note, now_s=self._now_s)
+        self._views = ViewPictures(devices, self._camera, self._turntable, self._stand, self._log)
         self._rest_known = devices.rig.turntable.rest == "given"
 
     def run(self, planned: list[View]) -> Dataset:
@@ -127,7 +122,7 @@ class _Scan:
         self._remove_slipped(self._turntable.pictures_of(self._session))
         remaining = self._session.remaining()
         if not remaining:
-            self._say(f"{self._session.folder}: all {len(planned)} pictures exist")
+            self._log.say(f"{self._session.folder}: all {len(planned)} pictures exist")
             return self._session.save(complete=True)
         rings = sorted({view.ring for view in remaining})
         self._stand.check_rings([self._scene.plan.rings[ring] for ring in rings])
@@ -151,30 +146,23 @@ class _Scan:
             raise
         finally:
             self._watch.close()
-            make_safe(
-                self._devices,
-                self._scene,
-                say=self._say,
-                board=self._board_used,
-                arm=self._arm_used,
-                finished=finished,
-                board_lost=self._turntable.lost,
-                arm_failed=self._stand.failed,
-            )
+            board = BoardState(used=self._board_used, lost=self._turntable.lost, finished=finished)
+            arm = ArmState(used=self._arm_used, failed=self._stand.failed)
+            make_safe(self._devices, self._scene, board, arm, say=self._log.say)
         return dataset
 
     def _preflight(self, pictures: int) -> None:
         """Check every device and report one line for each. The scan does not begin if a device has a problem."""
         devices = self._devices
-        self._report("disk", preflight.check_disk(self._session.folder, pictures, self._scene.camera))
-        self._report("turntable", preflight.check_table(devices.table))
+        self._log.report("disk", preflight.check_disk(self._session.folder, pictures, self._scene.camera))
+        self._log.report("turntable", preflight.check_table(devices.table))
         self._board_used = True
-        self._report("lights", preflight.check_lights(devices.lights, devices.rig.lights))
+        self._log.report("lights", preflight.check_lights(devices.lights, devices.rig.lights))
         if devices.arm is not None:
             self._arm_used = self._stand.failed = True
-            self._report("arm", preflight.check_arm(devices.arm))
+            self._log.report("arm", preflight.check_arm(devices.arm))
             self._stand.failed = False
-        self._report("camera", preflight.check_camera(devices.camera))
+        self._log.report("camera", preflight.check_camera(devices.camera))
 
     def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
         main = plan.main_band(self._scene, index)
@@ -229,13 +217,13 @@ class _Scan:
             self._turntable, lambda: devices.camera.capture().image, devices.clock, angles_deg=angles_deg, part=devices.rig.turntable
         )
         self._views.rest_s, self._rest_known = chosen.rest_s, True
-        self._note("rest", f"turntable: {chosen.text()}")
+        self._log.note("rest", f"turntable: {chosen.text()}")
 
     def _report_unverified(self, planned: int) -> None:
         """Report the number of pictures whose angles could not be verified with the markers."""
         unread = len(self._watch.unread)
         if unread:
-            self._note(
+            self._log.note(
                 "unchecked",
                 f"the markers of {unread} of {planned} pictures could not be read, so that their angles are known only from the turntable; "
                 "for these pictures, only a difference from the previous picture was verified",
@@ -245,7 +233,7 @@ class _Scan:
         """Check the first picture of a ring, determine the table angle, and correct the camera's position."""
         shot, seen = self._stand.search()
         self._turntable.check_board()
-        self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
+        self._log.report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._views.bright = preflight.measure_exposure(shot.image).bright
         if not self._homed:
             self._identify(shot.image)  # first, because it may name the plant to which other markers belong
@@ -260,7 +248,7 @@ class _Scan:
             self._homed = True
         seen = self._stand.correct(seen, self._turntable.angle_deg)
         self._turntable.add_sighting(seen)
-        self._report(
+        self._log.report(
             "markers", "cannot be read from this position" if seen is None else f"{seen.markers} read, error {seen.reprojection_px:.2f} px"
         )
 
@@ -299,7 +287,7 @@ class _Scan:
             f"turntable: the markers of {names} show angles that differ from the commanded angles, because the table slipped or the "
             "camera was pushed; these pictures are removed"
         )
-        self._note("slipped", text)
+        self._log.note("slipped", text)
         return text
 
     def _stopped(self, error: BaseException) -> None:
@@ -310,28 +298,12 @@ class _Scan:
         with suppress(Exception):
             self._remove_slipped(self._turntable.pictures)
         with suppress(Exception):
-            self._note("stopped", str(error) or type(error).__name__, quiet=True)
+            self._log.record("stopped", str(error) or type(error).__name__)
             done = len(self._session.save().frames)
             off = self._turntable.lost or self._devices.rig.turntable.kind == "hat"
             motor = "" if off else "; the table's motor remains on, so that the angle is not lost"
             if done:
-                self._say(f"{done} pictures are kept{motor}; finish the scan with --resume")
-
-    def _say(self, text: str) -> None:
-        self._say_line(text)
-        self._observer.on_line(text)
-
-    def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
-        """Report an event, and add it to the log of the dataset."""
-        self._session.note(event, text, time_s=self._now_s())
-        if not quiet:
-            self._say(text)
-
-    def _report(self, name: str, text: str) -> None:
-        self._say(f"{name:<10} {text}")
-
-    def _now_s(self) -> float:
-        return self._session.begun_s + self._devices.clock.now_s() - self._begun_s
+                self._log.say(f"{done} pictures are kept{motor}; finish the scan with --resume")
 
 
 def _check_plan(scene: Scene, planned: list[View]) -> None:

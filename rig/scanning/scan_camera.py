@@ -20,7 +20,8 @@ class ScanCamera:
     def __init__(self, camera: Camera, clock: Clock, scene: Scene, *, note: Callable[[str, str], None]) -> None:
         self._camera = camera
         self._clock = clock
-        self._scene = scene
+        self.scene = scene
+        """Scene of the rig."""
         self._note = note
         self._subjects: dict[bytes, tuple[float, str]] = {}
         """Table angles, deg, and bands in which the pictures were taken. The keys are hashes of the pictures."""
@@ -38,13 +39,13 @@ class ScanCamera:
             If the camera fails repeatedly, or the size of its pictures differs from that of the scene's camera.
         """
         shot = self._take_picture(None if table_deg is None else (table_deg, band))
-        check_size(shot.image, self._scene.camera)
+        check_size(shot.image, self.scene.camera)
         return shot
 
     def look(self) -> tuple[Shot, Sighting | None]:
         """Take a picture, and read the strip in it. The measurement is None if the strip cannot be read."""
         shot = self.picture()
-        return shot, read_strip(shot.image, self._scene)
+        return shot, read_strip(shot.image, self.scene)
 
     def _take_picture(self, subject: tuple[float, str] | None) -> Shot:
         broken = False

@@ -13,15 +13,16 @@ from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning.homing import (
     DISAGREE_DEG,
     Angle,
-    Ask,
     Reference,
     angle_against,
     facing_angle,
-    find_angle,
     nearest_turn,
+    seen_angle,
+    told_angle,
     wrap_angle,
 )
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.rig.scanning.session import Session
 from rhizotwin.scenes.model import Scene
@@ -74,16 +75,14 @@ class ScanTurntable:
         devices: Devices,
         scene: Scene,
         camera: ScanCamera,
+        user: Observers,
         *,
-        ask: Ask | None,
-        given_deg: float | None,
         note: Callable[[str, str], None],
     ) -> None:
         self._devices = devices
         self._scene = scene
         self._camera = camera
-        self._ask = ask
-        self._given_deg = given_deg
+        self._user = user
         self._note = note
         self._looks: list[Reference] = []
         self.pictures: list[Taken] = []
@@ -154,11 +153,12 @@ class ScanTurntable:
             Measurement of the strip at the target angle; None if the strip cannot be read.
         """
         references = self._read(earlier)
-        given = seen is None and self._given_deg is not None
+        given_deg = self._user.table_angle_deg
+        given = seen is None and given_deg is not None
         if not given and self._is_kept(seen, references, most_deg=DISAGREE_DEG):
             references = []  # the camera may have moved since
         else:
-            self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
+            self._declare(self._find_angle(seen, image, references, near_deg, given_deg=given_deg))
         return None if seen is None else self._approach(seen, references, near_deg)
 
     def angle_deg(self) -> float:
@@ -335,8 +335,9 @@ class ScanTurntable:
     def _find_angle(
         self, seen: Sighting | None, image: Grey, references: list[Reference], near_deg: float, *, given_deg: float | None
     ) -> Angle:
-        why = "" if seen is not None else unread_reason(image, self._scene)
-        return find_angle(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg, ask=self._ask, why=why)
+        if seen is not None:
+            return seen_angle(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg)
+        return told_angle(near_deg=near_deg, given_deg=given_deg, ask=self._user.ask, why=unread_reason(image, self._scene))
 
     def _declare(self, angle: Angle) -> None:
         with convert_board_errors():

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -185,15 +185,18 @@ def _load_stopped(folder: Path, resume: bool) -> Dataset:
     return before
 
 
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """Source of a scan's pictures, beside scene and rig. It is compared when the scan is resumed."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Further settings of the scan, which are written to the dataset."""
+    seed: int | None = None
+    """Random seed of the twin's errors."""
+
+
 def open_session(
-    folder: Path,
-    scene: Scene,
-    planned: Sequence[View],
-    *,
-    rig: RigFile,
-    settings: Mapping[str, Any],
-    seed: int | None = None,
-    resume: bool = False,
+    folder: Path, scene: Scene, planned: Sequence[View], *, rig: RigFile, origin: Origin = Origin(), resume: bool = False
 ) -> Session:
     """Begin a scan in a new folder, or resume an interrupted scan in its folder.
 
@@ -206,10 +209,8 @@ def open_session(
         Scene of the scan. The dataset does not include the specimen.
     planned : sequence of View
         Views to take.
-    rig, settings : RigFile, mapping of object
-        Rig and settings of the scan. They must not change when a scan is resumed.
-    seed : int or None
-        Random seed of the twin's errors.
+    rig, origin : RigFile, Origin
+        Rig of the scan, and source of its pictures. They must not change when a scan is resumed.
     resume : bool
         Whether to resume an interrupted scan. If the folder has no frames, a new scan begins.
 
@@ -220,17 +221,17 @@ def open_session(
         the differences.
     """
     folder = Path(folder)
-    origin: dict[str, Any] = {
+    about: dict[str, Any] = {
         "program": PROGRAM,
         "rig": to_plain(rig),
-        "settings": dict(settings),
+        "settings": dict(origin.settings),
         "versions": versions(_VERSIONED),
         "complete": False,
         "planned_views": len(planned),
         "log": [],
     }
     known = replace(scene, description="", specimen=None, disturbances=Disturbances())
-    new = Dataset(folder=folder, scene=known, frames=(), seed=seed, origin=origin)
+    new = Dataset(folder=folder, scene=known, frames=(), seed=origin.seed, origin=about)
     if not (folder / "dataset.json").is_file():
         inside = [path for name in contents(folder) if name != "truth" for path in [folder / name, *(folder / name).rglob("*")]]
         if any(path.is_file() for path in inside):
@@ -244,7 +245,7 @@ def open_session(
     if strange:
         raise UserError(f"{folder} contains {sorted(strange)[0]}, which is not part of the plan; choose a new folder for the scan")
     complete = bool(before.origin.get("complete")) and len(kept) == len(files)
-    return Session(replace(before, frames=kept, origin={**origin, **before.origin, "rig": origin["rig"], "complete": complete}), planned)
+    return Session(replace(before, frames=kept, origin={**about, **before.origin, "rig": about["rig"], "complete": complete}), planned)
 
 
 def picture_file(view: View, band: str = "") -> str:

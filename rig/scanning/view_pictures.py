@@ -4,7 +4,7 @@ Before each picture the lamps and the filter are set for its band. After it, the
 panel are verified.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -14,6 +14,7 @@ from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning.preflight import measure_exposure
 from rhizotwin.rig.scanning.scan_camera import ScanCamera
+from rhizotwin.rig.scanning.scan_log import ScanLog
 from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
 from rhizotwin.rig.scanning.session import picture_file
 from rhizotwin.rig.scanning.stand import Stand
@@ -37,16 +38,13 @@ class ViewPictures:
         camera: ScanCamera,
         turntable: ScanTurntable,
         stand: Stand,
-        *,
-        note: Callable[[str, str], None],
-        now_s: Callable[[], float],
+        log: ScanLog,
     ) -> None:
         self._devices = devices
         self._camera = camera
         self._turntable = turntable
         self._stand = stand
-        self._note = note
-        self._now_s = now_s
+        self._log = log
         self._main, self._others = "", tuple[str, ...]()
         """Name of the band in which the markers are visible in this ring, and names of its other bands."""
         self._selected: str | None = ""
@@ -124,7 +122,7 @@ class ViewPictures:
             joints_read_deg=joints_read_deg,
             exposure_s=shot.exposure_s,
             gain=shot.gain,
-            time_s=round(self._now_s(), 6),
+            time_s=round(self._log.now_s(), 6),
         )
         again = self._camera.picture(table_deg=view.table_deg, band=main).image if twice else None
         return (frame, shot.image), self._other_bands(view, frame), again
@@ -136,7 +134,7 @@ class ViewPictures:
             self._select(band)
             shot = self._camera.picture(table_deg=view.table_deg, band=band)
             self._turntable.verify(view.table_deg)
-            now_s = round(self._now_s(), 6)
+            now_s = round(self._log.now_s(), 6)
             own = replace(frame, file=picture_file(view, band), band=band, exposure_s=shot.exposure_s, gain=shot.gain, time_s=now_s)
             taken.append((own, shot.image))
         self._select(frame.band)
@@ -150,7 +148,7 @@ class ViewPictures:
         bright = 0.0
         for again in (False, True):
             if again:
-                self._note(
+                self._log.note(
                     "lights",
                     f"lights: the brightness of the panel changed from {self.bright:.2f} to {bright:.2f} of full scale; the lamps are "
                     "switched on again",

@@ -15,7 +15,6 @@ from rhizotwin.rig.devices import LEAST_DEG, Shot
 from rhizotwin.rig.errors import LostError
 from rhizotwin.rig.open import Devices, open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, RigFile
-from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
@@ -188,11 +187,9 @@ def devices(world: World) -> Devices:
     )
 
 
-def run(
-    world: World, folder: Path, *, said: list[str] | None = None, ask: Ask | None = None, observer: Any = None, **options: Any
-) -> Dataset:
-    observers = Observers(say=(said if said is not None else []).append, ask=ask, observer=observer or Observer())
-    return scan(devices(world), world.scene, folder, observers=observers, **options)
+def run(world: World, folder: Path, *, said: list[str] | None = None, observer: Any = None, resume: bool = False, **user: Any) -> Dataset:
+    observers = Observers(say=(said if said is not None else []).append, observer=observer or Observer(), **user)
+    return scan(devices(world), world.scene, folder, observers=observers, resume=resume)
 
 
 @contextmanager

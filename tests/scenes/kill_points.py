@@ -108,7 +108,7 @@ def scan(work: Path) -> int:
 
     def action() -> None:
         with folders.lock_folder(goal):
-            session = open_session(goal, scene, planned, rig=RigFile(name="r"), settings={}, resume=True)
+            session = open_session(goal, scene, planned, rig=RigFile(name="r"), resume=True)
             for view in session.remaining():
                 frame = Frame(file=picture_file(view), sha256="", kind="root", ring=0, table_deg=view.table_deg, time_s=1.0)
                 session.record(frame, np.full((4, 6), view.index, np.uint8))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.rig_file import ArmPart, RigFile
-from rhizotwin.rig.scanning.session import Session, open_session, picture_file
+from rhizotwin.rig.scanning.session import Origin, Session, open_session, picture_file
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Frame, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -22,7 +22,7 @@ RIG = RigFile(arm=ArmPart())
 
 
 def begin(folder: Path, **changes: Any) -> Session:
-    options = {"rig": RIG, "settings": {"twin": None}, "seed": None} | changes
+    options = {"rig": RIG, "origin": Origin(settings={"twin": None})} | changes
     scene = options.pop("scene", SCENE)
     return open_session(folder, scene, plan.views(scene), **options)
 
@@ -73,8 +73,8 @@ def test_a_listed_frame_without_its_picture_is_taken_again(tmp_path: Path) -> No
 DIFFERENCES = {
     "scene.plan.rings.1.views": {"scene": replace(SCENE, plan=CapturePlan(rings=(Ring(views=5),)))},
     "rig.camera.exposure_s": {"rig": replace(RIG, camera=replace(RIG.camera, exposure_s=0.02))},
-    "twin": {"settings": {"twin": {"profile": "bench"}}},
-    "seed": {"seed": 3},
+    "twin": {"origin": Origin(settings={"twin": {"profile": "bench"}})},
+    "seed": {"origin": Origin(settings={"twin": None}, seed=3)},
 }
 """What is not as it was when the scan was begun, by how it must be named."""
 

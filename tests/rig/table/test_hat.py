@@ -12,6 +12,7 @@ import pytest
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import open_board
 from rhizotwin.rig.rig_file import BandPart, HatPart, RigFile, TurntablePart
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan_turntable import BoardFaultError, ScanTurntable
 from rhizotwin.rig.table.hat import HatLights, HatTurntable
 from rhizotwin.rig.table.ramp import step_times_s
@@ -147,7 +148,7 @@ def test_a_scan_accepts_angles_between_the_microsteps(bench: Any) -> None:
     table.declare(0.0)
     devices: Any = SimpleNamespace(rig=rig, table=table)
     unused: Any = None
-    turntable = ScanTurntable(devices, Scene(), unused, ask=None, given_deg=None, note=lambda *_: None)
+    turntable = ScanTurntable(devices, Scene(), unused, Observers(), note=lambda *_: None)
     for angle_deg in np.arange(7) * 360.0 / 7.0:
         turntable.turn(angle_deg)
         turntable.verify(angle_deg)
