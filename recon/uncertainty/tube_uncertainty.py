@@ -15,8 +15,8 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import root_light, tube_fit, tube_profiles
-from rhizotwin.recon.tubes.root_light import HAIRS
-from rhizotwin.recon.tubes.tube_profiles import HostProfiles
+from rhizotwin.recon.tubes.root_light import HAIRS, INDEX
+from rhizotwin.recon.tubes.tube_profiles import Changes, HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.recon.uncertainty.root_residual import draw_discs
@@ -66,7 +66,7 @@ class TubeUncertainty:
 def estimate(system: RootSystem) -> TubeUncertainty:
     """Compare the pictures with the fitted tubes, and compute the error of the volume from the residuals."""
     tubes, drawn = system.tubes, system.rendering
-    found = tube_profiles.profiles(drawn, root_light.changes(drawn, np.diag(system.attenuation.covariance) > 0.0))
+    found = tube_profiles.profiles(drawn, _light_changes(system))
     profiles, equations = found.host(), found.light_equations()
     by_light = tube_fit.node_response(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
     gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # derivative of the volume by the radius
@@ -99,6 +99,20 @@ def estimate(system: RootSystem) -> TubeUncertainty:
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeUncertainty(terms, rest.unexplained, rest.fill)
+
+
+def _light_changes(system: RootSystem) -> Changes:
+    """Return the derivatives of the rendered tubes with respect to the uncertain light parameters.
+
+    The volume is nearly linear in all but the refractive index. With the square root of the index's excess over water,
+    the rim of a root becomes darker. The derivative with respect to the index is therefore the difference quotient over
+    its 90 % range below the estimate.
+    """
+    attenuation, steps = system.attenuation, np.array(root_light.CHANGES)
+    below = min(float(attenuation.light[INDEX]), NINETY * float(np.sqrt(attenuation.covariance[INDEX, INDEX])))
+    if below > steps[INDEX]:
+        steps[INDEX] = -below
+    return root_light.changes(system.rendering, np.diag(attenuation.covariance) > 0.0, steps.tolist())
 
 
 def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
