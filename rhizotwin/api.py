@@ -80,10 +80,8 @@ def import_pictures(
 
     given = scene if isinstance(scene, Scene) else load_scene(scene)
     with watch(monitor, {"copy": 1.0}) as bar:
-        poses = None if cameras is None else Path(cameras)
-        imported = picture_import.import_pictures(
-            Path(folder), given, Path(output), cameras=poses, masks=masks, no_strip=no_strip, monitor=bar
-        )
+        kind = picture_import.PictureKind(cameras=None if cameras is None else Path(cameras), masks=masks, no_strip=no_strip)
+        imported = picture_import.import_pictures(Path(folder), given, Path(output), kind=kind, monitor=bar)
     for note in imported.notes:
         log.info(note)
     return imported.dataset
@@ -320,13 +318,13 @@ def benchmark(
 
     from rhizotwin.bench import results
     from rhizotwin.commands import bench as commands
-    from rhizotwin.steps.arguments import Progress as Bars
+    from rhizotwin.steps.arguments import Computing
 
-    quiet, chosen = Bars(quiet=True), tuple(cases)
+    computing = Computing(device=device, quiet=True)
+    options = commands.RunOptions(cases=tuple(cases), cameras=cameras)
     with _logged():
-        commands.make(name, output=Path(folder), cases=chosen, device=device, progress=quiet)
-        options = commands.RunOptions(cases=chosen, cameras=cameras)
-        commands.run(name, Path(folder), method=method, output=Path(output), options=options, device=device, progress=quiet)
+        commands.make(name, output=Path(folder), cases=options.cases, computing=computing)
+        commands.run(name, Path(folder), method=method, output=Path(output), options=options, computing=computing)
     rows = results.read(Path(output)).rows
     numbers = {case: {one.name: results.value(row, one) for one in results.QUANTITIES} for case, row in rows.items()}
     return pd.DataFrame([{"case": case, "state": row["state"], **numbers[case]} for case, row in rows.items()])
@@ -375,17 +373,10 @@ def scan(
     from rhizotwin.steps import rigs
     from rhizotwin.steps.arguments import Progress as Bars
 
-    options = ScanOptions(plan=plan, resume=resume, table_angle_deg=table_angle_deg)
-    emulated = rigs.TwinPictures(**twin)
+    named = None if scene is None else str(scene)
+    options = ScanOptions(scene=named, plan=plan, resume=resume, table_angle_deg=table_angle_deg)
     with _logged():
-        run(
-            rig=str(rig),
-            output=Path(output),
-            scene=None if scene is None else str(scene),
-            options=options,
-            twin=emulated,
-            progress=Bars(quiet=True),
-        )
+        run(rig=str(rig), output=Path(output), options=options, twin=rigs.TwinPictures(**twin), progress=Bars(quiet=True))
     return load_dataset(output)
 
 

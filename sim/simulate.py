@@ -96,8 +96,7 @@ def simulate(
         done = _load_progress(folder, settings)
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
-        rendering = _Rendering(scene=scene, world=world, solid=solid, settings=settings)
-        frames = _render_frames(folder, rendering, done, monitor=monitor)
+        frames = _render_frames(folder, _Rendering(scene=scene, world=world, solid=solid, settings=settings), done, monitor=monitor)
         save_truth(folder, build_truth(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
         return save_dataset(Dataset(folder=folder, scene=scene_for_reconstruction(scene), frames=frames, seed=seed, origin=origin))
@@ -105,7 +104,7 @@ def simulate(
 
 @dataclass(frozen=True, kw_only=True)
 class _Rendering:
-    """What is rendered."""
+    """Scene, world and settings of a rendering."""
 
     scene: Scene
     world: World

@@ -191,24 +191,25 @@ def _look(one: _Attempt, number: str, now: Place | None, say: Callable[[str], No
     if outcome is not None:
         if outcome.state == "done":
             _log_file(one.job, number).unlink(missing_ok=True)
-        return outcome if outcome.state != "again" else _again(one, number, outcome.sentence, say)
+        return outcome if outcome.state != "again" else _again(one, number, _End(why=outcome.sentence), say)
     place = now or Place()
     said = _log(one.job, number)
     if place.state == "OUT_OF_MEMORY" or place.reason == "RaisedSignal:9(Killed)" or _KILLED.search(said):
         why = f"it needed more than the requested {one.memory_mib:.0f} MiB of memory"
         cure = "use larger voxels (--voxel-mm), or nodes with more memory"
-        return _again(one, number, why, say, memory_mib=2.0 * one.memory_mib, cure=cure)
+        return _again(one, number, _End(why=why, memory_mib=2.0 * one.memory_mib, cure=cure), say)
     if place.state in _TOO_LONG:
         minutes = minutes_of(place.limit)
         why = f"it reached its time limit of {place.limit}"
-        return _again(one, number, why, say, minutes=minutes and 2 * minutes, cure="request more time with SBATCH_TIMELIMIT")
+        end = _End(why=why, minutes=minutes and 2 * minutes, cure="request more time with SBATCH_TIMELIMIT")
+        return _again(one, number, end, say)
     if now is not None and place.state not in _ENDED_BY_ITSELF:
-        return _again(one, number, f"it was ended by Slurm ({place.state})", say)
+        return _again(one, number, _End(why=f"it was ended by Slurm ({place.state})"), say)
     one.ended_s = one.ended_s or time.monotonic()
     if place.state != "FAILED" and time.monotonic() < one.ended_s + RECORD_S:
         return None  # its record may not be visible yet
     if now is None:
-        return _again(one, number, "it is no longer in the queue", say)
+        return _again(one, number, _End(why="it is no longer in the queue"), say)
     last = ([line for line in said.splitlines() if line.strip()] or ["the log is empty"])[-1]
     sentence = (
         f"Slurm job {number} ended ({place.state}) without a record ({printable(last.strip()[:200])}); check that the nodes "
@@ -217,23 +218,29 @@ def _look(one: _Attempt, number: str, now: Place | None, say: Callable[[str], No
     return Outcome(name=name, state="failed", sentence=sentence)
 
 
-def _again(
-    one: _Attempt,
-    number: str,
-    why: str,
-    say: Callable[[str], None],
-    *,
-    memory_mib: float | None = None,
-    minutes: int | None = None,
-    cure: str = "run the same command again",
-) -> Outcome | _Attempt:
+@dataclass(frozen=True, kw_only=True)
+class _End:
+    """Reason for which a Slurm job did not finish."""
+
+    why: str
+    """Reason as a sentence without its end."""
+    memory_mib: float | None = None
+    """Memory that the next attempt needs; None: as before."""
+    minutes: int | None = None
+    """Time that the next attempt needs; None: as before."""
+    cure: str = "run the same command again"
+    """What to do if it does not finish again."""
+
+
+def _again(one: _Attempt, number: str, end: _End, say: Callable[[str], None]) -> Outcome | _Attempt:
     """Return the next attempt, or the final outcome if there were enough attempts.
 
     More memory or time is requested only once.
     """
+    why, memory_mib, minutes = end.why, end.memory_mib, end.minutes
     more = memory_mib is not None or minutes is not None
     if one.bigger if more else one.tries >= MOST_TRIES:
-        return Outcome(name=one.job.name, state="failed", sentence=f"Slurm job {number} did not finish, because {why}; {cure}")
+        return Outcome(name=one.job.name, state="failed", sentence=f"Slurm job {number} did not finish, because {why}; {end.cure}")
     requested = "" if not more else f" with {memory_mib:.0f} MiB" if memory_mib is not None else f" with {minutes} min"
     say(f"{one.job.name}: Slurm job {number} did not finish, because {why}; it is submitted again{requested}")
     return replace(

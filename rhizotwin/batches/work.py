@@ -68,11 +68,10 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
 
 def _reconstruct(job: Job) -> None:
     from rhizotwin.recon.settings import PictureSettings
-    from rhizotwin.steps.command_steps import reconstruct_whole, settings_of
+    from rhizotwin.steps.command_steps import Wanted, reconstruct_whole, settings_of
     from rhizotwin.stored.result_files import RESULT_NAMES
 
-    options = {key: value for key, value in job.options.items() if key != "device"}
-    settings = options.pop("settings", None)
+    settings = job.options.get("settings")
     with tempfile.TemporaryDirectory(prefix="rhizotwin-batch-") as scratch:
         dataset, output = Path(job.source), Path(job.output)
         if places.is_address(job.source):
@@ -85,8 +84,8 @@ def _reconstruct(job: Job) -> None:
             file.write_text(settings, encoding="utf-8")
         chosen = None if settings is None else file
         tolerant = PictureSettings(tolerant=True)
-        given = settings_of(chosen, voxel_mm=options.pop("voxel_mm", None), pictures=tolerant)
-        reconstruct_whole(dataset, output, settings=given, progress=Progress(quiet=True), **options)
+        given = settings_of(chosen, voxel_mm=job.options.get("voxel_mm"), pictures=tolerant)
+        reconstruct_whole(dataset, output, Wanted(settings=given), progress=Progress(quiet=True))
         if places.is_address(job.output):
             places.put(output, job.output, last=HEADS["reconstruct"], replaces=RESULT_NAMES)
 

@@ -81,14 +81,25 @@ def command_of(method: str, *, cameras: CameraSource = "estimated") -> str:
     return method
 
 
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Conditions under which a method runs."""
+
+    cameras: CameraSource = "estimated"
+    """Cameras in the method's input, see `offer`."""
+    timeout_s: float = TIMEOUT_S
+    """Timeout for one case, after which the method and its child processes are killed."""
+    keep: Path | None = None
+    """Folder in which the output of the method is stored, with one subfolder per case. It is None if the output is
+    deleted."""
+
+
 def run(
     benchmark: Benchmark,
     folder: Path,
     method: str,
     *,
-    cameras: CameraSource = "estimated",
-    timeout_s: float = TIMEOUT_S,
-    keep: Path | None = None,
+    conditions: Conditions = Conditions(),
     finished: Mapping[str, Row] | None = None,
     say: Callable[[Row], None] = lambda _: None,
 ) -> list[Row]:
@@ -104,12 +115,8 @@ def run(
         Folder of the rendered datasets.
     method : str
         Built-in method, or command line in which ``{dataset}`` and ``{output}`` are replaced by paths.
-    cameras : {"estimated", "true"}
-        Cameras in the method's input, see `offer`.
-    timeout_s : float
-        Timeout for one case, after which the method and its child processes are killed.
-    keep : path, optional
-        Folder in which the output of the method is stored, with one subfolder per case.
+    conditions : Conditions
+        Conditions under which the method runs.
     finished : mapping from str to Row, optional
         Rows of an interrupted run by case, which are reused; None if no run was interrupted.
     say : callable
@@ -125,12 +132,14 @@ def run(
     UserError
         If an output subfolder already exists in ``keep``, although no run was interrupted.
     """
-    command, rows = command_of(method, cameras=cameras), []
+    command = command_of(method, cameras=conditions.cameras)
+    keep = conditions.keep
+    rows = []
     for case in benchmark.cases:
         if keep is not None and finished is None and (keep / case.name).exists():
             raise UserError(f"the folder {keep / case.name} already exists; remove the folder, or choose another folder for --keep")
     for case in benchmark.cases:
-        row = (finished or {}).get(case.name) or _run_case(case.name, folder / case.name, command, cameras, timeout_s, keep)
+        row = (finished or {}).get(case.name) or _run_case(case.name, folder / case.name, command, conditions)
         rows.append(row)
         say(row)
     return rows
@@ -224,19 +233,20 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
     return None if is_complete else {row.case: row for row in rows if row.state == "done"}
 
 
-def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
+def _run_case(case: str, dataset: Path, command: str, conditions: Conditions) -> Row:
     """Run a method on one case, and score its output.
 
-    If ``keep`` is given, the output is moved to this folder afterwards, where it replaces that of an interrupted run.
+    If it is kept, the output is moved to this folder afterwards, where it replaces that of an interrupted run.
     """
     with _supervised() as (working, supervising):
         offered, output = working / "dataset", working / "output"
         try:
-            offer(dataset, offered, cameras=cameras)
+            offer(dataset, offered, cameras=conditions.cameras)
         except UserError as error:
             return Row(case=case, state="failed", sentence=f"the method was not run, because its input could not be written: {error}")
         words = [word.replace("{dataset}", str(offered)).replace("{output}", str(output)) for word in shlex.split(command)]
-        row = _scored(_run_once(case, words, working, supervising, timeout_s), output, dataset)
+        row = _scored(_run_once(case, words, working, supervising, conditions.timeout_s), output, dataset)
+        keep = conditions.keep
         if keep is not None and output.is_dir():
             keep.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(keep / case, ignore_errors=True)

@@ -49,7 +49,6 @@ def write_parts(
     *,
     rig: RigFile,
     measures: Measures,
-    board: CharucoBoard,
     bed_mm: tuple[float, float, float],
     names: Sequence[str] = (),
 ) -> list[Part]:
@@ -68,8 +67,6 @@ def write_parts(
         Rig with the positions of arm and floor, and the pins of the hat.
     measures : Measures
         Dimensions of purchased parts.
-    board : CharucoBoard
-        Calibration board.
     bed_mm : tuple of float
         Build volume of the printer: width, depth and height.
     names : sequence of str
@@ -86,7 +83,7 @@ def write_parts(
         If a name is unknown, a part cannot be built, does not fit the build volume or collides with another part, or
         the folder is not empty.
     """
-    parts = parts_of(scene, rig=rig, measures=measures, board=board)
+    parts = parts_of(scene, rig=rig, measures=measures, board=CharucoBoard())
     wanted = _wanted(parts, names)
     for part in wanted:
         check_whole(part)

@@ -59,6 +59,20 @@ program and access to the same folders."""
     """Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """Options for the plants, ages and treatments of each scene."""
+
+    plants: Annotated[int, option(lambda text: read_integer(text, 1, 1000, "give 1 to 1000"), "N")] = 1
+    """Number of plants per scene and treatment."""
+    days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None
+    """Ages of each plant in days, separated by commas; default: as in the scene."""
+    treatments: Annotated[tuple[tuple[str, float, Factors], ...] | None, option(list_of(read_treatment), "LIST")] = None
+    """Comma-separated treatments, each NAME:FACTOR, where FACTOR multiplies the growth rate, such as 'control:1,low \
+N:0.85'. If the scene has a nutrient solution, factors for its elements may follow, such as 'low N:0.85:N=0.5'."""
+
+
 def batch(
     scans: Annotated[list[str], with_metavar("SCANS")],
     /,
@@ -120,9 +134,7 @@ def simulate(
     *,
     output: Outputs,
     changes: SceneChanges = SceneChanges(),
-    plants: Annotated[int, option(lambda text: read_integer(text, 1, 1000, "give 1 to 1000"), "N")] = 1,
-    days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None,
-    treatments: Annotated[tuple[tuple[str, float, Factors], ...] | None, option(list_of(read_treatment), "LIST")] = None,
+    series: Series = Series(),
     seed: Seed = 0,
     work: Workforce = Workforce(),
 ) -> None:
@@ -141,13 +153,8 @@ def simulate(
         Folder or address for the datasets.
     changes : SceneChanges
         Changes to every scene.
-    plants : int
-        Number of plants per scene and treatment.
-    days : tuple of float, optional
-        Ages of each plant in days, separated by commas; default: as in the scene.
-    treatments : tuple of (str, float, Factors), optional
-        Comma-separated treatments, each NAME:FACTOR, where FACTOR multiplies the growth rate, such as 'control:1,low
-        N:0.85'. If the scene has a nutrient solution, factors for its elements may follow, such as 'low N:0.85:N=0.5'.
+    series : Series
+        Plants, ages and treatments.
     seed : int
         Random seed for all simulated errors and noise.
     work : Workforce
@@ -164,7 +171,7 @@ def simulate(
     from rhizotwin.steps import front_door
 
     loaded = [front_door.load_scene(scene, **vars(changes)) for scene in scenes]
-    each = [vary(one, plants=plants, days=days, treatments=treatments) for one in loaded]
+    each = [vary(one, **vars(series)) for one in loaded]
     varied = {name: scene for one in each for name, scene in one.items()}
     if len(varied) < sum(map(len, each)):
         raise UserError("two scenes have the same name; change the name in one of the scene files")

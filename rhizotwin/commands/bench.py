@@ -21,7 +21,7 @@ from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count, was
 from rhizotwin.steps import command_steps
-from rhizotwin.steps.arguments import Device, OutputFile, OutputFolder, Progress, list_of, option, read_number, with_metavar
+from rhizotwin.steps.arguments import Computing, OutputFile, OutputFolder, Progress, list_of, option, read_number, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.bench.benchmarks import Benchmark
@@ -75,8 +75,7 @@ def make(
     *,
     output: OutputFolder,
     cases: Cases = (),
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Render a benchmark and verify its pictures.
 
@@ -91,10 +90,8 @@ def make(
         Folder for the datasets.
     cases : tuple of str
         Names of the cases to render, separated by commas; default: all cases.
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output.
+    computing : Computing
+        Device of the computation, and progress output.
 
     Examples
     --------
@@ -105,8 +102,8 @@ def make(
     from rhizotwin.bench.make import make as render
 
     benchmark = find(name).chosen(cases)
-    command_steps.start_engine(device, quiet=progress.quiet)
-    with progress.bar(render=float(len(benchmark.cases))) as bar:
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
+    with computing.bar(render=float(len(benchmark.cases))) as bar:
         found = render(benchmark, output, monitor=bar, say=print)
     wrong = [one.case for one in found if one.has_reference and not one.same]
     if wrong:
@@ -124,8 +121,7 @@ def run(
     method: Annotated[str, with_metavar("METHOD")],
     output: OutputFile,
     options: RunOptions = RunOptions(),
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Run a method on each case of a benchmark, score its output, and measure time and memory.
 
@@ -149,10 +145,8 @@ def run(
         JSON file to which the results are written.
     options : RunOptions
         Options for running the method.
-    device : str
-        Device for computing cameras and silhouettes: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output.
+    computing : Computing
+        Device on which cameras and silhouettes are computed, and progress output.
 
     Examples
     --------
@@ -166,8 +160,8 @@ def run(
     benchmark = find(name).chosen(options.cases)
     run_method.command_of(method, cameras=options.cameras)  # report an invalid command line first
     check_made(benchmark, folder)
-    command_steps.start_engine(device, quiet=progress.quiet)
-    _run_cases(benchmark, folder, method, output, options, progress)
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
+    _run_cases(benchmark, folder, method, output, options, computing)
     print(results.markdown([results.read(output)]))
     print(f"next: rhizotwin bench table {output} -o results.html")
 
@@ -195,10 +189,8 @@ def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, 
             atomic.write_json(written, stored)
             step()
 
-        run_method.run(
-            benchmark, folder, method,
-            cameras=options.cameras, timeout_s=options.timeout_s, keep=options.keep, finished=finished, say=record,
-        )  # fmt: skip
+        conditions = run_method.Conditions(cameras=options.cameras, timeout_s=options.timeout_s, keep=options.keep)
+        run_method.run(benchmark, folder, method, conditions=conditions, finished=finished, say=record)
     if written == part:
         part.replace(output)
     part.unlink(missing_ok=True)

@@ -24,12 +24,13 @@ from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import (
-    Device,
+    Computing,
     ImageWh,
     OutputFile,
     OutputFolder,
     Profile,
     Progress,
+    SceneChanges,
     SceneName,
     Seed,
     option,
@@ -212,7 +213,8 @@ def transfer(
 
     The response curve is the relation between light and pixel values. Take at least five pictures of a motionless
     subject with many grey levels, such as the canister in front of the lit panel, from strongly underexposed to
-    strongly overexposed. Change only the exposure time. Paste the contents of the output file into the [camera] section
+    strongly overexposed; raw files are read, too. Change only the exposure time. The command fails if the pixel values
+    are no function of the light (residual above 1 %). Paste the contents of the output file into the [camera] section
     of the scene file.
 
     Parameters
@@ -230,19 +232,22 @@ def transfer(
     rhizotwin calibrate transfer my_exposures -o my_transfer.toml
     rhizotwin calibrate transfer my_exposures --exposures-s 0.002,0.004,0.008,0.016 -o my_transfer.toml
     """
-    from rhizotwin.importer.picture_files import list_pictures
+    from rhizotwin.importer.picture_files import SUFFIXES, list_pictures
+    from rhizotwin.rig.cameras import raw_files
     from rhizotwin.rig.lens.transfer_fit import fit_transfer
     from rhizotwin.rig.lens.transfer_series import read_series, transfer_text
     from rhizotwin.scenes.atomic import write_text
 
     if output.exists():
         raise UserError(f"{output} already exists; choose another name, or remove the file")
-    images, times = read_series(list_pictures(pictures), exposures_s)
+    images, times = read_series(list_pictures(pictures, suffixes=(*SUFFIXES, *raw_files.SUFFIXES)), exposures_s)
     found = fit_transfer(images, times)
     write_text(output, transfer_text(found, len(images)))
     low, high = found.reached
     print(f"response curve: {found.curve.name}, measured from {100.0 * low:.0f} to {100.0 * high:.0f} % of full scale")
     print(f"RMS residual {100.0 * found.residual:.1f} % of the light, {count(len(images), 'picture')}, {min(times):g} to {max(times):g} s")
+    if found.rounded:
+        print("the exposure times are rounded values of a shutter scale (1/60 s is 1/64 s); the true times were used")
     print(f"wrote {output}: paste its contents into the [camera] section of the scene file")
 
 
@@ -253,8 +258,7 @@ def simulate(
     output: OutputPictures,
     taken: BoardPictures = BoardPictures(),
     drawn: BoardOptions = BoardOptions(),
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Render pictures of the calibration board with the camera of a scene.
 
@@ -272,22 +276,20 @@ def simulate(
         Options of the pictures.
     drawn : BoardOptions
         Dimensions of the board.
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output.
+    computing : Computing
+        Device of the computation, and progress output.
 
     Examples
     --------
     rhizotwin calibrate simulate printed_8ml -o my_board_pictures --profile bench
     rhizotwin calibrate camera my_board_pictures -o my_lens
     """
-    changed = change_scene(files.load_scene(scene), image_wh=taken.image_wh, profile=taken.profile)
+    changed = change_scene(files.load_scene(scene), SceneChanges(image_wh=taken.image_wh, profile=taken.profile))
     made = drawn.board()
-    command_steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
     from rhizotwin.sim.board import simulate_board
 
-    with progress.bar(render=1.0) as bar:
+    with computing.bar(render=1.0) as bar:
         simulate_board(changed, made, output, pictures=taken.pictures, seed=taken.seed, monitor=bar)
     print(f"wrote {count(taken.pictures, 'picture')} of the board to {output}, and the true lens to {output / 'truth' / 'camera.json'}")
     print(f"next: rhizotwin calibrate camera {output} -o my_lens")

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from cyclopts import Parameter
+
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.steps import command_steps, rigs
 from rhizotwin.steps.arguments import OutputFolder, Page, SceneName, with_metavar
@@ -24,13 +26,26 @@ LEAST_LETTERS = 8
 """Minimum number of characters of a password."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Laboratory:
+    """Options for a rig and the folder of its scans, without an experiment."""
+
+    rig: rigs.RigName | None = None
+    """Rig file (TOML), or twin for the emulated rig; required unless --experiment is given."""
+    output: OutputFolder | None = None
+    """Folder of scans, results and catalogue, new or existing; required unless --experiment is given."""
+    scene: SceneName | None = None
+    """Scene of the rig: a name listed by 'rhizotwin scenes', or a scene file (TOML). Required with a rig file; \
+default for the emulated rig: printed_8ml."""
+    plan: Annotated[str | None, with_metavar("PLAN")] = None
+    """Camera positions that replace those of the scene: a TOML file with [[plan.rings]], or the name of a scene."""
+
+
 def console(
     *,
-    rig: rigs.RigName | None = None,
-    output: OutputFolder | None = None,
+    laboratory: Laboratory = Laboratory(),
     experiment: Annotated[Path | None, with_metavar("FILE")] = None,
-    scene: SceneName | None = None,
-    plan: Annotated[str | None, with_metavar("PLAN")] = None,
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     page: Page = Page(),
 ) -> None:
@@ -47,17 +62,10 @@ def console(
 
     Parameters
     ----------
-    rig : str
-        Rig file (TOML), or twin for the emulated rig; required unless --experiment is given.
-    output : Path
-        Folder of scans, results and catalogue, new or existing; required unless --experiment is given.
+    laboratory : Laboratory
+        Rig, and folder of its scans.
     experiment : Path, optional
         Experiment file (TOML; 'rhizotwin timelapse example' writes an example), which replaces --rig and --output.
-    scene : str, optional
-        Scene of the rig: a name listed by 'rhizotwin scenes', or a scene file (TOML). Required with a rig file; default
-        for the emulated rig: printed_8ml.
-    plan : str, optional
-        Camera positions that replace those of the scene: a TOML file with [[plan.rings]], or the name of a scene.
     twin : TwinPictures
         Options of the emulated rig.
     page : Page
@@ -70,14 +78,14 @@ def console(
     rhizotwin console --rig my_rig.toml --scene my_scene.toml -o my_laboratory --host 0.0.0.0 --no-browser
     """
     password = "" if _is_local(page.host) else _password()
-    place = _place(rig, output, scene, plan=plan, twin=twin) if experiment is None else _of_experiment(experiment, rig, output)
+    place = _place(laboratory, twin) if experiment is None else _of_experiment(experiment, laboratory)
     command_steps.print_marker_warnings(place.bench.scene)
     from rhizotwin.console.access import Access
     from rhizotwin.console.console import Console
     from rhizotwin.console.serve import serve
 
     with rigs.hang_up_stops(), ExitStack() as stack:
-        opened = Console(place.bench, place.folder, twin=place.twin, experiment=place.experiment)
+        opened = Console(place.bench, place.folder, experiment=place.experiment)
         stack.callback(opened.close)
         served = serve(opened, Access(password=password), host=page.host, port=page.port)
         stack.callback(served.stop)
@@ -92,24 +100,23 @@ class _Place:
 
     bench: rigs.Bench
     folder: Path
-    twin: rigs.TwinPictures | None
     experiment: "Experiment | None" = None
 
 
-def _place(rig: str | None, output: Path | None, scene: str | None, *, plan: str | None, twin: rigs.TwinPictures) -> _Place:
+def _place(laboratory: Laboratory, twin: rigs.TwinPictures) -> _Place:
     """Return the rig and the folder for a console without an experiment."""
-    if rig is None or output is None:
+    rig, scene = laboratory.rig, laboratory.scene
+    if rig is None or laboratory.output is None:
         raise UserError("the console needs either --rig RIG and --output FOLDER, or --experiment FILE; see rhizotwin console --help")
     rigs.check_rig(rig)
-    emulated = twin if rig == rigs.TWIN else None
-    if emulated is None and scene is None:
+    if rig != rigs.TWIN and scene is None:
         raise UserError("--scene is missing; give the scene file of this rig")
-    return _Place(bench=rigs.open_bench(rig, scene, errors=twin, plan=plan), folder=output, twin=emulated)
+    return _Place(bench=rigs.open_bench(rig, scene, errors=twin, plan=laboratory.plan), folder=laboratory.output)
 
 
-def _of_experiment(file: Path, rig: str | None, output: Path | None) -> _Place:
+def _of_experiment(file: Path, laboratory: Laboratory) -> _Place:
     """Return the rig and the folder of a time-lapse experiment."""
-    if rig is not None or output is not None:
+    if laboratory.rig is not None or laboratory.output is not None:
         raise UserError("--rig and --output cannot be used with --experiment, whose file specifies rig and folders; remove them")
     from rhizotwin.timelapse.experiment import load_experiment
 
@@ -117,13 +124,13 @@ def _of_experiment(file: Path, rig: str | None, output: Path | None) -> _Place:
     scene = loaded.base_scene()
     if not loaded.is_emulated:
         bench = rigs.open_bench(str(loaded.folder / loaded.rig), None, errors=rigs.TwinErrors())
-        return _Place(bench=replace(bench, scene=scene), folder=loaded.folder, twin=None, experiment=loaded)
+        return _Place(bench=replace(bench, scene=scene), folder=loaded.folder, experiment=loaded)
     part = loaded.twin
     twin = rigs.TwinPictures(profile=part.profile, seed=part.seed, fidelity=part.fidelity)
     if part.fidelity == "render":
         command_steps.start_engine(twin.device)
     bench = rigs.twin_bench(replace(scene, disturbances=loaded.disturbances()), twin)
-    return _Place(bench=bench, folder=loaded.folder, twin=twin, experiment=loaded)
+    return _Place(bench=bench, folder=loaded.folder, experiment=loaded)
 
 
 def _print_address(served: "Served", page: Page, *, password: str) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.steps import command_steps
-from rhizotwin.steps.arguments import Device, Flag, OutputFolder, Page, Profile, Progress
+from rhizotwin.steps.arguments import Computing, Flag, OutputFolder, Page, Profile
 
 
 def demo(
@@ -13,9 +13,8 @@ def demo(
     small: Flag = False,
     show: Flag = False,
     profile: Profile = "clean",
-    device: Device = "auto",
     page: Page = Page(),
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Simulate, reconstruct and score a small printed root (about two minutes), or show a finished example.
 
@@ -35,12 +34,10 @@ def demo(
     profile : str
         Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an
         ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file.
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     page : Page
         Address of the viewer with --show.
-    progress : Progress
-        Progress output.
+    computing : Computing
+        Device of the computation, and progress output.
 
     Examples
     --------
@@ -56,9 +53,9 @@ def demo(
         return
     from rhizotwin.steps import demo as steps
 
-    command_steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
     folder = Path("demo") if output is None else output
-    steps.demo(folder, profile=profile, size=steps.SMALL if small else steps.FULL, say=print, progress=progress)
+    steps.demo(folder, profile=profile, size=steps.SMALL if small else steps.FULL, say=print, progress=computing)
 
 
 def _show(folder: Path, page: Page) -> None:

@@ -22,15 +22,26 @@ checksums and an overview picture. Symbolic links and damaged pictures are rejec
     """TOML file with title, description, licence and authors of the publication (docs/publishing.md)."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """Options for other contents of the output than those of its suffix."""
+
+    roots: Literal["order", "diameter"] | None = None
+    """Write the roots as a mesh of tubes, coloured by order or diameter (STL has no colours)."""
+    undistorted: Flag = False
+    """Write pictures with the refraction removed to a folder, with cameras for nerfstudio and COLMAP."""
+    rays: Flag = False
+    """Write the line of sight of each pixel in the water to a folder, for programs that accept rays."""
+
+
 def export(
     sources: Annotated[list[Path], with_metavar("RESULT")],
     /,
     *,
     output: OutputFile | None = None,
     dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
-    roots: Literal["order", "diameter"] | None = None,
-    undistorted: Flag = False,
-    rays: Flag = False,
+    content: Content = Content(),
     publication: Publication = Publication(),
     progress: Progress = Progress(),
 ) -> None:
@@ -56,12 +67,8 @@ def export(
         File or folder to write; its suffix selects the format.
     dataset : Path, optional
         Dataset of the result; required for the export of cameras.
-    roots : str, optional
-        Write the roots as a mesh of tubes, coloured by order or diameter (STL has no colours).
-    undistorted : bool
-        Write pictures with the refraction removed to a folder, with cameras for nerfstudio and COLMAP.
-    rays : bool
-        Write the line of sight of each pixel in the water to a folder, for programs that accept rays.
+    content : Content
+        Content of the output.
     publication : Publication
         Publication in a data repository.
     progress : Progress
@@ -75,20 +82,21 @@ def export(
     rhizotwin export my_scans my_results --publish my_data --study my_study.toml
     """
     if publication.publish is not None:
-        if any((output, dataset, roots, undistorted, rays)):
+        if any((output, dataset, *vars(content).values())):
             raise UserError("--publish cannot be used with -o, --dataset, --roots, --undistorted or --rays; remove these options")
         _publish(sources, publication.publish, publication.study, progress)
     elif output is None or len(sources) != 1:
         raise UserError("the export needs one result and -o FILE, or for a publication --publish FOLDER with results and datasets")
     else:
-        _export(sources[0], output, dataset, roots, {"undistorted": undistorted, "rays": rays}, progress)
+        _export(sources[0], output, dataset, content, progress)
 
 
-def _export(result: Path, output: Path, dataset: Path | None, roots: str | None, chosen: dict[str, bool], progress: Progress) -> None:
+def _export(result: Path, output: Path, dataset: Path | None, content: Content, progress: Progress) -> None:
     from rhizotwin.exporter import exports
 
+    refraction = exports.choose(undistorted=content.undistorted, rays=content.rays)
     with progress.bar(pictures=1.0) as bar:
-        written = exports.export(result, output, dataset_folder=dataset, roots=roots, refraction=exports.choose(**chosen), monitor=bar)
+        written = exports.export(result, output, dataset_folder=dataset, roots=content.roots, refraction=refraction, monitor=bar)
     print(exports.describe(written))
 
 

@@ -66,13 +66,12 @@ def parts(
     from rhizotwin.building.rig_parts import thesis_rig
     from rhizotwin.building.write import write_parts
     from rhizotwin.rig.rig_file import load_rig
-    from rhizotwin.scenes.board import CharucoBoard
     from rhizotwin.scenes.files import load_scene
 
     known = load_scene(scene)
     stands = thesis_rig(known) if rig is None else load_rig(rig)
     bought = Measures() if measures is None else load_measures(measures)
-    made = write_parts(known, output, rig=stands, measures=bought, board=CharucoBoard(), bed_mm=bed_mm, names=part)
+    made = write_parts(known, output, rig=stands, measures=bought, bed_mm=bed_mm, names=part)
     for one in made:
         wide, deep, high = one.size_mm
         print(f"{one.name:<16} {wide:6.1f} x {deep:6.1f} x {high:5.1f} mm   {one.about}")

@@ -10,10 +10,10 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import (
     MAX_SEEDS,
-    Device,
+    Computing,
     OutputFolder,
     Profile,
-    Progress,
+    SceneChanges,
     SceneName,
     list_of,
     option,
@@ -65,17 +65,27 @@ and without a second ring 52 mm above it."""
     """Picture sizes in pixels, separated by commas, such as 400x300,800x600; default: as in the scene."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SimulatedErrors:
+    """Options for the simulated errors of rig and pictures."""
+
+    profile: Profile = "bench"
+    """Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an \
+ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file."""
+    seeds: Annotated[int, option(lambda text: read_integer(text, 1, MAX_SEEDS, f"give 1 to {MAX_SEEDS}"), "N")] = 1
+    """Number of runs per plan, with different random errors."""
+
+
 def plan(
     scene: SceneName,
     /,
     *,
     output: OutputFolder,
     grid: Grid = Grid(),
-    profile: Profile = "bench",
-    seeds: Annotated[int, option(lambda text: read_integer(text, 1, MAX_SEEDS, f"give 1 to {MAX_SEEDS}"), "N")] = 1,
+    errors: SimulatedErrors = SimulatedErrors(),
     within: Annotated[float, option(lambda text: read_number(text, PERCENT_LIMITS, "%"), "PERCENT")] = 5.0,
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Determine by simulation how many pictures and camera heights a scan needs.
 
@@ -93,17 +103,12 @@ def plan(
         Folder for the table, the figure and the scores: new, or the output of an earlier run.
     grid : Grid
         Parameters to compare.
-    profile : str
-        Simulated imperfections of rig and pictures: clean (none), bench (well-built rig), camera (bench with an
-        ordinary camera), harsh (badly adjusted rig), real (first scan of a living plant), or a TOML file.
-    seeds : int
-        Number of runs per plan, with different random errors.
+    errors : SimulatedErrors
+        Simulated errors of rig and pictures.
     within : float
         Maximum volume error of the recommended plan in per cent.
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output.
+    computing : Computing
+        Device of the computation, and progress output.
 
     Examples
     --------
@@ -118,11 +123,11 @@ def plan(
     """
     from rhizotwin.planning import comparison
 
-    changed = change_scene(files.load_scene(scene), profile=profile)
+    changed = change_scene(files.load_scene(scene), SceneChanges(profile=errors.profile))
     variants = _variants(grid, changed)
-    command_steps.start_engine(device, quiet=progress.quiet)
-    with progress.bar(**comparison.shares(variants, seeds)) as bar:
-        rows = comparison.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=bar.say, monitor=bar)
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
+    with computing.bar(**comparison.shares(variants, errors.seeds)) as bar:
+        rows = comparison.run_plans(changed, variants, output, profile_name=errors.profile, seeds=errors.seeds, bar=bar)
     _print_recommended(comparison.best(rows, within=within / 100.0), within)
     print(f"figure: {output / 'plan.png'}; table: {output / 'plan.csv'}")
 

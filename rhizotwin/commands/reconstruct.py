@@ -9,8 +9,8 @@ from cyclopts import Parameter
 
 from rhizotwin.steps import command_steps
 from rhizotwin.steps.arguments import (
+    Computing,
     DatasetFolder,
-    Device,
     Flag,
     MassG,
     OutputResult,
@@ -23,7 +23,7 @@ from rhizotwin.steps.arguments import (
 )
 
 if TYPE_CHECKING:
-    from rhizotwin.recon.settings import PictureSettings
+    from rhizotwin.recon.settings import Settings
 
 
 @Parameter(name="*", group="Method")
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 class Study:
     """Options for studying the reconstruction method."""
 
-    settings: Annotated[Path | None, with_metavar("FILE")] = None
-    """TOML file with settings of the reconstruction (docs/settings.md); --voxel-mm overrides its voxel size."""
     keep_stages: Flag = False
     """Save intermediate results (cameras, silhouettes, hull, roots, solid) in the subfolder stages of the result \
 (docs/datasets.md)."""
@@ -44,23 +42,26 @@ the volume as not reliable."""
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class PictureChoice:
-    """Options that select the pictures."""
+class SettingsOptions:
+    """Options for the settings of the reconstruction, among them the selection of the pictures."""
 
+    voxel_mm: VoxelMm | None = None
+    """Edge length of the smallest voxels in mm, 0.01 to 10; default: 0.27. Smaller voxels take longer."""
+    settings: Annotated[Path | None, with_metavar("FILE")] = None
+    """TOML file with settings of the reconstruction (docs/settings.md); --voxel-mm overrides its voxel size."""
     leave_out: Annotated[tuple[str, ...], option(list_of(str), "FILE,FILE,...")] = ()
     """File names of pictures to exclude, separated by commas."""
     tolerant: Flag = False
     """Exclude pictures that are missing or unreadable, instead of stopping with an error."""
-
     hold_out: Annotated[int | None, option(lambda text: read_integer(text, 2, 1000, "give 2 to 1000"), "N")] = None
     """Hold out every N-th picture, with which 'rhizotwin verify' compares the result."""
 
-    @property
-    def settings(self) -> "PictureSettings":
-        """Settings of the reconstruction that select the pictures."""
+    def load(self) -> "Settings":
+        """Return the settings of the file, or the defaults, with the other options."""
         from rhizotwin.recon.settings import PictureSettings
 
-        return PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant, hold_out=self.hold_out or 0)
+        pictures = PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant, hold_out=self.hold_out or 0)
+        return command_steps.settings_of(self.settings, voxel_mm=self.voxel_mm, pictures=pictures)
 
 
 def reconstruct(
@@ -68,12 +69,10 @@ def reconstruct(
     /,
     *,
     output: OutputResult,
-    voxel_mm: VoxelMm | None = None,
     mass_g: MassG | None = None,
-    pictures: PictureChoice = PictureChoice(),
+    settings: SettingsOptions = SettingsOptions(),
     study: Study = Study(),
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Reconstruct root shape and volume from the pictures of a dataset.
 
@@ -87,18 +86,15 @@ def reconstruct(
         Dataset (folder with the pictures of a scan), written by 'rhizotwin simulate', 'scan' or 'import'.
     output : Path
         Folder for the result: new, empty, or an earlier result, which is replaced.
-    voxel_mm : float
-        Edge length of the smallest voxels in mm, 0.01 to 10; default: 0.27. Smaller voxels take longer.
     mass_g : float, optional
         Fresh mass of the roots in grams, from which specific root length and tissue density are computed.
-    pictures : PictureChoice
-        Selection of the pictures.
+    settings : SettingsOptions
+        Settings, and selection of the pictures.
     study : Study
         Options for studying the method.
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output; --quiet also shortens the summary, and --verbose also prints the calibration.
+    computing : Computing
+        Device of the computation, and progress output; --quiet also shortens the summary, and --verbose also prints the
+        calibration.
 
     Examples
     --------
@@ -109,14 +105,13 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --leave-out view_007.png,view_012.png
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
-    command_steps.start_engine(device, quiet=progress.quiet)
-    settings = command_steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
-    kept: dict[str, Any] = {"keep_stages": study.keep_stages, "method": study.method}
-    written = command_steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
-    _print_summary(json.loads((output / "result.json").read_text(encoding="utf-8")), mass_g, progress)
-    if progress.quiet:
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
+    wanted = command_steps.Wanted(settings=settings.load(), mass_g=mass_g, **vars(study))
+    written = command_steps.reconstruct_whole(dataset, output, wanted, progress=computing)
+    _print_summary(json.loads((output / "result.json").read_text(encoding="utf-8")), mass_g, computing)
+    if computing.quiet:
         return
-    if progress.verbose:
+    if computing.verbose:
         for path in written:
             print(f"  {path}")
     print(f"report: {output / 'report.html'}")

@@ -36,6 +36,9 @@ def read_angle_deg(text: str) -> float:
 class ScanOptions:
     """Options of the scan."""
 
+    scene: SceneName | None = None
+    """Scene, which describes canister, marker strip, calibrated camera and camera positions: a name listed by \
+'rhizotwin scenes', or a scene file (TOML). Required with a rig file; default for the emulated rig: printed_8ml."""
     plan: Annotated[str | None, with_metavar("PLAN")] = None
     """Camera positions that replace those of the scene: a TOML file with [[plan.rings]], or the name of a scene."""
     resume: Flag = False
@@ -55,7 +58,6 @@ def scan(
     *,
     rig: rigs.RigName,
     output: OutputDataset,
-    scene: SceneName | None = None,
     options: ScanOptions = ScanOptions(),
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     subject: SubjectOptions = SubjectOptions(),
@@ -74,9 +76,6 @@ def scan(
         Rig file (TOML; 'rhizotwin rig example' writes an example), or twin for the emulated rig.
     output : Path
         Folder for the dataset: new or empty, or with --resume the folder of the interrupted scan.
-    scene : str, optional
-        Scene, which describes canister, marker strip, calibrated camera and camera positions: a name listed by
-        'rhizotwin scenes', or a scene file (TOML). Required with a rig file; default for the emulated rig: printed_8ml.
     options : ScanOptions
         Options of the scan.
     twin : TwinPictures
@@ -96,68 +95,42 @@ def scan(
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
     rigs.check_rig(rig)
-    emulated = twin if rig == rigs.TWIN else None
-    if emulated is None and scene is None:
+    if rig != rigs.TWIN and options.scene is None:
         raise UserError(
             "--scene is missing; give the scene file of this rig, with canister, marker strip, calibrated camera and camera positions"
         )
-    bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
-    made = _scan(bench, output, subject, options=options, twin=emulated, progress=progress)
+    bench = rigs.open_bench(rig, options.scene, errors=twin, plan=options.plan)
+    made = _scan(bench, output, subject, options=options, progress=progress)
     print(f"wrote {count(len(made.frames), 'picture')} to {output / 'images'}")
-    if emulated is None or emulated.fidelity == "render":
+    if bench.pictures is None or bench.pictures.fidelity == "render":
         print(f"next: rhizotwin reconstruct {output} -o my_result")
 
 
-def _scan(
-    bench: rigs.Bench, output: Path, subject: SubjectOptions, *, options: ScanOptions, twin: rigs.TwinPictures | None, progress: Progress
-) -> "Dataset":
+def _scan(bench: rigs.Bench, output: Path, subject: SubjectOptions, *, options: ScanOptions, progress: Progress) -> "Dataset":
     """Open the devices and scan the plant.
 
     If a catalogue is given, the plant is identified first.
     """
-    with ExitStack() as stack:
-        devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
-        if options.catalogue is None:
-            scene = subject.apply_to(bench.scene)
-            command_steps.print_marker_warnings(scene)
-            return _take(bench, devices, scene, output, options=options, twin=twin, progress=progress, identify=None)
-        from rhizotwin.catalogue.adding import add_scan
-        from rhizotwin.catalogue.store import Catalogue
-
-        known = stack.enter_context(Catalogue.open(options.catalogue))
-        scene, identify = _identified(known, bench, devices, subject)
-        command_steps.print_marker_warnings(scene)
-        made = _take(bench, devices, scene, output, options=options, twin=twin, progress=progress, identify=identify)
-        add_scan(known, output)
-        return made
-
-
-def _take(
-    bench: rigs.Bench,
-    devices: "Devices",
-    scene: Scene,
-    output: Path,
-    *,
-    options: ScanOptions,
-    twin: rigs.TwinPictures | None,
-    progress: Progress,
-    identify: "Callable[[Grey], object] | None",
-) -> "Dataset":
-    """Scan with open devices, and show a progress bar."""
+    from rhizotwin.catalogue.adding import add_scan
+    from rhizotwin.catalogue.store import Catalogue
     from rhizotwin.rig.scanning.observers import Observers
 
-    with progress.bar(devices=1.0, pictures=20.0) as bar:
-        observers = Observers(ask=rigs.asker(), say=bar.say, monitor=bar)
-        return rigs.take_scan(
-            bench,
-            devices,
-            scene,
-            output,
-            observers=observers if identify is None else replace(observers, identify=identify),
-            twin=twin,
-            resume=options.resume,
-            table_angle_deg=options.table_angle_deg,
-        )
+    with ExitStack() as stack:
+        devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
+        observers = Observers(ask=rigs.asker(), table_angle_deg=options.table_angle_deg)
+        known = None if options.catalogue is None else stack.enter_context(Catalogue.open(options.catalogue))
+        if known is None:
+            scene = subject.apply_to(bench.scene)
+        else:
+            scene, identify = _identified(known, bench, devices, subject)
+            observers = replace(observers, identify=identify)
+        command_steps.print_marker_warnings(scene)
+        with progress.bar(devices=1.0, pictures=20.0) as bar:
+            observers = replace(observers, say=bar.say, monitor=bar)
+            made = rigs.take_scan(bench, devices, scene, output, observers=observers, resume=options.resume)
+        if known is not None:
+            add_scan(known, output)
+        return made
 
 
 def _identified(

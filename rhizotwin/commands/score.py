@@ -64,6 +64,19 @@ their origin on the canister's axis at the rim."""
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Options for references other than a simulated dataset."""
+
+    truth: Annotated[Path | None, with_metavar("FILE")] = None
+    """Closed mesh of the scanned part in mm (PLY, STL, OBJ)."""
+    volume_ml: VolumeMl | None = None
+    """Volume of the specimen in ml, measured for example by water displacement."""
+    pictures: Annotated[Path | None, with_metavar("DATASET")] = None
+    """Dataset of the same plant on the same rig, with pictures that the reconstruction did not use."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
 class Shown:
     """Options for the printed numbers."""
 
@@ -86,9 +99,7 @@ def score(
     /,
     *,
     foreign: ForeignFile = ForeignFile(),
-    truth: Annotated[Path | None, with_metavar("FILE")] = None,
-    volume_ml: VolumeMl | None = None,
-    pictures: Annotated[Path | None, with_metavar("DATASET")] = None,
+    reference: Reference = Reference(),
     shown: Shown = Shown(),
     progress: Progress = Progress(),
 ) -> None:
@@ -111,12 +122,8 @@ def score(
         Simulated dataset from which the result was reconstructed.
     foreign : ForeignFile
         Output file of another program.
-    truth : Path, optional
-        Closed mesh of the scanned part in mm (PLY, STL, OBJ).
-    volume_ml : float, optional
-        Volume of the specimen in ml, measured for example by water displacement.
-    pictures : Path, optional
-        Dataset of the same plant on the same rig, with pictures that the reconstruction did not use.
+    reference : Reference
+        Other reference.
     shown : Shown
         Numbers to print.
     progress : Progress
@@ -132,11 +139,11 @@ def score(
     rhizotwin score --mesh shape.stl my_dataset
     rhizotwin score --rsml roots.rsml my_dataset --json
     """
-    shares = {"score": 1.0} if pictures is None else {name: calls.SHARES[name] for name in _OF_PICTURES} | {"score": 5.0}
+    shares = {"score": 1.0} if reference.pictures is None else {name: calls.SHARES[name] for name in _OF_PICTURES} | {"score": 5.0}
     with progress.bar(**shares) as bar:
         if foreign.given or foreign.registered:
-            kind, file = foreign.one(dataset, truth, volume_ml, pictures)
+            kind, file = foreign.one(dataset, *vars(reference).values())
             found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, monitor=bar)
         else:
-            found = front_door.score(result, dataset, truth=truth, volume_ml=volume_ml, pictures=pictures, monitor=bar)
+            found = front_door.score(result, dataset, **vars(reference), monitor=bar)
     shown.show(found)

@@ -7,19 +7,21 @@ from cyclopts import Parameter
 
 from rhizotwin.scenes.formatting import count
 from rhizotwin.steps import command_steps, front_door
-from rhizotwin.steps.arguments import Device, OutputDataset, Progress, Samples, SceneChanges, SceneName, Seed, SubjectOptions
+from rhizotwin.steps.arguments import Computing, OutputDataset, Samples, SceneChanges, SceneName, Seed, SubjectOptions
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Options for the rendering."""
+    """Options for the rendering and its random errors."""
 
     fidelity: Literal["backlit", "path"] = "backlit"
     """Rendering method: backlit (fast, without sampling noise) or path (path tracing with all reflections, slower)."""
     samples: Samples | None = None
     """Number of light paths per pixel; more paths reduce the sampling noise and take longer; default: depends on the \
 rendering method."""
+    seed: Seed = 0
+    """Random seed for all simulated errors and noise: 0, 1, 2, ..."""
 
 
 def simulate(
@@ -30,9 +32,7 @@ def simulate(
     changes: SceneChanges = SceneChanges(),
     subject: SubjectOptions = SubjectOptions(),
     rendering: Rendering = Rendering(),
-    seed: Seed = 0,
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> None:
     """Render the pictures of a scene, and store the true roots with them.
 
@@ -51,13 +51,9 @@ def simulate(
     subject : SubjectOptions
         Plant in the canister.
     rendering : Rendering
-        Options for the rendering.
-    seed : int
-        Random seed for all simulated errors and noise: 0, 1, 2, ...
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output.
+        Options for the rendering and its random errors.
+    computing : Computing
+        Device of the computation, and progress output.
 
     Examples
     --------
@@ -68,9 +64,9 @@ def simulate(
     """
     changed = subject.apply_to(front_door.load_scene(scene, **vars(changes)))
     command_steps.print_marker_warnings(changed)
-    command_steps.start_engine(device, quiet=progress.quiet)
-    with progress.bar(render=1.0) as bar:
-        dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, **vars(rendering), monitor=bar)
+    command_steps.start_engine(computing.device, quiet=computing.quiet)
+    with computing.bar(render=1.0) as bar:
+        dataset = front_door.simulate(changed, output, profile=changes.profile, **vars(rendering), monitor=bar)
     from rhizotwin.scenes.truth import load_truth
 
     for note in load_truth(output).drawn["notes"]:

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rhizotwin.steps import calls, command_steps
-from rhizotwin.steps.arguments import DatasetFolder, Device, Progress, ResultFolder, output
+from rhizotwin.steps.arguments import Computing, DatasetFolder, ResultFolder, output
 
 _OF_PICTURES = ("read", "background", "wall", "silhouettes")
 """Stages of the reconstruction that are repeated before a result is compared with pictures. The progress bar takes
@@ -21,8 +21,7 @@ def verify(
     *,
     folder: Annotated[Path | None, output("FOLDER")] = None,
     as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
-    device: Device = "auto",
-    progress: Progress = Progress(),
+    computing: Computing = Computing(),
 ) -> int:
     """Compare a result with rendered pictures of its own shape, which show whether the result explains the scan.
 
@@ -41,10 +40,8 @@ def verify(
         Folder for verify.json and the residual pictures; default: the folder verify in the result.
     as_json : bool
         Print all numbers as JSON.
-    device : str
-        Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
-    progress : Progress
-        Progress output.
+    computing : Computing
+        Device of the computation, and progress output.
 
     Examples
     --------
@@ -54,8 +51,8 @@ def verify(
     """
     from rhizotwin.steps.verification import verify as compare
 
-    command_steps.start_engine(device, quiet=progress.quiet or as_json)
-    with progress.bar(**{name: calls.SHARES[name] for name in _OF_PICTURES}, verify=6.0) as bar:
+    command_steps.start_engine(computing.device, quiet=computing.quiet or as_json)
+    with computing.bar(**{name: calls.SHARES[name] for name in _OF_PICTURES}, verify=6.0) as bar:
         found = compare(result, dataset, folder=folder or result / "verify", monitor=bar)
     print(json.dumps(found.to_dict(), indent=1) if as_json else found.table())
     return int(not found.agrees)

@@ -25,7 +25,7 @@ from rhizotwin.console.problems import Problems
 from rhizotwin.console.questions import Questions
 from rhizotwin.console.reconstruction_queue import Job, Queue
 from rhizotwin.console.rig_thread import RigThread
-from rhizotwin.console.running_scan import RunningScan
+from rhizotwin.console.running_scan import Listeners, RunningScan
 from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.console.schedule import ScheduleRun
 from rhizotwin.console.state import StateView
@@ -63,8 +63,6 @@ class Console:
         Rig with its scene.
     folder : path
         Folder of scans, results and the queue, which only one console can use at a time.
-    twin : TwinPictures or None
-        Options of the emulated rig; None for a real rig.
     experiment : Experiment or None
         Time-lapse experiment whose plants, schedule and folders are used; ``folder`` is then that of its file.
 
@@ -74,8 +72,8 @@ class Console:
         If another console uses the folder.
     """
 
-    def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None, experiment: Experiment | None = None) -> None:
-        self.bench, self.twin, self.experiment = bench, twin, experiment
+    def __init__(self, bench: rigs.Bench, folder: Path, *, experiment: Experiment | None = None) -> None:
+        self.bench, self.experiment = bench, experiment
         self.version = 1
         """Version of the state, which increases with each change."""
         self._lock = threading.Lock()
@@ -251,12 +249,12 @@ class Console:
 
     def _start(self, folder: Path, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
         name = folder.name
-        reconstruct = reconstruct and (self.twin is None or self.twin.fidelity == "render")
+        reconstruct = reconstruct and (self.bench.pictures is None or self.bench.pictures.fidelity == "render")
         identify = self.plants.identity(scene.subject, scene.strip)
 
         def run() -> None:
             scan = self._show_scan(name, scene, paused=paused, reconstruct=reconstruct)
-            observers = Observers(ask=self._ask, say=self._say_scan, observer=scan.live, identify=identify)
+            observers = Observers(ask=self._ask, table_angle_deg=table_angle_deg, say=self._say_scan, observer=scan.live, identify=identify)
             try:
                 with ExitStack() as stack:
                     stack.callback(scan.live.close)
@@ -264,16 +262,7 @@ class Console:
                     devices = self.bench.open_devices(None, stack)
                     # before the devices are closed and the hull is complete, which takes seconds
                     stack.callback(self._catalogue, self.plants.add_scan, folder / "dataset.json")
-                    rigs.take_scan(
-                        self.bench,
-                        devices,
-                        scene,
-                        folder,
-                        observers=observers,
-                        twin=self.twin,
-                        resume=True,
-                        table_angle_deg=table_angle_deg,
-                    )
+                    rigs.take_scan(self.bench, devices, scene, folder, observers=observers, resume=True)
             except KeyboardInterrupt:
                 self.messages.add(f"{name}: the scan was stopped and can be finished later")
                 return
@@ -294,8 +283,8 @@ class Console:
         """Set the scan that the console shows, and return its state."""
         part = "display of the scan"
         self.problems.solve(part)
-        on_error = partial(self.problems.report, part)
-        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, on_error=on_error, **options)
+        listeners = Listeners(on_look=self._show_look, on_change=self.changed, on_error=partial(self.problems.report, part))
+        self.scan = RunningScan(name, scene, listeners, **options)
         if self._closing:
             self.scan.live.stop()
         self.changed()

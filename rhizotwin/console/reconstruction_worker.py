@@ -84,7 +84,7 @@ def work(line: Connection, dataset: str, output: str) -> None:
         engine.ensure("auto")
         settings = command_steps.settings_of(None, pictures=PictureSettings(tolerant=True))
         progress = SentProgress(send=lambda stage, done: send([stage, done]))
-        command_steps.reconstruct_whole(Path(dataset), Path(output), settings=settings, progress=progress)
+        command_steps.reconstruct_whole(Path(dataset), Path(output), command_steps.Wanted(settings=settings), progress=progress)
     except Exception as error:  # noqa: BLE001 - sent to the console, which shows it
         send({"error": explained(error)})
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rhizotwin.console.live import Live
@@ -12,6 +13,18 @@ if TYPE_CHECKING:
     from rhizotwin.scenes.model import Scene
 
 
+@dataclass(frozen=True, kw_only=True)
+class Listeners:
+    """Functions that are called about a scan."""
+
+    on_look: Callable[[Look], object]
+    """Function that is called with each picture."""
+    on_change: Callable[[], object]
+    """Function that is called after each change."""
+    on_error: Callable[[BaseException], object]
+    """Function that is called with each error of hull and display."""
+
+
 class RunningScan:
     """Scan that the console shows.
 
@@ -19,31 +32,23 @@ class RunningScan:
     ----------
     name, scene : str, Scene
         Name of the scan, and scene of the rig with the scanned plant.
-    on_look, on_change, on_error : callable
-        Functions that are called with each picture, after each change, and with each error of hull and display.
+    listeners : Listeners
+        Functions that are called about the scan.
     paused : bool
         Pause the scan before the first picture.
     reconstruct : bool
         Whether the finished scan is reconstructed, for display.
     """
 
-    def __init__(
-        self,
-        name: str,
-        scene: Scene,
-        *,
-        on_look: Callable[[Look], object],
-        on_change: Callable[[], object],
-        on_error: Callable[[BaseException], object],
-        paused: bool = False,
-        reconstruct: bool = False,
-    ) -> None:
-        self.name, self.scene, self._reconstruct = name, scene, reconstruct
+    def __init__(self, name: str, scene: Scene, listeners: Listeners, *, paused: bool = False, reconstruct: bool = False) -> None:
+        self.name = name
+        self.scene = scene
+        self._reconstruct = reconstruct
         self.error = ""
         """Error message if the scan has failed. It is empty if the scan has not failed."""
-        self._on_change, self._on_look = on_change, on_look
+        self._listeners = listeners
         self._shown: Look | None = None
-        self.live = Live(scene, on_change=self._live_changed, on_error=on_error, paused=paused)
+        self.live = Live(scene, on_change=self._live_changed, on_error=listeners.on_error, paused=paused)
 
     def plain(self) -> dict[str, object]:
         """Return the state and progress of the scan as JSON values."""
@@ -67,5 +72,5 @@ class RunningScan:
             self._shown = None
         elif look is not None and look is not self._shown:
             self._shown = look
-            self._on_look(look)
-        self._on_change()
+            self._listeners.on_look(look)
+        self._listeners.on_change()

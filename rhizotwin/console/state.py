@@ -92,7 +92,8 @@ class StateView:
         return self._last[part]
 
     def _rig(self) -> dict[str, Any]:
-        bench, twin = self._console.bench, self._console.twin
+        bench = self._console.bench
+        twin = bench.pictures
         return {
             "name": bench.rig.name,
             "emulated": twin is not None,

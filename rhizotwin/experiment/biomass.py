@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.experiment.masses import KINDS, Weighed
 from rhizotwin.experiment.measured import Measured, exclusion_notes, one_species
-from rhizotwin.experiment.york import Line, fit_line
+from rhizotwin.experiment.york import Line, Points, fit_line
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.traits import density_note
@@ -210,20 +210,22 @@ def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool,
     value = np.array([pair.measured.traits[trait] for pair in chosen])
     value_sigma = np.array([pair.measured.log_sigma(trait) for pair in chosen])
     plants = np.array([pair.measured.subject.plant for pair in chosen])
-    x, y, y_sigma = np.log(value), np.log(mass), balance_g / mass
+    points = Points(np.log(value), np.log(mass), value_sigma, balance_g / mass, plants)
     slope = 1.0 if proportional else None
-    error, held = np.empty(len(x)), np.empty(len(x), bool)
+    error = np.empty(len(plants))
+    held = np.empty(len(plants), bool)
     for plant in np.unique(plants):  # all days of a plant are excluded together
-        out = plants == plant
-        line = fit_line(x[~out], y[~out], value_sigma[~out], y_sigma[~out], groups=plants[~out], slope=slope)
-        middle, spread = line.at(x[out], x_sigma=value_sigma[out], y_sigma=y_sigma[out])
-        error[out] = np.expm1(middle - y[out])
-        held[out] = np.abs(middle - y[out]) <= line.reach(SHARE) * spread
+        excluded = plants == plant
+        out = points[excluded]
+        line = fit_line(points[~excluded], slope=slope)
+        middle, spread = line.at(out.x, x_sigma=out.x_sigma, y_sigma=out.y_sigma)
+        error[excluded] = np.expm1(middle - out.y)
+        held[excluded] = np.abs(middle - out.y) <= line.reach(SHARE) * spread
     return Relation(
         kind=kind,
         trait=trait,
         proportional=proportional,
-        line=fit_line(x, y, value_sigma, y_sigma, groups=plants, slope=slope),
+        line=fit_line(points, slope=slope),
         least=float(value.min()),
         most=float(value.max()),
         plants=len(np.unique(plants)),

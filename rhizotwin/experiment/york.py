@@ -61,16 +61,28 @@ class Line:
         return float(student.ppf(0.5 + share / 2.0, self.dof))
 
 
-def fit_line(
-    x: Array,
-    y: Array,
-    x_sigma: Array,
-    y_sigma: Array,
-    *,
-    groups: NDArray[Any] | None = None,
-    slope: float | None = None,
-    scatter: bool = True,
-) -> Line:
+@dataclass(frozen=True)
+class Points:
+    """Points with errors in both coordinates."""
+
+    x: Array
+    """First coordinates (N,)."""
+    y: Array
+    """Second coordinates (N,)."""
+    x_sigma: Array
+    """Standard deviations (N,) of the errors of ``x``, may be zero."""
+    y_sigma: Array
+    """Standard deviations (N,) of the errors of ``y``, may be zero."""
+    groups: NDArray[Any] | None = None
+    """Group (N,) of each point, for example the plant that was measured on several days. Points of different groups are
+    independent. None: all points are independent."""
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> "Points":
+        """Return the points for which the mask (N,) is true."""
+        return replace(self, **{name: values[chosen] for name, values in vars(self).items() if values is not None})
+
+
+def fit_line(points: Points, *, slope: float | None = None, scatter: bool = True) -> Line:
     """Fit a line to points with errors in both coordinates.
 
     The variances of the ``n`` points of a group are multiplied by ``n``, so that the group has the weight of one point,
@@ -78,13 +90,8 @@ def fit_line(
 
     Parameters
     ----------
-    x, y : (N,) float64 array
-        Coordinates of the points.
-    x_sigma, y_sigma : (N,) float64 array
-        Standard deviations of the errors, may be zero.
-    groups : (N,) array or None
-        Group of each point, for example the plant that was measured on several days. Points of different groups are
-        independent. None: all points are independent.
+    points : Points
+        Points, with their errors and groups.
     slope : float or None
         Fixed slope. None: the slope is fitted.
     scatter : bool
@@ -96,7 +103,9 @@ def fit_line(
         If there are too few groups to estimate an uncertainty.
     """
     parameters = 1 if slope is not None else 2
-    _, group, sizes = np.unique(np.arange(len(x)) if groups is None else groups, return_inverse=True, return_counts=True)
+    x, y = points.x, points.y
+    groups = np.arange(len(x)) if points.groups is None else points.groups
+    _, group, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if len(sizes) <= parameters:
         raise ValueError(f"{len(sizes)} independent points are too few to fit {parameters} parameters with an uncertainty")
     size, dof = sizes[group], len(sizes) - parameters
@@ -104,8 +113,8 @@ def fit_line(
     least = 1e-12 * max(spread, 1e-12)  # keeps the weights finite for points without errors and scatter
 
     def line(extra: float) -> Line:
-        y_var = y_sigma**2 + extra + (least if scatter else 0.0)
-        return _fit_york(x, y, size * x_sigma**2, size * y_var, slope=slope, dof=dof)
+        y_var = points.y_sigma**2 + extra + (least if scatter else 0.0)
+        return _fit_york(x, y, size * points.x_sigma**2, size * y_var, slope=slope, dof=dof)
 
     bare = line(0.0)
     if not scatter or bare.chi2 <= dof:

@@ -39,15 +39,23 @@ class Imported:
     """Sentences for the user about automatic decisions, conversions and excluded pictures."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PictureKind:
+    """Kind of pictures, and source of their cameras."""
+
+    cameras: Path | None = None
+    """File in nerfstudio's format transforms.json, or folder of a COLMAP model, in the canister frame, mm. Pictures
+    without a camera are excluded and listed in a note, and those with another lens are resampled. None: poses are
+    estimated from the marker strip."""
+    masks: bool = False
+    """The pictures are silhouettes with white roots on black; requires ``cameras``."""
+    no_strip: bool = False
+    """The pictures show no marker strip; the cameras are estimated from the edges of the canister and from the roots
+    (telecentric camera, one ring)."""
+
+
 def import_pictures(
-    folder: Path,
-    scene: Scene,
-    out: Path,
-    *,
-    cameras: Path | None = None,
-    masks: bool = False,
-    no_strip: bool = False,
-    monitor: Monitor | None = None,
+    folder: Path, scene: Scene, out: Path, *, kind: PictureKind = PictureKind(), monitor: Monitor | None = None
 ) -> Imported:
     """Copy a folder of pictures to a new dataset.
 
@@ -56,18 +64,11 @@ def import_pictures(
     folder : Path
         Folder of PNG, JPG or TIFF pictures (8 or 16 bits) or raw pictures (DNG), read in the natural order of names.
     scene : Scene
-        Scene of the rig. The picture size of its camera must match, unless ``cameras`` contains a lens.
+        Scene of the rig. The picture size of its camera must match, unless the camera file contains a lens.
     out : Path
         New or empty dataset folder, which is written atomically.
-    cameras : Path or None
-        File in nerfstudio's format transforms.json, or folder of a COLMAP model, in the canister frame, mm. Pictures
-        without a camera are excluded and listed in a note, and those with another lens are resampled. None: poses are
-        estimated from the marker strip.
-    masks : bool
-        The pictures are silhouettes with white roots on black; requires ``cameras``.
-    no_strip : bool
-        The pictures show no marker strip; the cameras are estimated from the edges of the canister and from the roots
-        (telecentric camera, one ring).
+    kind : PictureKind
+        Kind of the pictures, and source of their cameras.
     monitor : Monitor, optional
         Receiver of the progress.
 
@@ -76,10 +77,11 @@ def import_pictures(
     UserError
         If a picture is unreadable, damaged, of another size or an impossible silhouette, or has no camera.
     """
-    _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
-    scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
+    _refuse_options(scene, kind)
+    masks = kind.masks
+    scene = replace(scene, strip=replace(scene.strip, rows=0)) if kind.no_strip else scene
     paths, raw = _pictures_in(folder, masks=masks)
-    scene, given, paths, notes = _given_cameras(scene, cameras, paths)
+    scene, given, paths, notes = _given_cameras(scene, kind.cameras, paths)
     bands = _bands_of(paths, scene)
     angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
     table = [(view, band, *angles[view]) for view, band in bands]
@@ -89,10 +91,10 @@ def import_pictures(
     else:
         notes += _orientation_notes(check_pictures(paths, image_wh=picture_wh))
     if not raw and not masks:
-        scene, note = with_response(scene, paths, verified=given is None and not no_strip)
+        scene, note = with_response(scene, paths, verified=given is None and not kind.no_strip)
         notes.append(note)
     levels = read_levels(paths, image_wh=picture_wh) if masks else None
-    origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
+    origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": kind.cameras and str(kind.cameras)}
     with new_folder(out) as building:
         copier = PictureCopier(scene, building, raw=raw, levels=levels, given=given)
         frames = copier.copy(paths, table, monitor or Monitor())
@@ -131,16 +133,16 @@ def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
     return found
 
 
-def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
+def _refuse_options(scene: Scene, kind: PictureKind) -> None:
     """Raise UserError if options were given that cannot be combined."""
-    if scene.tank is not None and (cameras is not None or no_strip):
+    if scene.tank is not None and (kind.cameras is not None or kind.no_strip):
         raise UserError(
             f"scene {scene.name} has a tank, whose pose is estimated from the marker strip; "
             "remove --cameras or --no-strip, or the [tank] section of the scene"
         )
-    if masks and cameras is None:
+    if kind.masks and kind.cameras is None:
         raise UserError("silhouettes (--masks) show no markers from which the cameras could be estimated; give --cameras JSON")
-    if no_strip and cameras is not None:
+    if kind.no_strip and kind.cameras is not None:
         raise UserError("--no-strip and --cameras cannot be used together; remove one of them")
 
 

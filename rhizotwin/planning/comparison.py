@@ -9,7 +9,7 @@ import itertools
 import json
 import shutil
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,9 @@ from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plan import count_pictures
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.terminal import OneBar
 from rhizotwin.stored import sources
 
 VIEW_TIME_S = 2.0
@@ -51,8 +51,7 @@ def run_plans(
     *,
     profile_name: str,
     seeds: int,
-    say: Callable[[str], None],
-    monitor: Monitor | None = None,
+    bar: OneBar,
 ) -> list[Row]:
     """Simulate, reconstruct and score each capture plan, and reuse scores of an earlier run with the same settings.
 
@@ -68,10 +67,8 @@ def run_plans(
         Name of the profile, for the output.
     seeds : int
         Number of runs per capture plan, with the random seeds 0, 1, ...
-    say : callable
-        Function that is called with each line of output.
-    monitor : Monitor or None
-        Receiver of the progress; each run is a stage (`stage_of`).
+    bar : OneBar
+        Progress bar, above which lines are printed; each run is a stage (`stage_of`).
 
     Returns
     -------
@@ -94,7 +91,7 @@ def run_plans(
         "code": sources.digest_of_results(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),
     }
     with lock_folder(folder):
-        return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, monitor or Monitor())
+        return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, seeds, bar)
 
 
 def _run(
@@ -102,10 +99,8 @@ def _run(
     variants: Sequence[tuple[Variant, Scene]],
     folder: Path,
     settings: dict[str, Any],
-    profile_name: str,
     seeds: int,
-    say: Callable[[str], None],
-    monitor: Monitor,
+    bar: OneBar,
 ) -> list[Row]:
     """Implement `run_plans` in a locked folder."""
     _refuse_strangers(folder)
@@ -113,21 +108,21 @@ def _run(
     runs = list(itertools.product(range(seeds), variants))
     pictures = {variant: count_pictures(changed) for variant, changed in variants}
     total = seeds * sum(pictures.values())
-    say(f"rendering and reconstructing {total} pictures in {len(runs)} runs; after an interruption, repeat the command to continue")
+    bar.say(f"rendering and reconstructing {total} pictures in {len(runs)} runs; after an interruption, repeat the command to continue")
     for seed, (variant, changed) in runs:
         path = folder / "scores" / f"{variant.name}_seed{seed}.json"
-        with monitor.stage(stage_of(variant, seed)):
-            scores_of[variant].append(_scored(changed, path, settings, profile_name, seed))
+        with bar.stage(stage_of(variant, seed)):
+            scores_of[variant].append(_scored(changed, path, settings, seed))
     failed = {v.name: score["failed"] for v, scores in scores_of.items() for score in scores if "failed" in score}
     rows = [_row(variant, pictures[variant], scores_of[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
-        say(f"the plan {name} could not be reconstructed: {reason}")
+        bar.say(f"the plan {name} could not be reconstructed: {reason}")
     if not rows:
         raise UserError("no plan could be reconstructed, for the reasons printed above; try other plans")
     write_bytes(folder / "plan.csv", plan_report.csv_text(rows).encode())
     write_json(folder / "plan.json", {**settings, "seeds": seeds, "failed": failed, "rows": [asdict(row) for row in rows]})
-    plan_report.draw(rows, folder / "plan.png", title=f"{scene.name}, {profile_name}, {seeds} seed{'s' if seeds > 1 else ''}")
-    say(plan_report.table(rows))
+    plan_report.draw(rows, folder / "plan.png", title=f"{scene.name}, {settings['profile']}, {seeds} seed{'s' if seeds > 1 else ''}")
+    bar.say(plan_report.table(rows))
     return rows
 
 
@@ -163,7 +158,7 @@ def _refuse_strangers(folder: Path) -> None:
         raise UserError(f"{folder} contains files that were not written by an earlier plan; choose another folder with -o")
 
 
-def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
+def _scored(scene: Scene, path: Path, settings: dict[str, Any], seed: int) -> dict[str, Any]:
     """Simulate, reconstruct and score one run, or read its score from the file of an earlier run."""
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.scoring.score import score
@@ -180,10 +175,10 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     working = path.parents[1] / RUN
     dataset, result = working / "dataset", working / "result"
     try:
-        simulate(scene, dataset, profile_name=profile_name, seed=seed)
+        simulate(scene, dataset, profile_name=settings["profile"], seed=seed)
     except CannotContinueError:  # pictures of another plan, whose run was interrupted
         shutil.rmtree(working)
-        simulate(scene, dataset, profile_name=profile_name, seed=seed)
+        simulate(scene, dataset, profile_name=settings["profile"], seed=seed)
     shutil.rmtree(result, ignore_errors=True)
     result.mkdir()
     try:

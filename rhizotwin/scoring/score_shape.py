@@ -114,8 +114,8 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
     inside = voxelise.count_in_boxes(*solid, leaves.low, leaves.size, origin_mm=origin, voxel_mm=voxel)
     both, found = float(inside[occupied].sum()), float(voxels_in_leaf[occupied].sum())
 
-    share = voxelise.fraction(*solid, leaves.low, leaves.size, origin_mm=origin, voxel_mm=voxel, samples=2)
-    true_share = voxelise.count_inside(*solid, origin_mm=origin, voxel_mm=voxel / 2.0) / 8.0
+    share = voxelise.fraction(*solid, leaves.low, leaves.size, origin_mm=origin, voxel_mm=voxel)
+    true_share = voxelise.count_inside(*solid, origin_mm=origin, voxel_mm=voxel / voxelise.SAMPLES) / voxelise.SAMPLES**3
     common = float((np.minimum(share, leaves.occupancy) * voxels_in_leaf).sum())
     found_share = float((leaves.occupancy * voxels_in_leaf).sum())
     voxels = VoxelScore(

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+SAMPLES = 2
+"""Number of points along the edge of a voxel at which a fraction is sampled."""
 PAIRS_AT_ONCE = 3_000_000
 """Maximum number of triangle-column pairs in memory at once. A pair needs about 100 bytes."""
 
@@ -299,11 +301,10 @@ def fraction(
     *,
     origin_mm: Floats,
     voxel_mm: float,
-    samples: int = 2,
 ) -> NDArray[np.float32]:
     """Compute the fraction of each cubic box of voxels that lies inside a closed mesh.
 
-    The fraction is sampled at ``samples``^3 points per voxel.
+    The fraction is sampled at `SAMPLES`^3 points per voxel.
 
     Parameters
     ----------
@@ -315,17 +316,13 @@ def fraction(
         Lowest corner of voxel (0, 0, 0), mm.
     voxel_mm : float
         Edge of a voxel, mm.
-    samples : int
-        Number of points along the edge of a voxel.
 
     Returns
     -------
     numpy.ndarray
         Fraction of each box (N,), 0 to 1.
     """
-    if samples < 1:
-        raise ValueError(f"{samples=} but must be at least 1")
-    fine = np.asarray(size).astype(np.int64) * samples
-    corner = np.asarray(low).astype(np.int64) * samples
-    count = count_in_boxes(vertices_mm, faces, corner, fine, origin_mm=origin_mm, voxel_mm=voxel_mm / samples)
+    fine = np.asarray(size).astype(np.int64) * SAMPLES
+    corner = np.asarray(low).astype(np.int64) * SAMPLES
+    count = count_in_boxes(vertices_mm, faces, corner, fine, origin_mm=origin_mm, voxel_mm=voxel_mm / SAMPLES)
     return (count / fine.astype(np.float64) ** 3).astype(np.float32)

@@ -315,6 +315,15 @@ class Progress:
         return OneBar(shares, quiet=self.quiet, verbose=self.verbose)
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Computing(Progress):
+    """Options for the device of the computation, and for its progress output."""
+
+    device: Device = "auto"
+    """Device for the computation: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
+
+
 @Parameter(name="*", group="Web page")
 @dataclass(frozen=True, kw_only=True)
 class Page:

@@ -1,8 +1,8 @@
 """Steps shared by several commands, such as starting the compute engine and reconstructing a dataset."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rhizotwin import engine
 from rhizotwin.scenes.figures import FigureFormat
@@ -55,16 +55,22 @@ def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "
     return chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """Options of a reconstruction, see `front_door.reconstruct`."""
+
+    settings: "Settings | None" = None
+    """Settings of the reconstruction, see `settings_of`."""
+    mass_g: float | None = None
+    """Weighed mass of the specimen, g."""
+    keep_stages: bool = False
+    """Save the intermediate results in the subfolder ``stages`` of the result."""
+    method: Method = "ours"
+    """Reconstruction method."""
+
+
 def reconstruct_whole(
-    dataset: Path,
-    output: Path,
-    *,
-    settings: "Settings | None" = None,
-    mass_g: float | None = None,
-    keep_stages: bool = False,
-    method: Method = "ours",
-    figures: FigureFormat | None = None,
-    progress: Progress = Progress(),
+    dataset: Path, output: Path, wanted: Wanted, *, figures: FigureFormat | None = None, progress: Progress = Progress()
 ) -> list[Path]:
     """Reconstruct a dataset, and write the result folder with the picture of its shape and its report.
 
@@ -72,14 +78,8 @@ def reconstruct_whole(
 
     Parameters
     ----------
-    settings : Settings, optional
-        Settings of the reconstruction, see `settings_of`.
-    mass_g : float, optional
-        Weighed mass of the specimen, g.
-    keep_stages : bool
-        Save the intermediate results in the subfolder ``stages`` of the result.
-    method : str
-        Reconstruction method, see `front_door.reconstruct`.
+    wanted : Wanted
+        Options of the reconstruction.
     figures : {"png", "svg", "pdf"}, optional
         Also write figures for documents in this format, see `write_pictures`.
     progress : Progress
@@ -106,8 +106,8 @@ def reconstruct_whole(
     loaded = load_dataset(dataset)
     with save.new_result(output, source=dataset) as building:
         with progress.bar(**SHARES) as monitor:
-            stages_folder = building / "stages" if keep_stages else None
-            result = reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=stages_folder, method=method, monitor=monitor)
+            options: dict[str, Any] = vars(wanted) | {"keep_stages": building / "stages" if wanted.keep_stages else None}
+            result = reconstruct(loaded, **options, monitor=monitor)
             result.write(building)
             with monitor.stage("pictures"):
                 report = ReportData.of(result, building, loaded)

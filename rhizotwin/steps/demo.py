@@ -10,8 +10,8 @@ from rhizotwin.scenes.atomic import temporary_path, write_json
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import FigureFormat
 from rhizotwin.scenes.folders import contents, lock_folder
-from rhizotwin.steps.arguments import Progress
-from rhizotwin.steps.command_steps import reconstruct_whole, settings_of
+from rhizotwin.steps.arguments import Progress, SceneChanges
+from rhizotwin.steps.command_steps import Wanted, reconstruct_whole, settings_of
 from rhizotwin.steps.scene_changes import change_scene
 
 SCENE = "printed_8ml"
@@ -67,7 +67,7 @@ def _demo(folder: Path, *, profile: str, size: Size, say: Callable[[str], None],
 
     _clear(folder)
     dataset, result = folder / "dataset", folder / "result"
-    scene = change_scene(files.load_scene(SCENE), views=size.views, image_wh=size.image_wh, profile=profile)
+    scene = change_scene(files.load_scene(SCENE), SceneChanges(views=size.views, image_wh=size.image_wh, profile=profile))
     say(f"1. rendering {size.views} views of {SCENE} ({size.image_wh[0]}x{size.image_wh[1]} pixels) through air, acrylic and water")
     with progress.bar(render=1.0) as bar:
         try:
@@ -76,8 +76,8 @@ def _demo(folder: Path, *, profile: str, size: Size, say: Callable[[str], None],
             _remove(dataset)
             simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
     say("2. reconstructing the root from the pictures")
-    settings = settings_of(None, voxel_mm=size.voxel_mm)
-    pictures = reconstruct_whole(dataset, result, settings=settings, figures=size.figures, progress=progress)
+    wanted = Wanted(settings=settings_of(None, voxel_mm=size.voxel_mm))
+    pictures = reconstruct_whole(dataset, result, wanted, figures=size.figures, progress=progress)
     say("3. comparing the result with the ground truth")
     with progress.bar(score=1.0) as bar, bar.stage("score"):
         scores = score(result, dataset)

@@ -9,14 +9,14 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from rhizotwin import engine
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import HEADS
 from rhizotwin.scenes.model import Scene
-from rhizotwin.steps import scene_changes
+from rhizotwin.steps import arguments, scene_changes
 from rhizotwin.steps.calls import SHARES, Progress, watch
 
 if TYPE_CHECKING:
@@ -34,12 +34,16 @@ log = logging.getLogger("rhizotwin")
 
 
 class SceneChanges(TypedDict, total=False):
-    """Options of `simulate` that change properties of the scene.
+    """Options of `load_scene` and `simulate` that change properties of the scene.
 
     If an option is None, the property is not changed.
     """
 
     profile: str | None
+    specimen: str | Path | None
+    specimen_unit: str | None
+    specimen_diameter_mm: float | None
+    placing: Placing | None
     views: int | None
     image_wh: tuple[int, int] | None
 
@@ -49,56 +53,39 @@ Method = Literal["ours", "thesis", "regularised", "hull"]
 FileKind = Literal["mesh", "voxels", "points", "rsml", "traits"]
 
 
-def load_scene(
-    scene: str | Path,
-    *,
-    profile: str | None = None,
-    specimen: str | Path | None = None,
-    specimen_unit: str | None = None,
-    specimen_diameter_mm: float | None = None,
-    placing: Placing | None = None,
-    views: int | None = None,
-    image_wh: tuple[int, int] | None = None,
-) -> Scene:
+def load_scene(scene: str | Path, **changes: Unpack[SceneChanges]) -> Scene:
     """Load a scene, and optionally change some of its properties.
 
     Parameters
     ----------
     scene : str or path
         Name of a scene from the list of ``rhizotwin scenes``, or a scene file (TOML).
-    profile : str, optional
-        Simulated imperfections of the rig: ``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file; default: as
-        in the scene.
-    specimen : path, optional
-        File with a closed mesh (PLY, STL, OBJ) or traced roots (RSML) that replaces the scene's roots, canister frame,
-        mm.
-    specimen_unit : str, optional
-        Unit of the coordinates in an RSML file that does not specify a unit.
-    specimen_diameter_mm : float, optional
-        Diameter of roots for which the RSML file has no diameter, mm.
-    placing : Placing, optional
-        Position of a specimen from a file, with the fields ``place``, ``vertical_axis``, ``flip``, ``scale`` and
-        ``shift_mm``; ``Placing(place="auto")`` moves the specimen below the grid of the net pot.
-    views : int, optional
-        Number of pictures in each ring; default: as in the scene.
-    image_wh : tuple of int, optional
-        Width and height of the pictures, px; default: as in the scene.
+    **changes : SceneChanges
+        Changes; the default of each is the value in the scene.
+
+        ``profile``: simulated imperfections of the rig: ``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a
+        file.
+
+        ``specimen``: file with a closed mesh (PLY, STL, OBJ) or traced roots (RSML) that replaces the scene's roots,
+        canister frame, mm.
+
+        ``specimen_unit``: unit of the coordinates in an RSML file that does not specify a unit.
+
+        ``specimen_diameter_mm``: diameter of roots for which the RSML file has no diameter, mm.
+
+        ``placing``: `Placing` of a specimen from a file, with the fields ``place``, ``vertical_axis``, ``flip``,
+        ``scale`` and ``shift_mm``; ``Placing(place="auto")`` moves the specimen below the grid of the net pot.
+
+        ``views``: number of pictures in each ring.
+
+        ``image_wh``: width and height of the pictures, px.
 
     Raises
     ------
     UserError
         If the scene does not exist or is invalid.
     """
-    return scene_changes.change_scene(
-        files.load_scene(scene),
-        profile=profile,
-        specimen=None if specimen is None else Path(specimen),
-        specimen_unit=specimen_unit,
-        specimen_diameter_mm=specimen_diameter_mm,
-        placing=placing,
-        views=views,
-        image_wh=image_wh,
-    )
+    return _changed(files.load_scene(scene), changes)
 
 
 def simulate(
@@ -131,8 +118,8 @@ def simulate(
     monitor : Monitor, tqdm class, callable or None
         Receiver of the progress; a monitor can also cancel the rendering.
     **changes : SceneChanges
-        Changes of the scene: ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file), ``views``
-        and ``image_wh``, see `load_scene`.
+        Changes of the scene, see `load_scene`, such as ``views``, ``image_wh`` and ``profile`` (``clean``, ``bench``,
+        ``camera``, ``harsh``, ``real`` or a file).
 
     Returns
     -------
@@ -148,7 +135,7 @@ def simulate(
     """
     rendered = scene if isinstance(scene, Scene) else files.load_scene(scene)
     if changes:
-        rendered = scene_changes.change_scene(rendered, **changes)
+        rendered = _changed(rendered, changes)
     _choose(device)
     from rhizotwin.sim.simulate import simulate as render
 
@@ -342,6 +329,14 @@ def score_file(
         if kind == "mesh":
             return of.score_mesh(file, dataset, registered=registered)
         return {"voxels": of.score_voxels, "points": of.score_points, "rsml": of.score_rsml, "traits": of.score_traits}[kind](file, dataset)
+
+
+def _changed(scene: Scene, changes: SceneChanges) -> Scene:
+    """Return a copy of a scene with the given changes."""
+    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+    if "specimen" in given:
+        given["specimen"] = Path(given["specimen"])
+    return scene_changes.change_scene(scene, arguments.SceneChanges(**given))
 
 
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:

@@ -76,6 +76,8 @@ class Bench:
     clock: Any
     twin: Any = None
     """Emulated rig. It is None if the rig is real."""
+    pictures: TwinPictures | None = None
+    """Options of the emulated rig. It is None if the rig is real."""
 
     def open_camera(self) -> "Camera":
         """Open the camera of the rig, and return it."""
@@ -85,7 +87,8 @@ class Bench:
             camera: Camera = self.twin.open_camera()
             return camera
         lens = self.scene.camera
-        return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
+        linear = lens.transfer == "linear"
+        return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock, linear=linear)
 
     def open_devices(self, recorder: "Recorder | None", stack: ExitStack) -> "Devices":
         """Open all devices, and close them when ``stack`` is left.
@@ -164,14 +167,14 @@ def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
     Bench
         Emulated rig with its scene and clock.
     """
-    pictures: Fidelity = errors.fidelity if isinstance(errors, TwinPictures) else "sketch"
+    pictures = errors if isinstance(errors, TwinPictures) else TwinPictures(profile=errors.profile, seed=errors.seed, fidelity="sketch")
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     rig_file = default_rig(scene=known)
     if errors.profile == "real":  # the roots in this profile swing after each move
         rig_file = replace(rig_file, turntable=replace(rig_file.turntable, rest="measured"))
-    emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures, rig=rig_file)
-    return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
+    emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures.fidelity, rig=rig_file)
+    return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated, pictures=pictures)
 
 
 def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
@@ -203,17 +206,7 @@ def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
     return replace(scene, strip=strip, subject=subject, solution=plant.solution if plant.solution.known else scene.solution)
 
 
-def take_scan(
-    bench: Bench,
-    devices: "Devices",
-    scene: Scene,
-    folder: Path,
-    *,
-    observers: "Observers",
-    twin: TwinPictures | None = None,
-    resume: bool = False,
-    table_angle_deg: float | None = None,
-) -> "Dataset":
+def take_scan(bench: Bench, devices: "Devices", scene: Scene, folder: Path, *, observers: "Observers", resume: bool = False) -> "Dataset":
     """Scan with devices that are already open, and write the ground truth if the pictures are rendered.
 
     Parameters
@@ -226,12 +219,8 @@ def take_scan(
         New or empty folder for the dataset; with ``resume`` the folder of the interrupted scan.
     observers : Observers
         Callbacks of the scan; the callback ``begun`` is replaced.
-    twin : TwinPictures or None
-        Options of the emulated rig; None for a real rig.
     resume : bool
         Continue an interrupted scan.
-    table_angle_deg : float or None
-        Initial angle of the turntable, deg; required only if the markers cannot be detected.
 
     Returns
     -------
@@ -246,17 +235,18 @@ def take_scan(
         If the folder or the plan cannot be used.
     """
     from rhizotwin.rig.scanning.scan import scan
+    from rhizotwin.rig.scanning.session import Origin
 
     # a resumed scan also needs the true state of the pictures before the interruption
+    twin = bench.pictures
     rendered = twin is not None and twin.fidelity == "render"
+    settings = {"twin": None if twin is None else _origin_of(twin, bench.twin.scene)}
     dataset = scan(
         devices,
         scene,
         folder,
         resume=resume,
-        settings={"twin": None if twin is None else _origin_of(twin, bench.twin.scene)},
-        seed=None if twin is None else twin.seed,
-        table_angle_deg=table_angle_deg,
+        origin=Origin(settings=settings, seed=None if twin is None else twin.seed),
         observers=replace(observers, begun=(lambda: bench.twin.record.keep_in(folder / SHOTS_FILE)) if rendered else (lambda: None)),
     )
     if rendered:

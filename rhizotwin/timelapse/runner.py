@@ -247,7 +247,7 @@ class Runner:
         else:
             scene = self.experiment.known_scene(member, visit.due_utc, self._now())
         number = self._numbers.get((visit.plant, visit.due_utc), 0)
-        bench, twin = self.table.bench(scene, number)
+        bench = self.table.bench(scene, number)
         plants = catalogue.plants()
         observers = Observers(
             ask=self.listener.ask,
@@ -260,7 +260,7 @@ class Runner:
         try:
             with ExitStack() as stack:
                 devices = bench.open_devices(None, stack)
-                rigs.take_scan(bench, devices, bench.scene, folder, observers=observers, twin=twin, resume=True)
+                rigs.take_scan(bench, devices, bench.scene, folder, observers=observers, resume=True)
         finally:
             self._calendar.advance(bench.clock.now_s() - begin_s)
 

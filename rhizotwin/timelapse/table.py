@@ -28,10 +28,8 @@ class RealTable:
         path = experiment.folder / experiment.rig
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
-    def bench(self, scene: Scene, _number: int, /) -> tuple[rigs.Bench, None]:
+    def bench(self, scene: Scene, _number: int, /) -> rigs.Bench:
         """Return the rig with the scene of a scan.
-
-        The second value is None, because options for simulated pictures do not apply to a real rig.
 
         Parameters
         ----------
@@ -40,7 +38,7 @@ class RealTable:
         _number : int
             Number of the scan, which a real rig ignores.
         """
-        return replace(self._bench, scene=scene), None
+        return replace(self._bench, scene=scene)
 
 
 class EmulatedTable:
@@ -60,8 +58,8 @@ class EmulatedTable:
         """Place a canister on the turntable."""
         self.canister = canister
 
-    def bench(self, scene: Scene, number: int, /) -> tuple[rigs.Bench, rigs.TwinPictures]:
-        """Return the emulated rig for a scan, with its calibrated lens, and the options for its pictures.
+    def bench(self, scene: Scene, number: int, /) -> rigs.Bench:
+        """Return the emulated rig for a scan, with its calibrated lens.
 
         Parameters
         ----------
@@ -80,7 +78,7 @@ class EmulatedTable:
             strip = strip_for_canister(base.strip, self.canister) if self.canister else replace(base.strip, rows=0)
             true = replace(scene, strip=strip, specimen=base.specimen)
         bench = rigs.twin_bench(replace(true, plan=scene.plan, disturbances=self._experiment.disturbances()), pictures)
-        return replace(bench, scene=replace(scene, camera=bench.scene.camera)), pictures
+        return replace(bench, scene=replace(scene, camera=bench.scene.camera))
 
 
 def true_scene(experiment: Experiment, member: Member, expected: Subject) -> Scene:

@@ -198,10 +198,11 @@ class Equations:
         nuisance, precision = self._nuisance(points_mm)
         difference = np.concatenate([rows.difference for rows in self.rows])
         weight, sigma = _fit_weights(nuisance, precision, difference)
+        data = _Data(difference=difference, weight=weight, sigma=sigma, cell=cell)
         found = []
         for k, name in enumerate(_STEPS):
             column = np.concatenate([rows.by_parameter[:, k] for rows in self.rows])
-            found.append(_fit_one(name, column, nuisance, precision, difference, weight, sigma, cell))
+            found.append(_fit_one(name, column, nuisance, precision, data))
         return RefractionError(estimates=tuple(sorted(found, key=lambda one: one.misfit)), clusters=clusters)
 
     def _nuisance(self, points_mm: Array) -> tuple[Array, Array]:
@@ -236,6 +237,20 @@ def _precision(camera: Camera) -> Array:
     return np.repeat([turn_rad**-2.0, shift_mm**-2.0], 3)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Data:
+    """Differences of opacity at the outlines, and their weights."""
+
+    difference: Array
+    """Observed minus rendered opacity (N,)."""
+    weight: Array
+    """Huber's weights (N,)."""
+    sigma: float
+    """Standard deviation of the differences."""
+    cell: NDArray[np.int64]
+    """Number (N,) of the cell of correlated pixels."""
+
+
 def _fit_weights(columns: Array, precision: Array, difference: Array) -> tuple[Array, float]:
     """Return Huber's weights (N,) of the residuals without any parameter, and their standard deviation."""
     weight, residual, sigma = np.ones(len(difference)), difference, 1.0
@@ -247,17 +262,16 @@ def _fit_weights(columns: Array, precision: Array, difference: Array) -> tuple[A
     return weight, sigma
 
 
-def _fit_one(
-    name: str, column: Array, nuisance: Array, precision: Array, difference: Array, weight: Array, sigma: float, cell: NDArray[np.int64]
-) -> Estimate:
+def _fit_one(name: str, column: Array, nuisance: Array, precision: Array, data: _Data) -> Estimate:
     """Estimate one parameter together with the nuisance parameters."""
+    difference, weight, sigma = data.difference, data.weight, data.sigma
     columns = np.column_stack([column, nuisance])
     normal = columns.T @ (weight[:, None] * columns) / sigma**2 + np.diag(np.append(0.0, precision))
     covariance = inverse(normal)
     found = covariance @ (columns.T @ (weight * difference)) / sigma**2
     residual = difference - columns @ found
     scores = columns * (weight * residual / sigma**2)[:, None]
-    spread = covariance[0] @ scatter(scores, cell) @ covariance[0]
+    spread = covariance[0] @ scatter(scores, data.cell) @ covariance[0]
     return Estimate(
         parameter=name,
         value=float(found[0]),

@@ -1,4 +1,4 @@
-"""Log of a scan, which tells the user what happens, and stores events in the dataset."""
+"""Log of a scan: lines for the user, and events that are stored in the dataset."""
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.scanning.observers import Observers

@@ -30,7 +30,7 @@ def hourly_mib(folder: Path, hours: int) -> list[float]:
     experiment = load_experiment(write_experiment(folder, plants=PLANTS, rounds=hours, schedule="every_h = 1.0\nlate_h = 0.9"))
     twin = rigs.TwinPictures(fidelity="sketch", profile="clean")
     bench = rigs.twin_bench(experiment.base_scene(), twin)
-    console = Console(bench, experiment.folder, twin=twin, experiment=experiment)
+    console = Console(bench, experiment.folder, experiment=experiment)
     served = serve(console, Access(), host="127.0.0.1", port=8780)
     client, found = Client(served.address), list[float]()
     try:

@@ -101,7 +101,7 @@ def serve_console(folder: Path) -> None:
     """Serve a console with a password and the usual limit of open files, until the process is killed."""
     resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
     twin = rigs.TwinPictures(fidelity="sketch", profile="clean")
-    console = server.Console(rigs.open_bench(rigs.TWIN, str(folder / "scene.toml"), errors=twin), folder / "lab", twin=twin)
+    console = server.Console(rigs.open_bench(rigs.TWIN, str(folder / "scene.toml"), errors=twin), folder / "lab")
     _say(serve(console, Access(password=PASSWORD), host="127.0.0.1", port=8770).address)
     threading.Event().wait()
 

@@ -16,6 +16,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.steps.arguments import SceneChanges
 from rhizotwin.steps.scene_changes import change_scene
 from tests.command import Command
 
@@ -57,7 +58,7 @@ def given(words: str) -> dict[str, Any]:
 
 
 def test_defaults_and_forms_of_the_options() -> None:
-    assert given("reconstruct d -o r --voxel-mm 0.1")["voxel_mm"] == 0.1
+    assert given("reconstruct d -o r --voxel-mm 0.1")["settings"].voxel_mm == 0.1
     assert given("simulate s -o d --image-wh 800X600")["changes"].image_wh == (800, 600)
     page = given("markers s -o f.svg --page 520X210 --portrait --printed-ruler-mm 99.6")["page"]
     assert (page.page, page.portrait, page.printed_ruler_mm) == ((520.0, 210.0), True, (99.6, 99.6))
@@ -143,17 +144,17 @@ def test_scenes_are_listed_and_copied(tmp_path: Path, command: Command) -> None:
 
 def test_options_change_the_scene(tmp_path: Path) -> None:
     scene = files.load_scene("sphere_20mm")
-    changed = change_scene(scene, views=7, image_wh=(400, 300), profile="bench")
+    changed = change_scene(scene, SceneChanges(views=7, image_wh=(400, 300), profile="bench"))
     assert [ring.views for ring in changed.plan.rings] == [7] * len(scene.plan.rings)
     assert changed.camera.image_wh == (400, 300)
     assert changed.camera.focal_px[0] == pytest.approx(scene.camera.focal_px[0] * 400 / scene.camera.image_wh[0])
     assert changed.disturbances == files.load_profile("bench")
-    assert change_scene(scene) == scene
+    assert change_scene(scene, SceneChanges()) == scene
     mesh, file = tmp_path / "a.STL", tmp_path / "a.rsml"
     mesh.touch()
     file.touch()
-    assert isinstance(change_scene(scene, specimen=mesh).specimen, MeshSpecimen)
-    assert change_scene(scene, specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5).specimen == RsmlSpecimen(
+    assert isinstance(change_scene(scene, SceneChanges(specimen=mesh)).specimen, MeshSpecimen)
+    assert change_scene(scene, SceneChanges(specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5)).specimen == RsmlSpecimen(
         file=str(file), unit="cm", diameter_mm=0.5
     )
 

@@ -44,7 +44,7 @@ def test_addresses_are_found_fetched_and_put(elsewhere: str, tmp_path: Path) -> 
 def test_an_earlier_result_at_an_address_leaves_no_file_behind(elsewhere: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = ["result.json", "roots.rsml", "silhouettes/a.png"]
 
-    def reconstruct(_: Path, output: Path, **__: object) -> None:
+    def reconstruct(_: Path, output: Path, *_options: object, **__: object) -> None:
         for name in made:
             atomic.write_bytes(output / name, b"new")
 

@@ -16,7 +16,6 @@ from rhizotwin.building.rig_parts import thesis_rig
 from rhizotwin.building.write import stl_bytes, write_parts
 from rhizotwin.rig.printing.print_page import Text
 from rhizotwin.rig.rig_file import HatPart
-from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
@@ -65,7 +64,7 @@ def test_measures_of_ones_own(tmp_path) -> None:
 
 
 def test_one_part_alone_is_the_one_of_the_whole(tmp_path) -> None:
-    known = {"rig": thesis_rig(), "measures": Measures(), "board": CharucoBoard(), "bed_mm": (220.0, 220.0, 250.0)}
+    known = {"rig": thesis_rig(), "measures": Measures(), "bed_mm": (220.0, 220.0, 250.0)}
     (ring,) = write_parts(Scene(), tmp_path / "ring", names=("canister_ring",), **known)
     assert ring.name == "canister_ring"
     names = {"canister_ring.stl", "canister_ring.svg", "parameters.csv", "parameters.json"}

@@ -217,7 +217,7 @@ def test_balls_and_magnets_too_large_for_the_parts_are_refused(key: str, most: o
 def test_parts_that_would_fall_apart_are_refused(tmp_path: Path, key: str, value: object) -> None:
     measures = replace(MEASURES, **{key: value})
     with pytest.raises(UserError, match=r"would consist of [0-9]+ pieces"):
-        write_parts(Scene(), tmp_path / "out", rig=RIG, measures=measures, board=CharucoBoard(), bed_mm=(220.0, 220.0, 250.0))
+        write_parts(Scene(), tmp_path / "out", rig=RIG, measures=measures, bed_mm=(220.0, 220.0, 250.0))
     assert not (tmp_path / "out").exists()
 
 

@@ -50,7 +50,7 @@ class Lab:
     def start(self) -> None:
         """Start a console in the folder."""
         self.bench = rigs.open_bench(rigs.TWIN, str(self._scene), errors=TWIN)
-        self.console = Console(self.bench, self.folder, twin=TWIN, experiment=self._experiment)
+        self.console = Console(self.bench, self.folder, experiment=self._experiment)
         self._stack.callback(self.console.close)
         self.served = serve(self.console, Access(password=self._password), host="127.0.0.1", port=8760)
         self._stack.callback(self.served.stop)

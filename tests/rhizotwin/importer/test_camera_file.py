@@ -13,7 +13,7 @@ import pytest
 from rhizotwin.importer.colmap_model import read_colmap
 from rhizotwin.importer.given_cameras import common_camera
 from rhizotwin.importer.given_lens import Lens
-from rhizotwin.importer.picture_import import import_pictures
+from rhizotwin.importer.picture_import import PictureKind, import_pictures
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.dataset import read_image
 from rhizotwin.scenes.errors import UserError
@@ -76,7 +76,9 @@ LENSES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
 def test_keys_have_their_meaning(top: dict[str, Any], own: dict[str, Any], said: list[str], tmp_path: Path) -> None:
     """A point's pixel by our dataset equals the one by the file's own rules: OpenGL axes, pixel corners at integers."""
     expected = write(tmp_path / "t.json", top, [own, own])
-    made = import_pictures(write_pictures(tmp_path / "in", "0.png", "1.png"), SCENE, tmp_path / "out", cameras=tmp_path / "t.json")
+    made = import_pictures(
+        write_pictures(tmp_path / "in", "0.png", "1.png"), SCENE, tmp_path / "out", kind=PictureKind(cameras=tmp_path / "t.json")
+    )
     found = [pixel(made.dataset.scene.camera, frame.cam_from_canister) + 0.5 for frame in made.dataset.frames]
     np.testing.assert_allclose(found, expected, atol=1e-3)
     notes = [note for note in made.notes if "response curve" not in note]
@@ -113,7 +115,7 @@ def test_pictures_with_other_lenses_are_resampled(masks: bool, tmp_path: Path) -
     for k, (u, v) in enumerate(write(tmp_path / "t.json", NO_LENS, own)):
         dot = np.exp(-0.5 * ((columns - u) ** 2 + (rows - v) ** 2) / 1.5**2)
         cv2.imwrite(str(tmp_path / "in" / f"{k}.png"), 250.0 * (np.clip(3.0 * dot - 0.5, 0.0, 1.0) if masks else dot))
-    made = import_pictures(tmp_path / "in", SCENE, tmp_path / "out", cameras=tmp_path / "t.json", masks=masks)
+    made = import_pictures(tmp_path / "in", SCENE, tmp_path / "out", kind=PictureKind(cameras=tmp_path / "t.json", masks=masks))
     camera, pictures = made.dataset.scene.camera, [read_image(made.dataset, frame).astype(float) for frame in made.dataset.frames]
     assert f"{camera.image_wh[0]}x{camera.image_wh[1]} px" in next(note for note in made.notes if "3 different lenses" in note)
     i, j = np.meshgrid(*(np.arange(side) for side in camera.image_wh))
@@ -157,7 +159,7 @@ def test_bad_cameras_are_refused_by_name(top: dict[str, Any], own: dict[str, Any
     given["frames"][0] |= own
     (tmp_path / "t.json").write_text(json.dumps(given))
     with pytest.raises(UserError) as refused:
-        import_pictures(write_pictures(tmp_path / "in", "a.png"), SCENE, tmp_path / "out", cameras=tmp_path / "t.json")
+        import_pictures(write_pictures(tmp_path / "in", "a.png"), SCENE, tmp_path / "out", kind=PictureKind(cameras=tmp_path / "t.json"))
     assert named in str(refused.value)
     assert str(tmp_path / "t.json") in str(refused.value)
     assert not (tmp_path / "out").exists()

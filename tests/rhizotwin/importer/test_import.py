@@ -12,7 +12,7 @@ from PIL import Image
 
 from rhizotwin.importer.damaged_rows import LEAST, RingPictures
 from rhizotwin.importer.picture_files import list_pictures
-from rhizotwin.importer.picture_import import import_pictures
+from rhizotwin.importer.picture_import import PictureKind, import_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.bands import Band
@@ -125,7 +125,7 @@ def test_damage_without_a_checksum_is_shown_by_neighbours(tmp_path: Path, scene:
 def test_pictures_without_a_camera_or_name_of_their_own(tmp_path: Path, scene: Scene) -> None:
     cameras = write_cameras(tmp_path / "transforms.json", ["a.png", "c"])
     folder = write_pictures(tmp_path / "in", "a.png", "b.png", "c.png")
-    made = import_pictures(folder, scene, tmp_path / "out", cameras=cameras)
+    made = import_pictures(folder, scene, tmp_path / "out", kind=PictureKind(cameras=cameras))
     assert [frame.file for frame in made.dataset.frames] == ["images/a.png", "images/c.png"]
     assert any("b.png" in note for note in made.notes)
     assert cv2.imwrite(str(folder / "a.jpg"), picture(0))
@@ -146,7 +146,7 @@ def import_masks(folder: Path, scene: Scene, **masks: np.ndarray[Any, Any]) -> D
         image = np.dstack([mask[..., :1]] * 3 + [mask[..., 1:]]) if mask.ndim == 3 else mask
         assert cv2.imwrite(str(folder / "in" / f"{name}.png"), image)
     cameras = write_cameras(folder / "transforms.json", list(masks))
-    return import_pictures(folder / "in", scene, folder / "out", cameras=cameras, masks=True).dataset
+    return import_pictures(folder / "in", scene, folder / "out", kind=PictureKind(cameras=cameras, masks=True)).dataset
 
 
 MASKS = {

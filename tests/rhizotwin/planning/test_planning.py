@@ -15,6 +15,7 @@ from rhizotwin.scenes import plan as capture
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.plan import marker_warnings
 from rhizotwin.scenes.specimens import MeshSpecimen
+from rhizotwin.scenes.terminal import OneBar
 from tests.command import Command
 
 
@@ -99,7 +100,7 @@ def test_plans_are_scored_again_after_the_mesh_changed(tmp_path: Path, monkeypat
     scene = replace(Scene(), specimen=MeshSpecimen(file=str(tmp_path / "root.stl")))
     for data in (b"a root", b"a root", b"a thicker root"):
         (tmp_path / "root.stl").write_bytes(data)
-        comparison.run_plans(scene, (), tmp_path / "plan", profile_name="clean", seeds=1, say=print)
+        comparison.run_plans(scene, (), tmp_path / "plan", profile_name="clean", seeds=1, bar=OneBar({}, quiet=True))
     assert settings[0] == settings[1] != settings[2]
 
 
