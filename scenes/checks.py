@@ -77,6 +77,8 @@ def _check_canister(scene: Scene, place: Place) -> None:
         raise place.at("canister", "outer_radius_mm").error(must, canister.outer_radius_mm)
     if canister.inner_radius_mm <= 0.0:
         raise place.at("canister", "wall_mm").error(f"must be below outer_radius_mm, {canister.outer_radius_mm:g}", canister.wall_mm)
+    if canister.half_width_mm is not None:
+        _check_rectangle(scene, canister.half_width_mm, place)
     if canister.base_mm >= canister.height_mm:
         raise place.at("canister", "base_mm").error(f"must be below height_mm, {canister.height_mm:g}", canister.base_mm)
     if water.level_mm <= canister.floor_z_mm:
@@ -111,6 +113,20 @@ def _check_canister(scene: Scene, place: Place) -> None:
     if true_index < 1.0:
         must = f"must be larger, because the water's true refractive index would be {true_index:g} (n_water is {water.n_water:g}), below 1"
         raise place.at("disturbances", "n_water_error").error(must, scene.disturbances.n_water_error)
+
+
+def _check_rectangle(scene: Scene, half_width_mm: float, place: Place) -> None:
+    canister, wrong, here = scene.canister, scene.disturbances, place.at("canister", "half_width_mm")
+    if half_width_mm < canister.outer_radius_mm:
+        raise here.error(f"must be at least outer_radius_mm, {canister.outer_radius_mm:g}; exchange the two values", half_width_mm)
+    if math.hypot(half_width_mm, canister.outer_radius_mm) >= scene.net_pot.outer_radius_mm:
+        most_mm = math.sqrt(max(scene.net_pot.outer_radius_mm**2 - canister.outer_radius_mm**2, 0.0))
+        raise here.error(f"must be below {most_mm:.4g}, so that the net pot's skirt encloses the corners", half_width_mm)
+    if scene.tank is not None:
+        raise here.error("cannot be combined with a [tank]", half_width_mm)
+    on_wall = ("canister_out_of_round_mm", "algae_patches", "bubbles", "dust_specks", "scratches", "seam_opacity")
+    if dirty := [name for name in on_wall if getattr(wrong, name)]:
+        raise here.error(f"cannot be combined with disturbances of a round wall; set {', '.join(dirty)} to 0", half_width_mm)
 
 
 def _check_tank(scene: Scene, place: Place) -> None:

@@ -26,7 +26,10 @@ _REPR_WIDTH = 120
 
 @dataclass(frozen=True, kw_only=True)
 class Canister:
-    """Round acrylic canister, 6 in wide and tall as in the thesis. Its rim is in the plane z = 0."""
+    """Round acrylic canister, 6 in wide and tall as in the thesis. Its rim is in the plane z = 0.
+
+    With ``half_width_mm`` it is a rectangular vessel, which can be simulated but not reconstructed.
+    """
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
     """Outer radius of the canister, to be measured with callipers. This radius and the refractive indices determine how
@@ -40,6 +43,9 @@ class Canister:
     opaque and matt."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
     """Refractive index of the canister's wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
+    half_width_mm: float | None = field(default=None, metadata={"limits": (5.0, 500.0)})
+    """Half the outer width (y) of a rectangular vessel with plane walls, whose half depth (x) is ``outer_radius_mm``.
+    It is None for a round canister, the only one that can be reconstructed."""
 
     @property
     def inner_radius_mm(self) -> float:
@@ -257,6 +263,10 @@ class Lights:
     """Width and height of the front light."""
     front_level: float = bounded(0.5, 0.0, 1.0)
     """Brightness of white paper on the strip that faces the camera, as a fraction of full scale."""
+    side_level: float = bounded(0.0, 0.0, 1.0)
+    """Brightness of a white surface in the water that faces a light at the left or the right of the canister, as a
+    fraction of full scale. With ``backlight_level`` 0, roots are bright on dark ground (dark field). Such pictures can
+    be simulated but not reconstructed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -198,6 +198,8 @@ class Backlit:
     def shade(self, si: Any, outside: Any, active: Any) -> Any:
         """Return the radiance of a diffuse surface.
 
+        Side lights are distant and illuminate without shadows, from both sides.
+
         Parameters
         ----------
         si : mi.SurfaceInteraction3f
@@ -214,7 +216,10 @@ class Backlit:
         """
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         lit = si.wi.z > 0.0
-        return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * AMBIENT)
+        inside = AMBIENT
+        if dr.hint(self.lamps.side_level > 0.0, mode="scalar"):
+            inside = AMBIENT + self.lamps.side_level * dr.abs(dr.dot(si.n, self.lamps.side))
+        return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * inside)
 
     def crosses_room(self, ray: Any, t: Any) -> Any:
         """Return whether the length of a ray segment in the region of fine structures exceeds `LEAST_SPAN_MM`."""

@@ -82,6 +82,8 @@ class Lamps:
         level = scene.lights.backlight_level
         self.rig_from_lamp = (rig_from_panel(scene.lights), rig_from_front(scene.lights))
         self.levels = [level, front_radiance(scene)]
+        self.side_level = scene.lights.side_level * world.n_water**2  # radiance in water, which decreases again in air
+        self.side = mi.Vector3f(0.0)  # unit vector in the canister frame from the side light at the right to that at the left
         self.picture = None
         if world.backlight is not None:
             self.picture = mi.load_dict(bitmap((level * world.backlight).astype(np.float32), wrap="clamp"))
@@ -94,7 +96,8 @@ class Lamps:
         to_canister = [frames.invert(camera.rig_from_canister) @ rig_from_lamp for rig_from_lamp in self.rig_from_lamp]
         self.canister_from_lamp = [mi.Matrix4f(matrix) for matrix in to_canister]
         self.lamp_from_canister = [mi.Matrix4f(np.linalg.inv(matrix)) for matrix in to_canister]
-        dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister)
+        self.side = mi.Vector3f(frames.invert(camera.rig_from_canister)[:3, 1].tolist())
+        dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister, self.side)
 
     def meet(self, ray: Any, t: Any) -> tuple[Any, Any]:
         """Return which light a ray meets before the distance ``t``, and its radiance.

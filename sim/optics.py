@@ -189,8 +189,14 @@ def _load_scene(items: dict[str, Any]) -> mi.Scene:
 
 def _canister(scene: Scene, world: World, water: Any) -> dict[str, Any]:
     can, level, n_water = world.canister, scene.water.level_mm, world.n_water
+    wide_mm = None if can.half_width_mm is None else can.half_width_mm - can.outer_radius_mm
+
+    def disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any]) -> dict[str, Any]:
+        return _disk(radius_mm, z_mm, bsdf) if wide_mm is None else _plate((radius_mm, radius_mm + wide_mm), z_mm, bsdf)
 
     def wall(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], medium: dict[str, Any] | None = None) -> Any:
+        if wide_mm is not None:
+            return _plane_walls((radius_mm, radius_mm + wide_mm), (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
         if (oval_mm := scene.disturbances.canister_out_of_round_mm) > 0.0:
             return _oval(radius_mm, oval_mm, world.oval_rad, (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
         return _cylinder(radius_mm, low_mm, high_mm, bsdf) | (medium or {})
@@ -199,12 +205,12 @@ def _canister(scene: Scene, world: World, water: Any) -> dict[str, Any]:
     parts: dict[str, Any] = {
         "outer_wall": wall(can.outer_radius_mm, can.floor_z_mm, 0.0, _dielectric(can.n_wall, scene.surroundings.n)),
         "inner_wall": wall(can.inner_radius_mm, can.floor_z_mm, level, _dielectric(n_water, can.n_wall), inside),
-        "water_surface": _disk(can.inner_radius_mm, level, _dielectric(n_water, 1.0)) | inside,
-        "floor": _disk(can.outer_radius_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
-        "base_side": _cylinder(can.outer_radius_mm, -can.height_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
-        "base_bottom": _disk(can.outer_radius_mm, -can.height_mm, _diffuse(FLOOR_REFLECTANCE)),
-        "rim": _disk(can.outer_radius_mm, 0.0, _diffuse(FELT_REFLECTANCE)),
-        "grid": _disk(can.inner_radius_mm, scene.net_pot.grid_z_mm, _diffuse(FELT_REFLECTANCE)),
+        "water_surface": disk(can.inner_radius_mm, level, _dielectric(n_water, 1.0)) | inside,
+        "floor": disk(can.outer_radius_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
+        "base_side": wall(can.outer_radius_mm, -can.height_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
+        "base_bottom": disk(can.outer_radius_mm, -can.height_mm, _diffuse(FLOOR_REFLECTANCE)),
+        "rim": disk(can.outer_radius_mm, 0.0, _diffuse(FELT_REFLECTANCE)),
+        "grid": disk(can.inner_radius_mm, scene.net_pot.grid_z_mm, _diffuse(FELT_REFLECTANCE)),
     }
     if scene.tank is not None:
         around = scene.tank
@@ -294,6 +300,23 @@ def _oval(
     b = (a + 1) % OVAL_SIDES
     faces = np.concatenate([np.stack([a, b, b + OVAL_SIDES], axis=1), np.stack([a, b + OVAL_SIDES, a + OVAL_SIDES], axis=1)])
     return _mesh(f"oval_{radius_mm:g}_{z_range_mm[0]:g}", vertices, faces, bsdf, _Media(interior=interior), normals=normals)
+
+
+def _plane_walls(half_mm: tuple[float, float], z_range_mm: tuple[float, float], bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
+    """Return the four vertical walls of a box about the axis, with outward normals."""
+    (x, y), name = half_mm, f"plane_{half_mm[0]:g}_{z_range_mm[0]:g}"
+    ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
+    vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in z_range_mm])
+    a = np.arange(4)
+    b = (a + 1) % 4
+    faces = np.concatenate([np.stack([a, b, b + 4], axis=1), np.stack([a, b + 4, a + 4], axis=1)])
+    return _mesh(name, vertices, faces, bsdf, _Media(interior=interior))
+
+
+def _plate(half_mm: tuple[float, float], z_mm: float, bsdf: dict[str, Any]) -> dict[str, Any]:
+    """Return a horizontal rectangle about the axis, whose normal points upwards."""
+    local = frames.translation(0.0, 0.0, z_mm) @ np.diag([*half_mm, 1.0, 1.0])
+    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(local), "bsdf": bsdf}
 
 
 @dataclass(frozen=True, kw_only=True)

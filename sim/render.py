@@ -94,6 +94,8 @@ class Renderer:
         self, scene: Scene, world: World, solid: SpecimenSolid | None, *, fidelity: Fidelity = "backlit", samples: int | None = None
     ) -> None:
         self.samples = check_samples(fidelity, samples)
+        if fidelity == "path" and scene.lights.side_level > 0.0:
+            raise UserError("fidelity 'path' has no side lights (lights.side_level); use the fidelity 'backlit'")
         self.side = round(self.samples**0.5)
         self.scene = scene
         self.world = world

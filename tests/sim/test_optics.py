@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 import rhizotwin.sim.render
 from rhizotwin.recon.optics.cameras import View, project_through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.disturbances import Disturbances
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile
-from rhizotwin.scenes.model import Camera, CapturePlan, NetPot, Ring, Scene, Tank
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Lights, NetPot, Ring, Scene, Tank
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.sim.backlit import AMBIENT
+from rhizotwin.sim.optics import ROOT_REFLECTANCE
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.solids import to_surface, unite_roots
 from rhizotwin.sim.specimen import SpecimenSolid
@@ -195,3 +199,41 @@ def test_the_empty_tank_passes_the_panel_and_keeps_the_strip_dry() -> None:
     # through two walls of the tank, air and liquid, and twice through the canister's, liquid and water
     assert light[37, 49:51].mean() == pytest.approx(scene.lights.backlight_level * glass**2 * wet**6, rel=2e-3)
     assert np.abs(light[:16] - bare[:16]).max() < 1e-3  # above the liquid nothing is changed
+
+
+def test_plane_walls_refract_and_side_lights_show_roots() -> None:
+    box = Canister(outer_radius_mm=54.0, half_width_mm=56.0, wall_mm=3.0, n_wall=1.52)
+    lights = Lights(backlight_level=0.0, side_level=0.8)
+    scene = Scene(canister=box, lights=lights, plan=CapturePlan(rings=(Ring(views=1),)))
+    centre = np.array([5.0, 20.0, -60.0])
+    world = draw_world(scene, seed=4)
+    camera_mm = frames.invert(world.cameras[0].cam_from_canister)[:3, 3]
+    aside = centre[1:] - camera_mm[1:]
+    paths_mm = {1.0: camera_mm[0] - 54.0, 1.52: 3.0, world.n_water: 54.0 - 3.0 - centre[0]}
+
+    def miss_mm(sine: float) -> float:
+        return sum(length * sine / np.sqrt(n**2 - sine**2) for n, length in paths_mm.items()) - float(np.linalg.norm(aside))
+
+    sine = brentq(miss_mm, 0.0, 0.5)
+    across, up = sine / np.sqrt(1.0 - sine**2) * aside / np.linalg.norm(aside)
+    expected = np.array(scene.camera.principal_px) + scene.camera.focal_px[0] * np.array([across, -up])
+    check_place(scene, expected, (5.0, 20.0, -60.0), view=0, atol_px=0.01)
+    part = magnify(scene, expected, 20.0, 100)
+    image, coverage = Renderer(part, draw_world(part, seed=4), ball((5.0, 20.0, -60.0), 0.3), samples=4).view(0)
+    assert image[coverage == 0.0].max() == 0.0
+    assert image.max() == pytest.approx(ROOT_REFLECTANCE * (AMBIENT / world.n_water**2 + 0.8), rel=0.1)
+    assert image[50, 50] < 0.5 * image.max()  # the front of a ball faces neither lamp
+    with pytest.raises(UserError, match="no side lights"):
+        Renderer(part, world, None, fidelity="path")
+
+
+BOXES = {
+    "not the shorter side": ({"half_width_mm": 50.0}, "must be at least outer_radius_mm, 54"),
+    "corners outside the pot": ({"half_width_mm": 70.0}, r"must be below 58\.48"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), BOXES.values(), ids=BOXES)
+def test_rectangles_that_do_not_fit_are_refused(change: dict[str, float], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        check_scene(Scene(canister=replace(Canister(outer_radius_mm=54.0), **change)))

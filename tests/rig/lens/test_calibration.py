@@ -275,7 +275,7 @@ def test_a_curve_comes_back(curve: Curve) -> None:
     assert (found.curve in (LINEAR, SRGB)) == (curve in (LINEAR, SRGB))
 
 
-def test_rounded_times_of_a_shutter_are_corrected_and_adaptive_curves_refused() -> None:
+def test_rounded_times_are_corrected_adaptive_curves_refused() -> None:
     stated, true = (1 / 125, 1 / 60, 1 / 30, 1 / 15, 1 / 8), (1 / 128, 1 / 64, 1 / 32, 1 / 16, 1 / 8)
     exposed = pictures(LINEAR, tuple(time / 4 for time in true))
     found = fit_transfer(exposed, stated)
