@@ -15,6 +15,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
+from rhizotwin.scenes.unsupported import refuse_dark_ground, refuse_scene
 
 LeftOut = tuple[Frame, str]
 """Excluded frame, and the reason for the exclusion."""
@@ -102,9 +103,11 @@ def read_pictures(
     Raises
     ------
     UserError
-        If the dataset has no pictures of this kind, if a picture to exclude is not in the dataset, or if a picture is
+        If the scene's vessel or light is not supported, or the roots are bright on dark ground; if the dataset has no
+        pictures of this kind, if a picture to exclude is not in the dataset, or if a picture is
         missing or damaged and ``settings.tolerant`` is False.
     """
+    refuse_scene(dataset.scene)
     given = settings.band if kind == "root" else ""
     ratios = {} if given else measure_bands(dataset, kind, monitor=monitor)
     band = given or next(iter(ratios), "")
@@ -113,6 +116,9 @@ def read_pictures(
         taken = f" in the band {band}" if band else ""
         raise UserError(f"{dataset.folder / 'dataset.json'} lists no {kind} pictures{taken}. Take or import such pictures.")
     unwanted = _files_to_leave_out(dataset, settings.leave_out)
+    if kind == "root" and not dataset.masks:
+        some = [_read(dataset, frame, settings.tolerant) for frame in listed[:: max(1, len(listed) // 3)] if frame.file not in unwanted]
+        refuse_dark_ground((str(dataset.folder / frame.file), image) for frame, image in some if not isinstance(image, str))
     with monitor.stage("read"):
         read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
     known = [(frame, image) for frame, image in read if not isinstance(image, str)]

@@ -12,6 +12,7 @@ from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import LEAST_VIEWS, Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
+from rhizotwin.recon.calibration.vessel_shape import refuse_corners
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
@@ -186,7 +187,11 @@ def _find_canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, 
     poses_found = Cameras(lens=lens, optics=Optics.from_scene(pictures.dataset.scene), all=solved.views, order=tuple(keys))
     views = poses_found.views
     errors = None if solved.errors is None else solved.errors.reorder(keys, [None] * len(keys))
-    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
+    scene = pictures.dataset.scene
+    found = find_canister(views, lambda i: pictures.images[keys[i]], scene, errors=errors, settings=settings)
+    if found is None and scene.tank is None:
+        refuse_corners(views, lambda i: pictures.images[keys[i]], scene)
+    return found
 
 
 def _collect_results(

@@ -3,6 +3,7 @@
 The camera poses are read from a file, or are estimated later from the markers.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from rhizotwin.importer.picture_copy import PictureCopier
 from rhizotwin.importer.picture_files import SUFFIXES, check_pictures, list_pictures
 from rhizotwin.importer.response import with_response
 from rhizotwin.importer.silhouettes import read_levels
-from rhizotwin.scenes import plan
+from rhizotwin.scenes import plan, transfer
 from rhizotwin.scenes.dataset import Dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
@@ -22,7 +23,10 @@ from rhizotwin.scenes.formatting import count
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.orientation import TURNS
+from rhizotwin.scenes.picture_codec import Grey, decode_light
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
+from rhizotwin.scenes.unsupported import refuse_dark_ground, refuse_scene
 
 _RAW_NOTE = (
     "raw pictures were converted: each block of pixels was averaged to one grey pixel with linear values, with the white "
@@ -75,8 +79,10 @@ def import_pictures(
     Raises
     ------
     UserError
-        If a picture is unreadable, damaged, of another size or an impossible silhouette, or has no camera.
+        If the scene's vessel or light is not supported, or the roots are bright on dark ground; if a picture is
+        unreadable, damaged, of another size or an impossible silhouette, or has no camera.
     """
+    refuse_scene(scene)
     _refuse_options(scene, kind)
     masks = kind.masks
     scene = replace(scene, strip=replace(scene.strip, rows=0)) if kind.no_strip else scene
@@ -93,6 +99,8 @@ def import_pictures(
     if not raw and not masks:
         scene, note = with_response(scene, paths, verified=given is None and not kind.no_strip)
         notes.append(note)
+    if not masks:
+        refuse_dark_ground(_some_pictures(scene, paths, bands, picture_wh))
     levels = read_levels(paths, image_wh=picture_wh) if masks else None
     origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": kind.cameras and str(kind.cameras)}
     with new_folder(out) as building:
@@ -101,6 +109,20 @@ def import_pictures(
         origin |= {"clipped": copier.clipped, "versions": versions()}
         dataset = save_dataset(Dataset(folder=building, scene=scene, frames=frames, masks=masks, origin=origin))
     return Imported(dataset=replace(dataset, folder=out), notes=(*notes, *copier.notes()))
+
+
+def _some_pictures(
+    scene: Scene, paths: list[Path], bands: list[tuple[int, str]], picture_wh: tuple[int, int]
+) -> Iterator[tuple[str, Grey]]:
+    """Return the names and the light of a few pictures in whose band the panel is lit."""
+    lit = [path for path, (_, band) in zip(paths, bands, strict=True) if not band or scene.is_lit(band)]
+    for path in lit[:: max(1, len(lit) // 3)]:
+        if raw_pictures.is_raw(path):
+            light, _ = raw_pictures.read_raw(path, image_wh=picture_wh)
+        else:
+            curve = transfer.read_stated_curve(path) or transfer.camera_curve(scene.camera)
+            light = decode_light(read_file(path, most_mib=MOST_PICTURE_MIB), curve, where=str(path))
+        yield str(path), light
 
 
 def _given_cameras(scene: Scene, cameras: Path | None, paths: list[Path]) -> tuple[Scene, GivenCameras | None, list[Path], list[str]]:

@@ -40,6 +40,13 @@ def test_unread_pictures_are_named_with_their_reason(scan: Callable) -> None:
         read(made, leave_out=tuple(f"view_00{k}.png" for k in range(6)))
 
 
+def test_scenes_with_other_vessels_and_lights_are_refused(scan: Callable) -> None:
+    dataset = load_dataset(scan().dataset)
+    lit = replace(dataset.scene, lights=replace(dataset.scene.lights, side_level=0.3))
+    with pytest.raises(UserError, match="lit from the side"):
+        reconstruct(replace(dataset, scene=lit))
+
+
 def test_empty_hulls_are_told_with_what_the_pictures_failed(tmp_path: Path) -> None:
     scene = exact_pictures.ring_of(6, (160, 120))
     blots = np.zeros((6, 120, 160))

@@ -9,9 +9,11 @@ import pytest
 
 from rhizotwin.recon.calibration.canister_pose import find_canister
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
+from rhizotwin.recon.calibration.vessel_shape import refuse_corners
 from rhizotwin.recon.calibration.view_fit import adjoint, twist
 from rhizotwin.recon.optics.cameras import View, matrix
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull.exact_pictures import views_of
 
@@ -98,3 +100,16 @@ def test_no_edges_no_seat():
     beyond = replace(SCENE, canister=replace(SCENE.canister, outer_radius_mm=150.0))  # its edges are outside of the pictures
     assert find_canister(views, images.__getitem__, beyond) is None
     assert [find_canister(views, lambda _, level=level: np.full_like(images[0], level), SCENE) for level in (0, 40000)] == [None, None]
+
+
+def test_vessels_that_are_not_round_are_named() -> None:
+    views, rng = views_of(SCENE), np.random.default_rng(0)
+
+    def check(radius_mm: float, oval: complex) -> None:
+        images = [picture(view.cam_from_canister, rng, radius_mm=radius_mm, oval=oval) for view in views]
+        refuse_corners(views, images.__getitem__, SCENE)
+
+    check(60.0, 0.0)  # round, but not as in the scene
+    check(76.2, 1.0)
+    with pytest.raises(UserError, match=r"the vessel is not round: its width in the pictures is 1[12].* to 1[45].* mm.*rectangular"):
+        check(66.0, 11.0)

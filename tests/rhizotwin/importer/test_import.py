@@ -235,3 +235,25 @@ def test_black_rows_are_found_where_they_are_and_nothing_else() -> None:
     few = turn(LEAST - 1, spoilt=slice(40, 60))
     assert not few.enough
     assert few.find_damaged() == []
+
+
+def test_vessels_and_lights_that_are_not_supported(tmp_path: Path, scene: Scene) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for k in range(4):
+        image = np.full((WH[1], WH[0]), 2, np.uint8)  # roots and strip, bright on dark ground
+        image[:10], image[20:40, 30 + k] = 160, 90
+        cv2.imwrite(str(folder / f"{k}.png"), image)
+    box = replace(scene, canister=replace(scene.canister, half_width_mm=80.0))
+    side = replace(scene, lights=replace(scene.lights, side_level=0.5))
+    for one, said in ((box, "rectangular vessels .* are not supported"), (side, "lit from the side .* are not supported")):
+        with pytest.raises(UserError, match=said):
+            import_pictures(folder, one, tmp_path / "out")
+    with pytest.raises(UserError, match=r"png: the ground is dark \(1 % of the brightest parts\).*dark field.*or the panel was off"):
+        import_pictures(folder, scene, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    banded = replace(scene, camera=replace(scene.camera, bands=(Band(name="uv", panel_level=0.0), Band(name="white"))))
+    for k in range(4):
+        (folder / f"{k}.png").rename(folder / f"{k}_uv.png")
+        cv2.imwrite(str(folder / f"{k}_white.png"), picture(k))
+    assert len(import_pictures(folder, banded, tmp_path / "out").dataset.frames) == 8
