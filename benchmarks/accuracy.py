@@ -27,7 +27,6 @@ def measure(
     afresh: bool = False,
     change: str = UNCHANGED,
     fault: str = tree_faults.NONE,
-    projection: bool = True,
 ) -> Run:
     """Run the cases in order; a failed case is recorded, and the rest continue.
 
@@ -45,8 +44,6 @@ def measure(
         Change of the pictures: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
     fault : str
         Deliberate fault of the roots before they are scored: ``none``, or a key of `tree_faults.FAULTS`.
-    projection : bool
-        Whether to measure the projection too, which does not depend on pictures.
 
     Returns
     -------
@@ -54,8 +51,7 @@ def measure(
         Metrics of successful cases, and crashed cases.
     """
     say(f"{len(cases)} cases, with earlier measurements by this code in {cache.folder()}")
-    measured = worker.start(["projection"], device=device)["metrics"] if projection else []
-    run = Run(metrics=[Metric(**metric) for metric in measured])
+    run = Run()
     clock = _TimeLeft(cases)
     for number, case in enumerate(cases, start=1):
         head = f"[{number}/{len(cases)}] {case.name}"
@@ -74,6 +70,11 @@ def measure(
         clock.finished(case, time.perf_counter() - began if fresh else None)
         say(f"{head}: {summary(record)}{'' if fresh else ', kept'}; {clock.left()}")
     return run
+
+
+def projection(device: str) -> list[Metric]:
+    """Return the numbers of the projection, which depend on no picture."""
+    return [Metric(**metric) for metric in worker.start(["projection"], device=device)["metrics"]]
 
 
 def load_record(case: Case, *, device: str, change: str = UNCHANGED, fault: str = tree_faults.NONE) -> Record | None:

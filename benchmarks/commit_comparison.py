@@ -1,4 +1,4 @@
-"""Comparison of processor time and memory with another commit, on the same machine at the same time.
+"""Processor time and memory of commands, and their comparison with another commit on the same machine at the same time.
 
 The other commit is checked out as a git worktree in the cache, and run with the same Python and libraries. Runs
 alternate, and only the command line must be the same in both, so that old commits can be compared. Processor time is
@@ -102,18 +102,18 @@ class Ratio:
     memory: float
     """Median over the pairs of the ratio of peak memories."""
     before: Used
-    """Median costs of the other commit."""
+    """Median costs of the other commit; those of this code if there is no other."""
     after: Used
     must: float | None
 
 
-def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say: Say) -> list[Ratio]:
-    """Alternate runs of another commit and of this code.
+def compare(commit: str | None, *, jobs: Sequence[Job], repeats: int, device: str, say: Say) -> list[Ratio]:
+    """Alternate runs of another commit and of this code, or run this code only.
 
     Parameters
     ----------
-    commit : str
-        Other commit, as a git revision.
+    commit : str or None
+        Other commit, as a git revision; None to run this code only.
     jobs : sequence of Job
         Jobs run by both.
     repeats : int
@@ -133,7 +133,7 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
     UserError
         If git does not know the commit, or a run fails.
     """
-    other = check_out(commit)
+    other = ROOT if commit is None else check_out(commit)
     found = []
     for job in jobs:
         with tempfile.TemporaryDirectory(prefix="rhizotwin-against-") as working:
@@ -141,11 +141,11 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
             pairs: list[tuple[Used, Used]] = []
             for number in range(repeats):
                 once: list[Used] = []
-                for root in (other, ROOT) if number % 2 == 0 else (ROOT, other):
+                for root in (ROOT,) if commit is None else (other, ROOT) if number % 2 == 0 else (ROOT, other):
                     out = Path(working) / f"{number}-{len(once)}"
                     once.append(run_once(root, [*words, *(("-o", str(out), "--device", device) if job.makes else ())]))
                     shutil.rmtree(out, ignore_errors=True)
-                pairs.append((once[0], once[1]) if number % 2 == 0 else (once[1], once[0]))
+                pairs.append((once[0], once[-1]) if number % 2 == 0 else (once[-1], once[0]))
         found.append(_ratio(job, pairs))
         say(table(found[-1:]).splitlines()[-1])
     return found

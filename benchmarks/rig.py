@@ -1,4 +1,4 @@
-"""Benchmarks of the rig: recovery from faults and kills, kinematics, overhead of scans, lens, and a whole scan."""
+"""Benchmarks of the rig: recovery from faults, kinematics, overhead of scans, lens, and a whole scan."""
 
 import tempfile
 import time
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import rig_faults, rig_kills
+from benchmarks import rig_faults
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
 from rhizotwin.recon.reconstruct import reconstruct
@@ -44,7 +44,6 @@ def measure(*, quick: bool, say: Say) -> Run:
     parts: dict[str, Callable[[], list[Metric]]] = {
         "inverse": lambda: _inverse(1000 if quick else 10_000),
         "faults": lambda: _faults(24 if quick else 1000, run, say),
-        "kills": lambda: _kills(2 if quick else 50, run, say),
         "overhead": _overhead,
         "calibrate": lambda: _calibrate(("bench",) if quick else ("clean", "bench")),
     }
@@ -65,8 +64,9 @@ def measure(*, quick: bool, say: Say) -> Run:
     return run
 
 
-def _count(key: str, value: float) -> Metric:
-    return Metric(key=f"rig/{key}", value=float(value), unit="1", direction="down")
+def has_problems(run: Run) -> bool:
+    """Return whether a scan with faults violated a requirement."""
+    return any(one["problems"] for one in run.details.get("faults", ()))
 
 
 def _inverse(count: int) -> list[Metric]:
@@ -94,19 +94,10 @@ def _faults(count: int, run: Run, say: Say) -> list[Metric]:
     run.details["faults"] = [asdict(one) for one in runs]
     ended = Counter(one.ended for one in runs)
     return [
-        _count("faults/problems", sum(bool(one.problems) for one in runs)),
+        Metric(key="rig/faults/problems", value=float(sum(bool(one.problems) for one in runs)), unit="1", direction="down"),
         Metric(key="rig/faults/runs", value=float(len(runs)), unit="1", direction="up"),
         Metric(key="rig/faults/complete_at_once", value=ended["complete"] / len(runs), unit="1", direction="up", abs_tol=0.05),
         Metric(key="rig/faults/longest", value=max(one.virtual_s for one in runs), unit="s", direction="down", rel_tol=0.5),
-    ]
-
-
-def _kills(count: int, run: Run, say: Say) -> list[Metric]:
-    found = rig_kills.run_all(count, say=say)
-    run.details["kills"] = list(found.problems)
-    return [
-        _count("kills/problems", len(found.problems)),
-        Metric(key="rig/kills/kills", value=float(found.kills), unit="1", direction="up", abs_tol=float(count) / 5.0),
     ]
 
 

@@ -23,7 +23,7 @@ NO_CHANGE = 1e-9
 
 
 @dataclass(frozen=True)
-class _Compared:
+class Compared:
     """A number in both runs."""
 
     name: str
@@ -44,16 +44,16 @@ def _number(*path: str, size: bool = False) -> Callable[[Record], float | None]:
 
 
 COMPARED = (
-    _Compared("volume error (size)", _number("score", "volume_error", size=True), 100.0, "%"),
-    _Compared("length error (size)", _number("score", "roots", "length_error", size=True), 100.0, "%"),
-    _Compared("centre-line recall", _number("score", "roots", "recall"), 100.0, "%", smaller_is_better=False),
-    _Compared("centre-line precision", _number("score", "roots", "precision"), 100.0, "%", smaller_is_better=False),
-    _Compared("tip recall", _number("score", "roots", "tip_recall"), 100.0, "%", smaller_is_better=False),
-    _Compared("tip precision", _number("score", "roots", "tip_precision"), 100.0, "%", smaller_is_better=False),
-    _Compared("interval holds", _number("score", "interval_holds_truth"), 100.0, "%", smaller_is_better=False),
-    _Compared("time", _number("wall_s"), 1.0, "s"),
-    _Compared("processor time", _number("cpu_s"), 1.0, "s"),
-    _Compared("memory", _number("peak_memory_mib"), 1.0 / 1024.0, "GiB"),
+    Compared("volume error (size)", _number("score", "volume_error", size=True), 100.0, "%"),
+    Compared("length error (size)", _number("score", "roots", "length_error", size=True), 100.0, "%"),
+    Compared("centre-line recall", _number("score", "roots", "recall"), 100.0, "%", smaller_is_better=False),
+    Compared("centre-line precision", _number("score", "roots", "precision"), 100.0, "%", smaller_is_better=False),
+    Compared("tip recall", _number("score", "roots", "tip_recall"), 100.0, "%", smaller_is_better=False),
+    Compared("tip precision", _number("score", "roots", "tip_precision"), 100.0, "%", smaller_is_better=False),
+    Compared("interval holds", _number("score", "interval_holds_truth"), 100.0, "%", smaller_is_better=False),
+    Compared("time", _number("wall_s"), 1.0, "s"),
+    Compared("processor time", _number("cpu_s"), 1.0, "s"),
+    Compared("memory", _number("peak_memory_mib"), 1.0 / 1024.0, "GiB"),
 )
 
 
@@ -85,19 +85,15 @@ class Difference:
     effect."""
 
 
-def difference(
-    before: Sequence[float], after: Sequence[float], *, name: str, unit: str, smaller_is_better: bool, gained: int = 0, lost: int = 0
-) -> Difference:
+def difference(before: Sequence[float], after: Sequence[float], compared: Compared, *, gained: int = 0, lost: int = 0) -> Difference:
     """Compare two equally long series of paired numbers.
 
     Parameters
     ----------
     before, after : (N,) float
         Values of the same cases in both runs, in the same order.
-    name, unit : str
-        Name and unit of the number.
-    smaller_is_better : bool
-        Whether a decrease is an improvement.
+    compared : Compared
+        Number that is compared.
     gained, lost : int
         Number of cases with the number in B only, and in A only.
 
@@ -112,12 +108,12 @@ def difference(
     if len(change) > 1:
         reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, len(change) - 1)) * float(change.std(ddof=1)) / math.sqrt(len(change))
         low, high = float(change.mean()) - reach, float(change.mean()) + reach
-    gain = -change if smaller_is_better else change
+    gain = -change if compared.smaller_is_better else change
     better, worse = gained + int((gain > NO_CHANGE).sum()), lost + int((gain < -NO_CHANGE).sum())
     p = float(stats.binomtest(better, better + worse).pvalue) if better + worse else 1.0
     return Difference(
-        name=name,
-        unit=unit,
+        name=compared.name,
+        unit=compared.unit,
         pairs=len(change),
         before=float(a.mean()) if len(a) else math.nan,
         after=float(b.mean()) if len(b) else math.nan,
@@ -209,25 +205,17 @@ def _scored_once(run: Cases, other: Cases, method: str) -> list[Key]:
     return [what for what, record in run.scored.items() if what[-1] == method and record["case"]["name"] in other.failed]
 
 
-def _rows(several: Sequence[_Compared], pairs: Sequence[tuple[Record, Record]]) -> list[str]:
+def _rows(several: Sequence[Compared], pairs: Sequence[tuple[Record, Record]]) -> list[str]:
     return [_row(found) for compared in several if (found := _over_pairs(compared, pairs)) is not None]
 
 
-def _over_pairs(compared: _Compared, pairs: Sequence[tuple[Record, Record]]) -> Difference | None:
+def _over_pairs(compared: Compared, pairs: Sequence[tuple[Record, Record]]) -> Difference | None:
     values = [(compared.of(first), compared.of(second)) for first, second in pairs]
     both = [(compared.scale * x, compared.scale * y) for x, y in values if x is not None and y is not None]
     lost, gained = (sum(pair[k] is not None and pair[1 - k] is None for pair in values) for k in (0, 1))
     if not both and not lost and not gained:
         return None
-    return difference(
-        [x for x, _ in both],
-        [y for _, y in both],
-        name=compared.name,
-        unit=compared.unit,
-        smaller_is_better=compared.smaller_is_better,
-        gained=gained,
-        lost=lost,
-    )
+    return difference([x for x, _ in both], [y for _, y in both], compared, gained=gained, lost=lost)
 
 
 def _row(found: Difference) -> str:

@@ -98,7 +98,7 @@ def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: 
     found = []
     for seed in range(1, runs + 1):
         say(f"run {seed} of {runs}")
-        run = accuracy.measure(cases, device=device, say=say, change=f"{change}:{seed}", projection=False)
+        run = accuracy.measure(cases, device=device, say=say, change=f"{change}:{seed}")
         found.append(replace(run, metrics=metrics_of_pictures(run.metrics, cases)))
     return found
 

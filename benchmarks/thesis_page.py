@@ -68,7 +68,7 @@ def measure(profile: str, *, device: str, say: Say, only_kept: bool) -> list[Rec
     if only_kept:
         found = [accuracy.load_record(case, device=device) for case in plant_cases(profile)]
         return [record for record in found if record is not None]
-    return list(accuracy.measure(plant_cases(profile), device=device, say=say, projection=False).details.values())
+    return list(accuracy.measure(plant_cases(profile), device=device, say=say).details.values())
 
 
 def committed_records(profile: str) -> list[Record]:

@@ -70,7 +70,7 @@ def measure(names: Sequence[str], *, runs: int, device: str, say: Say) -> Stored
     commit = ""
     for change in changes:
         say(change)
-        run = accuracy.measure(list(cases.values()), device=device, say=say, change=change, projection=False)
+        run = accuracy.measure(list(cases.values()), device=device, say=say, change=change)
         if run.crashed:
             raise UserError(f"{next(iter(run.crashed))} crashed under {change}; nothing is recorded.")
         for name, case in cases.items():

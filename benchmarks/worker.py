@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 from benchmarks.cases import METHODS, Pictures
 from benchmarks.random_scans import RandomScan
@@ -63,51 +63,6 @@ def parse_pictures(text: str) -> Pictures | RandomScan:
     if "random_scan" in plain:
         return RandomScan(number=plain["random_scan"])
     return Pictures(**{**plain, "image_wh": tuple(plain["image_wh"])})
-
-
-def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any]:
-    """Return the seconds of the first view and of each further one, for `printed_8ml` at 800x600.
-
-    The first one includes building scene and kernels.
-    """
-    from rhizotwin.scenes.model import CapturePlan
-    from rhizotwin.sim.simulate import simulate
-
-    walls = []
-    for views in (1, 3):
-        scene = Pictures(scene="printed_8ml").scene_to_render()
-        scene = replace(scene, plan=CapturePlan(rings=(replace(scene.plan.rings[0], views=views),)))
-        began = time.perf_counter()
-        simulate(scene, working / str(views), profile_name="clean", seed=0, fidelity=fidelity)
-        walls.append(time.perf_counter() - began)
-    return {"first_view": walls[0], "per_view": (walls[1] - walls[0]) / 2.0}
-
-
-def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
-    """Return the seconds of a reconstruction by stage, and its passes over all pictures.
-
-    Parameters
-    ----------
-    dataset_folder : Path
-        Folder of the dataset.
-    voxel_mm : float
-        Edge of the voxels.
-    working : Path
-        Empty folder for the result.
-
-    Returns
-    -------
-    dict
-        Seconds by stage, and counts.
-    """
-    from rhizotwin.recon.passes import Pass
-    from rhizotwin.recon.reconstruct import reconstruct
-    from rhizotwin.recon.settings import Settings
-    from rhizotwin.stored.result_files import read_summary
-
-    reconstruct(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
-    summary = read_summary(working / "result")
-    return {"stages": summary["timings_s"], **{kind: summary[kind] for kind in get_args(Pass)}}
 
 
 def dataset(pictures: Pictures | RandomScan) -> dict[str, Any]:
@@ -204,11 +159,6 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--device", default="auto")
     made.add_argument("--working", type=Path, required=True)
     jobs = made.add_subparsers(dest="job", required=True)
-    rendering = jobs.add_parser("render")
-    rendering.add_argument("fidelity", choices=["backlit", "path"])
-    timing = jobs.add_parser("stages")
-    timing.add_argument("dataset", type=Path)
-    timing.add_argument("voxel_mm", type=float)
     making = jobs.add_parser("dataset")
     making.add_argument("pictures", type=parse_pictures)
     reconstructing = jobs.add_parser("reconstruct")
@@ -235,8 +185,6 @@ def main() -> int:
 
     engine.start(given.device)
     work = {
-        "render": lambda: render(given.fidelity, given.working),
-        "stages": lambda: stages(given.dataset, given.voxel_mm, given.working),
         "dataset": lambda: dataset(given.pictures),
         "reconstruct": lambda: reconstruct(given),
         "score": lambda: score(given.result, given.dataset, given.fault),

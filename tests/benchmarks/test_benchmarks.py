@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import accuracy, cases, gate, speed, worker
+from benchmarks import accuracy, cases, gate, ladder_commands, worker
 from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.run import Run
@@ -74,15 +74,15 @@ def test_a_crashed_case_is_recorded_and_the_rest_go_on():
 
 def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypatch, tmp_path):
     first = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
-    assert [job[0] for job in fake_worker] == ["projection", "dataset", "reconstruct", "dataset", "score", "dataset", "reconstruct"]
+    assert [job[0] for job in fake_worker] == ["dataset", "reconstruct", "dataset", "score", "dataset", "reconstruct"]
     fake_worker.clear()
     again = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
-    assert [job[0] for job in fake_worker] == ["projection", "dataset", "reconstruct"]  # the crashed one only
+    assert [job[0] for job in fake_worker] == ["dataset", "reconstruct"]  # the crashed one only
     assert again.metrics == first.metrics
 
     def jobs(**given):
         fake_worker.clear()
-        accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None, projection=False, **given)
+        accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None, **given)
         return [job[0] for job in fake_worker if job[0] != "dataset"]
 
     assert jobs() == []
@@ -113,31 +113,28 @@ def test_a_stage_that_gave_nothing_is_not_a_number_and_fails(record_of, tmp_path
     assert found[lost["length_error"].key] == "NOT A NUMBER"
 
 
-@pytest.fixture
-def fake_speed(monkeypatch, tmp_path):
-    """Let the command line run with numbers that the test chooses."""
-    measured = [Metric(key="job/wall", value=2.0, unit="s", direction="down", rel_tol=0.5)]
-    run = Run(metrics=measured)
-    monkeypatch.setattr(speed, "measure", lambda **_given: run)
-    monkeypatch.setattr(command, "HERE", tmp_path)
+def test_update_then_gate_then_fail(monkeypatch, capsys, tmp_path):
+    def metric(value):
+        return [Metric(key=f"{cases.quick()[0].name}/iou", value=value, unit="1", direction="up")]
+
+    run = Run(metrics=metric(0.9))
+    monkeypatch.setattr(accuracy, "measure", lambda *_, **_given: run)
+    monkeypatch.setattr(accuracy, "projection", lambda _device: [])
+    monkeypatch.setattr(ladder_commands, "HERE", tmp_path)
     monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path / "cache"))
-    return run
-
-
-def test_update_then_gate_then_fail(fake_speed, capsys, tmp_path):
-    arguments = ["speed", "--device", "cpu"]
+    arguments = ["accuracy", "--quick", "--device", "cpu"]
     assert command.main([*arguments, "--gate"]) == 2
-    assert "baseline_speed.json" in capsys.readouterr().err
+    assert "baseline_accuracy_quick.json" in capsys.readouterr().err
     assert command.main([*arguments, "--update-baseline"]) == 0
     assert command.main([*arguments, "--gate"]) == 0
-    fake_speed.metrics = [Metric(key="job/wall", value=4.0, unit="s", direction="down", rel_tol=0.5)]
+    run.metrics = metric(0.8)
     assert command.main([*arguments, "--gate"]) == 1
     assert "WORSE" in capsys.readouterr().out
-    fake_speed.crashed["job"] = "boom"
+    run.crashed["job"] = "boom"
     assert command.main(arguments) == 1
     assert command.main([*arguments, "--update-baseline"]) == 2
-    stored = json.loads((tmp_path / "cache" / "results" / "speed.json").read_text())
-    assert stored["metrics"]["job/wall"]["value"] == 4.0
+    stored = json.loads((tmp_path / "cache" / "results" / "accuracy_quick.json").read_text())
+    assert stored["metrics"][run.metrics[0].key]["value"] == 0.8
     assert stored["about"]["python"]
 
 

@@ -21,7 +21,7 @@ CASES = ladder(scenes=("radish_day05*", "radish_day10*"), seeds=(0, 1), rings=(1
 
 
 def test_mean_interval_and_sign_test_by_hand():
-    found = run_comparison.difference([5.0, 4.0, 6.0, 8.0], [3.0, 3.0, 3.0, 6.0], name="error", unit="%", smaller_is_better=True)
+    found = run_comparison.difference([5.0, 4.0, 6.0, 8.0], [3.0, 3.0, 3.0, 6.0], run_comparison.COMPARED[0])
     assert (found.before, found.after, found.mean) == (5.75, 3.75, -2.0)
     reach = 3.182446 * math.sqrt(2.0 / 3.0) / 2.0  # t(0.975, 3) sd / sqrt(n)
     assert (found.low, found.high) == (pytest.approx(-2.0 - reach, abs=1e-5), pytest.approx(-2.0 + reach, abs=1e-5))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
 from pathlib import Path
 
-from benchmarks.arguments import parser as benchmarks_parser
+from benchmarks import __main__ as benchmarks
 from rhizotwin.commands import COMMANDS, GROUPS, command_line
 from rhizotwin.recon.settings import Settings
 from rhizotwin.rig.arm.placement import compute_joints_from_direction
@@ -52,7 +52,7 @@ def check_line(_: Path, line: str) -> None:
         if given.get("profile") is not None:
             load_profile(given["profile"])
     elif words[:2] == ["./run", "bench"]:
-        benchmarks_parser().parse_args(words[2:])
+        benchmarks.bind(words[2:])
     elif words[0] == "./run":
         assert words[1] in ("docs", "setup", "test")
         assert f"    {words[1]})\n" in (ROOT / "run").read_text(encoding="utf-8")
