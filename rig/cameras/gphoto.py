@@ -6,6 +6,7 @@ sets another one. The shutter is released over USB, or by the rig's board throug
 """
 
 import importlib
+import locale
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -223,6 +224,8 @@ class GphotoCamera:
 
 
 def _load(name: str) -> Any:
+    if hasattr(locale, "LC_MESSAGES"):
+        locale.setlocale(locale.LC_MESSAGES, "C")  # libgphoto2 translates even the values of settings
     try:
         return importlib.import_module("gphoto2")
     except ImportError as error:

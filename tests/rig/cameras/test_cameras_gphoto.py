@@ -184,7 +184,8 @@ def test_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 VIRTUAL = """
-import gphoto2, sys
+import locale
+locale.setlocale(locale.LC_ALL, "C.UTF-8")
 from rhizotwin.rig.cameras.gphoto import GphotoCamera
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.clock import SystemClock
@@ -208,7 +209,7 @@ def test_the_library_itself_with_its_virtual_camera(tmp_path: Path) -> None:
 
     cv2.imwrite(str(tmp_path / "a.jpg"), np.full((48, 64), 90, np.uint8))
     folder = Path(str(importlib.util.find_spec("gphoto2").origin)).parent / "libgphoto2" / "vusb"
-    env = os.environ | {"IOLIBS": str(folder), "VCAMERADIR": str(tmp_path)}
+    env = os.environ | {"IOLIBS": str(folder), "VCAMERADIR": str(tmp_path), "LANGUAGE": "de"}
     made = subprocess.run([sys.executable, "-c", VIRTUAL], env=env, capture_output=True, text=True, timeout=60, check=False)
     assert "does not report the ISO" in made.stdout, made.stderr
     assert "does not report the focus mode" in made.stdout
