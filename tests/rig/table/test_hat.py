@@ -199,6 +199,16 @@ def test_lamps_and_a_band_with_its_own_pin(bench: Any) -> None:
     assert driver.level[5] == 0
 
 
+def test_the_shutter_contact_is_closed_for_a_while(bench: Any) -> None:
+    driver = bench[2]
+    lights, began_s = open_board(RIG, clock=driver.clock)[1], driver.clock.now_s()
+    lights.release_shutter(6)
+    assert driver.level[6] == 0
+    assert driver.clock.now_s() - began_s == pytest.approx(0.1)
+    with pytest.raises(ValueError, match="pin=None"):
+        lights.release_shutter(None)
+
+
 def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.MonkeyPatch, bench: Any) -> None:
     driver = bench[2]
     driver.taken = frozenset({HAT.step_pin})
