@@ -41,7 +41,7 @@ exceeds four times the median over all views.
 
 The inconsistency is the larger of two fractions: the coverage of the view that no cube explains, and the cubes accepted
 by all other views that the view excludes. The maximum in a correct scan is 0.013; a mirrored view of a printed root has
-0.17 (`docs/decisions/one-wrong-picture.md`)."""
+0.17 (`docs/decisions/pictures-and-trust.md`)."""
 
 
 @dataclass(frozen=True)
