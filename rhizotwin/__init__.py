@@ -2,7 +2,7 @@
 
     import rhizotwin as rt
 
-    dataset = rt.simulate("radish_day15b", "my_dataset", profile="benchmark")
+    dataset = rt.simulate("radish_day15b", "my_dataset", profile="bench")
     result = rt.reconstruct(dataset)
     result.volume_mm3, result.interval_mm3, result.trusted
     result.save("my_result")
@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 if _TYPE_CHECKING:
-    from rhizotwin.api import batch, benchmark, biomass, export, growth, import_pictures, publish, scan
+    from rhizotwin.api.outputs import export, publish
+    from rhizotwin.api.scans import import_pictures, scan
+    from rhizotwin.api.studies import batch, benchmark, biomass, growth
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
     from rhizotwin.scenes.errors import UserError
@@ -77,20 +79,20 @@ _PLACES = {
     "Score": "scoring.score",
     "Settings": "recon.settings",
     "UserError": "scenes.errors",
-    "batch": "api",
-    "benchmark": "api",
-    "biomass": "api",
+    "batch": "api.studies",
+    "benchmark": "api.studies",
+    "biomass": "api.studies",
     "edit": "steps.results",
-    "export": "api",
-    "growth": "api",
-    "import_pictures": "api",
+    "export": "api.outputs",
+    "growth": "api.studies",
+    "import_pictures": "api.scans",
     "load_dataset": "scenes.dataset",
     "load_result": "steps.front_door",
     "load_scene": "steps.front_door",
     "plot": "steps.display",
-    "publish": "api",
+    "publish": "api.outputs",
     "reconstruct": "steps.front_door",
-    "scan": "api",
+    "scan": "api.scans",
     "score": "steps.front_door",
     "score_file": "steps.front_door",
     "simulate": "steps.front_door",

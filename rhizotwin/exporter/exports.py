@@ -68,7 +68,7 @@ def export(
     result_folder : path
         Folder of the result.
     output : path
-        File, whose suffix selects the format, or folder, see `rhizotwin.api.export`.
+        File, whose suffix selects the format, or folder, see `rhizotwin.api.outputs.export`.
     dataset_folder : path or None
         Folder of the dataset; required for the export of cameras.
     roots : {"order", "diameter"} or None
@@ -185,7 +185,8 @@ def _cameras(output: Path, dataset: Dataset, cameras: Cameras) -> list[Path]:
 
     The paths of the pictures are relative to the file for nerfstudio, and to the dataset for COLMAP.
     """
-    poses, lens = [view.cam_from_canister for view in cameras.views], cameras.views[0].camera
+    poses = [view.cam_from_canister for view in cameras.views]
+    lens = cameras.views[0].camera
     if not output.suffix:
         return write_colmap(output, lens, list(zip(cameras.files, poses, strict=True)))
     files = [_relative(dataset.folder / file, output.parent) for file in cameras.files]
@@ -326,7 +327,8 @@ def _undistorted(output: Path, dataset: Dataset, cameras: Cameras, result_folder
             if place not in places:
                 places[place] = best_distance_mm(view, cameras.optics, heights_mm)
             camera = VirtualCamera(view, cameras.optics, places[place][0], heights_mm, None if lens is None else lens.focal_px[0])
-            lens, name = camera.lens, names[file]
+            lens = camera.lens
+            name = names[file]
             atomic.write_image(building / "images" / name, camera.undistort(np.asarray(read_image(dataset, known[file]))))
             posed.append((name, camera.cam_from_canister))
             step()
@@ -344,7 +346,8 @@ def _rays(output: Path, dataset: Dataset, cameras: Cameras, monitor: Monitor) ->
         raise UserError(
             f"{output}: the rays of this scan are straight, so that cameras describe them; export a .json file or a COLMAP folder"
         )
-    stems, lens = [Path(file).stem for file in cameras.files], cameras.views[0].camera
+    stems = [Path(file).stem for file in cameras.files]
+    lens = cameras.views[0].camera
     if len(set(stems)) < len(stems):
         raise UserError(f"{output}: two pictures differ only in their folder or suffix; rename one of them, and import again")
     posed = [(file, view.cam_from_canister) for file, view in zip(cameras.files, cameras.views, strict=True)]

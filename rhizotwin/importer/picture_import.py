@@ -15,6 +15,7 @@ from rhizotwin.importer.picture_copy import PictureCopier
 from rhizotwin.importer.picture_files import SUFFIXES, check_pictures, list_pictures
 from rhizotwin.importer.response import with_response
 from rhizotwin.importer.silhouettes import read_levels
+from rhizotwin.rig.cameras import raw_files
 from rhizotwin.scenes import plan, transfer
 from rhizotwin.scenes.dataset import Dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -144,7 +145,8 @@ def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
     names = [band.name for band in scene.camera.bands]
     if not names:
         return [(number, "") for number in range(len(paths))]
-    found, views = [], dict[str, int]()
+    found = []
+    views = dict[str, int]()
     for path in paths:
         ends = [name for name in names if path.stem.endswith(f"_{name}")]
         if not ends:
@@ -170,7 +172,7 @@ def _refuse_options(scene: Scene, kind: PictureKind) -> None:
 
 def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
     """Return the paths of the pictures in a folder, and whether they are raw pictures."""
-    paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_pictures.SUFFIXES))
+    paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_files.SUFFIXES))
     raw = [path for path in paths if raw_pictures.is_raw(path)]
     if raw and len(raw) < len(paths):
         other = next(path for path in paths if path not in raw)
