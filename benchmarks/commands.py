@@ -352,7 +352,7 @@ def freeze(*, cases: Words = None, output: OutputFolder | None = None, device: D
 
     folder = output or results_folder() / "frozen"
     records = frozen.freeze(folder, cases or tuple(frozen.CASES), device=device, say=say)
-    say("\n" + frozen.table(records))
+    say("\n" + frozen.compared_table([{"name": one["name"], "before": one, "after": one} for one in records]))
     say(f"frozen: {folder}; compare a changed reconstruction with `./run bench against {folder}`")
     return 0
 

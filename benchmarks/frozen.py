@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from benchmarks import commits, datasets, masks_in_air, reconstructions, worker
 from benchmarks.accuracy import percent
 from benchmarks.cases import DEFAULT_VOXEL_MM, Case, Pictures
+from benchmarks.output import markdown, value_at
 from benchmarks.run import Say
 from rhizotwin.recon.results.parts import Leaves
 from rhizotwin.recon.results.result import Result
@@ -355,42 +356,28 @@ _NUMBERS: tuple[tuple[str, str, float, str], ...] = (
 """Columns of the table: title, path in the score, factor and format."""
 
 
-def table(records: Sequence[dict[str, Any]]) -> str:
-    """Return the measures of cases as a Markdown table."""
-    titles = ["case", *(title for title, *_ in _NUMBERS), "interval", "trusted", "cpu s", "MiB"]
-    lines = [f"| {' | '.join(titles)} |", "|" + "---|" * len(titles)]
-    for record in records:
-        score, cost = record["score"], record["cost"]
-        cells = [record["name"], *(_cell(score, path, factor, form) for _, path, factor, form in _NUMBERS)]
-        cells += ["holds" if score["interval_holds_truth"] else "misses", "yes" if score["volume_trusted"] else "no"]
-        cells += [f"{cost['cpu_s']:.0f}", f"{cost['peak_memory_mib']:.0f}"]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 def compared_table(rows: Sequence[dict[str, Any]]) -> str:
     """Return the measures of all cases as a Markdown table; those that changed have two values."""
-    titles = ["case", *(title for title, *_ in _NUMBERS), "cpu s"]
-    lines = [f"| {' | '.join(titles)} |", "|" + "---|" * len(titles)]
+    titles = ["case", *(title for title, *_ in _NUMBERS), "interval", "trusted", "cpu s"]
+    lines = []
     for row in rows:
         if "crashed" in row:
-            lines.append(f"| {row['name']} | CRASHED |" + " |" * (len(titles) - 2))
+            lines.append([row["name"], "CRASHED", *([""] * (len(titles) - 2))])
             continue
-        before, after = row["before"], row["after"]
-        pairs = [[_cell(one["score"], path, factor, form) for one in (before, after)] for _, path, factor, form in _NUMBERS]
-        pairs.append([f"{one['cost']['cpu_s']:.0f}" for one in (before, after)])
-        lines.append(f"| {' | '.join([row['name'], *(old if old == new else f'{old} -> {new}' for old, new in pairs)])} |")
-    return "\n".join(lines)
+        pairs = zip(*(_cells(row[one]) for one in ("before", "after")), strict=True)
+        lines.append([row["name"], *(old if old == new else f"{old} -> {new}" for old, new in pairs)])
+    return markdown(" | ".join(titles), lines)
+
+
+def _cells(record: Mapping[str, Any]) -> list[str]:
+    """Return the measures of a case as text."""
+    score = record["score"]
+    cells = [_cell(score, path, factor, form) for _, path, factor, form in _NUMBERS]
+    cells.append("holds" if score["interval_holds_truth"] else "misses")
+    cells.append("yes" if score["volume_trusted"] else "no")
+    return [*cells, f"{record['cost']['cpu_s']:.0f}"]
 
 
 def _cell(score: Mapping[str, Any], path: str, factor: float, form: str) -> str:
     value = value_at(score, path)
     return "-" if value is None else format(factor * value, form)
-
-
-def value_at(score: Mapping[str, Any], path: str) -> float | None:
-    """Return a number of a score by its path, such as ``roots.length_error``; None if a part of the path is missing."""
-    value: Any = score
-    for name in path.split("."):
-        value = None if value is None else value.get(name)
-    return None if value is None else float(value)

@@ -1,7 +1,7 @@
 """Output of the benchmarks: lines of progress, tables of numbers, and the description of a run."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,3 +49,11 @@ def markdown(titles: str, rows: Iterable[Sequence[str]]) -> str:
 def results_folder() -> Path:
     """Return the folder for the numbers of runs without ``--output``."""
     return cache.folder() / "results"
+
+
+def value_at(record: Mapping[str, Any], path: str) -> float | None:
+    """Return a number of a record by its path, such as ``roots.length_error``; None if a part is missing."""
+    value: Any = record
+    for name in path.split("."):
+        value = None if value is None else value.get(name)
+    return None if value is None else float(value)

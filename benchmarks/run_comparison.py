@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from benchmarks.output import value_at
 from rhizotwin.scenes.errors import UserError
 
 Record = Mapping[str, Any]
@@ -27,33 +28,28 @@ class Compared:
     """A number in both runs."""
 
     name: str
-    of: Callable[[Record], float | None]
+    path: str
     scale: float
     unit: str
     smaller_is_better: bool = True
 
-
-def _number(*path: str, size: bool = False) -> Callable[[Record], float | None]:
-    def found(record: Record) -> float | None:
-        value: Any = record
-        for name in path:
-            value = None if value is None else value.get(name)
-        return None if value is None else abs(float(value)) if size else float(value)
-
-    return found
+    def of(self, record: Record) -> float | None:
+        """Return the number in a record, without its sign if a decrease is an improvement; None if it is missing."""
+        value = value_at(record, self.path)
+        return abs(value) if value is not None and self.smaller_is_better else value
 
 
 COMPARED = (
-    Compared("volume error (size)", _number("score", "volume_error", size=True), 100.0, "%"),
-    Compared("length error (size)", _number("score", "roots", "length_error", size=True), 100.0, "%"),
-    Compared("centre-line recall", _number("score", "roots", "recall"), 100.0, "%", smaller_is_better=False),
-    Compared("centre-line precision", _number("score", "roots", "precision"), 100.0, "%", smaller_is_better=False),
-    Compared("tip recall", _number("score", "roots", "tip_recall"), 100.0, "%", smaller_is_better=False),
-    Compared("tip precision", _number("score", "roots", "tip_precision"), 100.0, "%", smaller_is_better=False),
-    Compared("interval holds", _number("score", "interval_holds_truth"), 100.0, "%", smaller_is_better=False),
-    Compared("time", _number("wall_s"), 1.0, "s"),
-    Compared("processor time", _number("cpu_s"), 1.0, "s"),
-    Compared("memory", _number("peak_memory_mib"), 1.0 / 1024.0, "GiB"),
+    Compared("volume error (size)", "score.volume_error", 100.0, "%"),
+    Compared("length error (size)", "score.roots.length_error", 100.0, "%"),
+    Compared("centre-line recall", "score.roots.recall", 100.0, "%", smaller_is_better=False),
+    Compared("centre-line precision", "score.roots.precision", 100.0, "%", smaller_is_better=False),
+    Compared("tip recall", "score.roots.tip_recall", 100.0, "%", smaller_is_better=False),
+    Compared("tip precision", "score.roots.tip_precision", 100.0, "%", smaller_is_better=False),
+    Compared("interval holds", "score.interval_holds_truth", 100.0, "%", smaller_is_better=False),
+    Compared("time", "wall_s", 1.0, "s"),
+    Compared("processor time", "cpu_s", 1.0, "s"),
+    Compared("memory", "peak_memory_mib", 1.0 / 1024.0, "GiB"),
 )
 
 

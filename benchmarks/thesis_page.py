@@ -8,6 +8,7 @@ from typing import Any
 from benchmarks import accuracy, assumptions, cases, commits, ladder, thesis_figures
 from benchmarks.assumptions import CountedVolumes, Level
 from benchmarks.cases import Case, Pictures
+from benchmarks.output import markdown
 from benchmarks.run import Say
 from rhizotwin.experiment import mass_curves, thesis_tables
 from rhizotwin.scenes.atomic import write_bytes, write_text
@@ -280,15 +281,15 @@ def _table(found: Sequence[Plant]) -> str:
     for run in runs:
         head += [f"{_words(run)} (ml)", *(["90 % interval (ml)"] if run[0] == "coverage" else []), "g/ml"]
     head += ["commit"] if len(known) > 1 else []
-    rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    rows = []
     for one in found:
         cells = [one.name, f"{one.day:g}", f"{one.grams:.4f}", *_both(one, one.thesis_ml, digits=3)]
         for run in runs:
             volume, density = _both(one, one.ml(run), digits=4)
             cells += [volume, *([_interval(one.runs.get(run))] if run[0] == "coverage" else []), density]
         cells += [", ".join(f"`{commit}`" for commit in ladder.commits_of(list(one.runs.values()))) or "-"] if len(known) > 1 else []
-        rows.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*rows, *([f"\nMeasured at commit `{known[0]}`."] if len(known) == 1 else [])])
+        rows.append(cells)
+    return markdown(" | ".join(head), rows) + (f"\n\nMeasured at commit `{known[0]}`." if len(known) == 1 else "")
 
 
 def _both(one: Plant, volume_ml: float | None, *, digits: int) -> tuple[str, str]:
@@ -351,27 +352,24 @@ def _water_text() -> str:
 
 def _extents(levels: Sequence[Level]) -> str:
     finest = levels[-1]
-    rows = ["| axis | true (mm) | re-implemented (mm) | error | our hull (mm) | error |", "|---|---|---|---|---|---|"]
+    rows = []
     for number, true in enumerate(finest.true_extents_mm):
         lengths = (one.extents_mm[number] for one in (finest.thesis, finest.ours))
-        errors = " | ".join(f"{mm:.1f} | {100.0 * (mm / true - 1.0):+z.1f} %" for mm in lengths)
-        rows.append(f"| {'xyz'[number]} | {true:.1f} | {errors} |")
-    return "\n".join(rows)
+        rows.append(["xyz"[number], f"{true:.1f}", *(f"{mm:.1f} | {100.0 * (mm / true - 1.0):+z.1f} %" for mm in lengths)])
+    return markdown("axis | true (mm) | re-implemented (mm) | error | our hull (mm) | error", rows)
 
 
 def _levels(levels: Sequence[Level]) -> str:
-    rows = [
-        "| voxel (mm) | our hull (ml) | s | re-implemented (ml) | s | octree voxels | grid voxels | grid (ml) | grid s | grid / octree |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    titles = "voxel (mm) | our hull (ml) | s | re-implemented (ml) | s | octree voxels | grid voxels | grid (ml) | grid s | grid / octree"
+    rows = []
     for one in levels:
         theirs = one.thesis
         full = ("-", "-", "-")
         if theirs.grid_cpu_s is not None and theirs.grid_ml is not None:
             full = (f"{theirs.grid_ml:.2f}", f"{theirs.grid_cpu_s:.2f}", f"{theirs.grid_cpu_s / theirs.cpu_s:.1f}")
         cells = (f"{one.voxel_mm:g}", f"{one.ours.ml:.2f}", f"{one.ours.cpu_s:.2f}", f"{theirs.ml:.2f}", f"{theirs.cpu_s:.2f}")
-        rows.append("| " + " | ".join((*cells, f"{theirs.voxels:,}", f"{one.grid_voxels:,}", *full)) + " |")
-    return "\n".join(rows)
+        rows.append((*cells, f"{theirs.voxels:,}", f"{one.grid_voxels:,}", *full))
+    return markdown(titles, rows)
 
 
 def _series(found: Sequence[Plant]) -> dict[str, list[tuple[float, float]]]:

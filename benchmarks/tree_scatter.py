@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmarks import accuracy, commits, frozen, reconstructions
 from benchmarks.cases import Case
+from benchmarks.output import markdown, value_at
 from benchmarks.run import Say
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -77,18 +78,18 @@ def measure(names: Sequence[str], *, runs: int, device: str, say: Say) -> Stored
             record = run.details[case.name]
             commit = record["commit"]
             for title, path, *_ in _NUMBERS:
-                values[name][title].append(frozen.value_at(record["score"], path))
+                values[name][title].append(value_at(record["score"], path))
     return {"schema_version": SCHEMA_VERSION, "commit": commit, "changes": changes, "cases": values}
 
 
 def table(stored: Stored) -> str:
     """Return the value for the unchanged pictures and the range over all runs, by case, as a Markdown table."""
     names = list(stored["cases"])
-    lines = [f"| number | {' | '.join(f'`{name}`' for name in names)} |", "|---|" + "---|" * len(names)]
-    for title, _, factor, form, unit in _NUMBERS:
-        cells = [_range(stored["cases"][name][title], factor, form) for name in names]
-        lines.append(f"| {title}{f' ({unit})' if unit else ''} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    rows = [
+        [f"{title}{f' ({unit})' if unit else ''}", *(_range(stored["cases"][name][title], factor, form) for name in names)]
+        for title, _, factor, form, unit in _NUMBERS
+    ]
+    return markdown(" | ".join(["number", *(f"`{name}`" for name in names)]), rows)
 
 
 def _range(values: Sequence[float | None], factor: float, form: str) -> str:

@@ -5,7 +5,7 @@ For each device, the check reports its state, or the problem and a remedy.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
@@ -30,16 +30,26 @@ multiplied by the first value, plus the second value, which is a fraction of ful
 T = TypeVar("T")
 
 
-def check(
-    rig: RigFile,
-    scene: Scene,
-    *,
-    clock: Clock,
-    open_camera: Callable[[], Camera],
-    say: Say,
-    folder: Path,
-    recorder: Recorder | None = None,
-) -> int:
+class Bench(Protocol):
+    """Rig, real or emulated, with its scene."""
+
+    @property
+    def rig(self) -> RigFile:
+        """Description of the devices."""
+
+    @property
+    def scene(self) -> Scene:
+        """Scene with the strip and the camera."""
+
+    @property
+    def clock(self) -> Clock:
+        """Clock for waiting times."""
+
+    def open_camera(self) -> Camera:
+        """Open the camera of the rig, or of the twin."""
+
+
+def check(bench: Bench, *, say: Say, folder: Path, recorder: Recorder | None = None) -> int:
     """Check every device of a rig and report one line per device, without moving any of them.
 
     The lamps are off at the end. The table's motor remains on only if the board knows its angle. The arm's torque is
@@ -47,12 +57,8 @@ def check(
 
     Parameters
     ----------
-    rig, scene : RigFile, Scene
-        Descriptions of the rig's devices, and of the strip and the camera.
-    clock : Clock
-        Clock for waiting times.
-    open_camera : callable
-        Function that opens the camera of the rig, or of the twin.
+    bench : Bench
+        Rig with its scene.
     say : Say
         Function that receives each line of the report.
     folder : path
@@ -65,6 +71,9 @@ def check(
     int
         Number of problems found.
     """
+    rig = bench.rig
+    scene = bench.scene
+    clock = bench.clock
     report = _Report(say)
     board = report.look("turntable", lambda: _board(rig, clock, recorder))
     arm = None
@@ -73,7 +82,7 @@ def check(
             report.line("arm", "ok", "the rig file has no arm; the camera is on a tripod")
         else:
             arm = report.look("arm", lambda: _arm(rig, clock, recorder))
-        camera = report.look("camera", lambda: _camera(open_camera, rig, None if board is None else board[1]))
+        camera = report.look("camera", lambda: _camera(bench.open_camera, rig, None if board is None else board[1]))
         if camera is not None:
             try:
                 _look_at_pictures(report, camera, None if board is None else board[1], rig, scene)

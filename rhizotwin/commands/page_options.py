@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.steps.arguments import Flag, option, read_length_mm, with_metavar
+from rhizotwin.steps.arguments import Flag, option, read_length_mm, read_two_integers, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.rig.printing.print_page import Paper
@@ -43,13 +43,7 @@ def read_printed_ruler(text: str) -> tuple[float, float]:
 
 def read_squares(text: str) -> tuple[int, int]:
     """Convert text such as 7x5 to the number of squares of a board across and down."""
-    columns, cross, rows = text.lower().partition("x")
-    if not (cross and columns.isdecimal() and rows.isdecimal()):
-        raise ValueError(f"{text!r} is not a number of squares; write it as 7x5")
-    low, high = SQUARES_LIMITS
-    if not all(low <= side <= high for side in (int(columns), int(rows))):
-        raise ValueError(f"{text} is out of range; give {low} to {high} squares per side")
-    return int(columns), int(rows)
+    return read_two_integers(text, SQUARES_LIMITS, "a number of squares", "7x5", "squares per side")
 
 
 def read_square_mm(text: str) -> float:

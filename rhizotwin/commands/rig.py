@@ -74,9 +74,7 @@ def check(
     bench = rigs.open_bench(rig, scene, errors=twin)
     with ExitStack() as stack:
         recorder = rigs.recorder(record, stack)
-        wrong = look(
-            bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=print, folder=Path.cwd(), recorder=recorder
-        )
+        wrong = look(bench, say=print, folder=Path.cwd(), recorder=recorder)
         if first_day is not None:
             wrong = _walk(bench, first_day, recorder, wrong, stack)
     if wrong:

@@ -77,13 +77,12 @@ class ByHand:
 
     def _check(self) -> None:
         self._rig.let_go()
-        bench = self._bench
 
         def say(line: str) -> None:
             self._devices.read_check(line)
             self._rig.say(line)
 
-        check(bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=say, folder=self._folders.root)
+        check(self._bench, say=say, folder=self._folders.root)
 
     def _take_picture(self) -> str:
         now = datetime.now().astimezone()

@@ -183,15 +183,30 @@ def read_mass_g(text: str) -> float:
     return read_number(text, MASS_LIMITS_G, "g", "grams")
 
 
+def read_two_integers(text: str, limits: tuple[int, int], kind: str, example: str, unit: str) -> tuple[int, int]:
+    """Convert text such as 800x600 to two integers within limits.
+
+    Parameters
+    ----------
+    text : str
+        Text to convert.
+    limits : tuple of int
+        Minimum and maximum value of both, inclusive.
+    kind, example, unit : str
+        Description of the values, an example, and their unit, for error messages.
+    """
+    first, cross, second = text.lower().partition("x")
+    if not (cross and first.isdecimal() and second.isdecimal()):
+        raise ValueError(f"{text!r} is not {kind}; write it as {example}")
+    low, high = limits
+    if not all(low <= one <= high for one in (int(first), int(second))):
+        raise ValueError(f"{text} is out of range; give {low} to {high} {unit}")
+    return int(first), int(second)
+
+
 def read_image_wh(text: str) -> tuple[int, int]:
     """Convert a picture size such as 800x600 to width and height in pixels."""
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"{text!r} is not a picture size; write it as 800x600")
-    low, high = PIXEL_LIMITS
-    if not all(low <= side <= high for side in (int(width), int(height))):
-        raise ValueError(f"{text} is out of range; width and height must be {low} to {high} pixels")
-    return int(width), int(height)
+    return read_two_integers(text, PIXEL_LIMITS, "a picture size", "800x600", "pixels for width and height")
 
 
 Device: TypeAlias = Literal["auto", "cpu", "cuda"]

@@ -17,18 +17,26 @@ from rhizotwin.scenes.files import scene_from_dict, scene_to_dict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.name_suggestion import most_similar
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
-from rhizotwin.steps.arguments import DIAMETER_LIMITS_MM, MASS_LIMITS_G, PIXEL_LIMITS, VOLUME_LIMITS_ML, VOXEL_LIMITS_MM
+from rhizotwin.steps.arguments import (
+    DIAMETER_LIMITS_MM,
+    MASS_LIMITS_G,
+    MAX_SAMPLES,
+    MAX_VIEWS,
+    PIXEL_LIMITS,
+    VOLUME_LIMITS_ML,
+    VOXEL_LIMITS_MM,
+)
 from rhizotwin.steps.calls import require
 
 LIMITS: Mapping[str, tuple[float, float]] = {
     "image_wh": PIXEL_LIMITS,
     "mass_g": MASS_LIMITS_G,
     "port": (1, 65535),
-    "samples": (1, 1_000_000),
+    "samples": (1, MAX_SAMPLES),
     "seed": (0, 2**63 - 1),
     "specimen_diameter_mm": DIAMETER_LIMITS_MM,
     "table_angle_deg": (-360.0, 360.0),
-    "views": (1, 10000),
+    "views": (1, MAX_VIEWS),
     "volume_ml": VOLUME_LIMITS_ML,
     "voxel_mm": VOXEL_LIMITS_MM,
     "workers": (1, 10000),

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -31,7 +32,8 @@ def twin_of(*faults: Fault, rig: RigFile | None = None, profile: str = "clean") 
 
 def looked(twin: Twin, folder: Path) -> tuple[int, list[str]]:
     lines: list[str] = []
-    wrong = check(twin.rig, twin.calibrated_scene(), clock=twin.clock, open_camera=twin.open_camera, say=lines.append, folder=folder)
+    bench = SimpleNamespace(rig=twin.rig, scene=twin.calibrated_scene(), clock=twin.clock, open_camera=twin.open_camera)
+    wrong = check(bench, say=lines.append, folder=folder)
     twin.clock.sleep(1.0)
     return wrong, lines
 
