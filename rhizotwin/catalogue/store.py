@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from rhizotwin.catalogue import plant_rows, schema
-from rhizotwin.catalogue.records import Mass, Plant, Scan, StoredResult, Tag
+from rhizotwin.catalogue.records import Mass, Plant, Scan, StoredResult
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place
 from rhizotwin.scenes.solution import Solution
@@ -144,7 +144,8 @@ class Catalogue:
         A path below the catalogue's folder is stored relative to this folder, with forward slashes. Any other path is
         stored as an absolute path.
         """
-        whole, base = Path(path).resolve(), self.path.parent.resolve()
+        whole = Path(path).resolve()
+        base = self.path.parent.resolve()
         return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()
 
     def full_path(self, stored: str) -> Path:
@@ -227,10 +228,6 @@ class Catalogue:
                 return one
         names = ", ".join(one.name for one in known[:MOST_LISTED]) or "none"
         raise UserError(f"{self.path}: no plant is named {name!r}; known plants: {names}{', ...' if len(known) > MOST_LISTED else ''}")
-
-    def plant_with_tag(self, tag: Tag) -> Plant | None:
-        """Return the plant with the given tag, or None if the catalogue contains no such plant."""
-        return next((one for one in self.plants() if one.tag == tag), None)
 
     # scans, results, masses
 
@@ -360,7 +357,8 @@ def _selection(plant: str | None, treatment: str | None, day: float | None, *, p
     ``x`` is the name of the selected row in the statement, and ``plants`` is a SELECT statement that returns the plants
     of this row.
     """
-    conditions, values = [], list[Any]()
+    conditions = []
+    values = list[Any]()
     if plant is not None:
         conditions.append(f"EXISTS (SELECT 1 FROM plants p WHERE p.id IN ({plants}) AND p.name = ?)")
         values.append(plant)

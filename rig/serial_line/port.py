@@ -29,7 +29,7 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 class Wire(Protocol):
     """Interface of the serial port that drivers use.
 
-    It is implemented by `Port`, and by `rig.serial_line.recording.ReplayPort` for a replay.
+    It is implemented by `Port`, and by a port of the tests that replays a recording.
     """
 
     @property

@@ -19,7 +19,7 @@ from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.rig_file import LightsPart, TurntablePart
 from rhizotwin.rig.serial_line.port import Port
-from rhizotwin.rig.serial_line.recording import Recorder, ReplayError, ReplayPort, replay_port
+from rhizotwin.rig.serial_line.recording import Recorder
 from rhizotwin.rig.table.lights import MarlinLights
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.turntable import MarlinTurntable
@@ -27,6 +27,7 @@ from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
+from tests.rig.serial_line.replay import ReplayError, ReplayPort, replay_port
 
 
 @dataclass
