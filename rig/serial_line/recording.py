@@ -1,9 +1,9 @@
 """Recording of every transmitted byte as JSON lines.
 
 A recording of a bench session can be replayed as a test of the drivers (`tests/rig/serial_line/replay.py`). A file
-contains successive sessions. Each session begins with a line ``{"recording": 1, "time": ..., "versions": ...}``. It is followed by a
-line ``{"t_s", "device", "open": {"url", "baud"}}`` for each opened port, and by lines ``{"t_s", "device", "dir": ">" or
-"<", "hex"}`` for bytes sent to (``>``) and received from (``<``) a device.
+contains successive sessions. Each session begins with a line ``{"recording": 1, "time": ..., "versions": ...}``. It is
+followed by a line ``{"t_s", "device", "open": {"url", "baud"}}`` for each opened port, and by lines ``{"t_s", "device",
+"dir": ">" or "<", "hex"}`` for bytes sent to (``>``) and received from (``<``) a device.
 """
 
 import json
