@@ -55,7 +55,8 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
     for name, dataset in zip(named(found), found, strict=True):
         data = _head(dataset)
         decides = {key: value for key, value in options.items() if key != "device"} | {"dataset": hashlib.sha256(data).hexdigest()}
-        key, output = key_of(decides, code=code), places.join(results, name)
+        key = key_of(decides, code=code)
+        output = places.join(results, name)
         jobs.append(Job(name=name, kind="reconstruct", source=dataset, output=output, key=key, pixels=_pixels(data), options=options))
     return jobs
 
@@ -89,7 +90,8 @@ def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed
         key = key_of({"scene": plain, "profile": profile, "seed": seed, "specimens": sources.specimen_hashes(scene)}, code=code)
         width, height = scene.camera.image_wh
         pixels = float(width * height * count_pictures(scene))
-        text, output = json.dumps(plain), places.join(datasets, name)
+        text = json.dumps(plain)
+        output = places.join(datasets, name)
         jobs.append(Job(name=name, kind="simulate", source=text, output=output, key=key, pixels=pixels, options=options))
     return jobs
 

@@ -61,7 +61,8 @@ def run(
             busy = [worker for worker in crew if worker.job]
             ready = connection.wait([worker.line for worker in busy], timeout=LOOK_S)
             for worker in [worker for worker in busy if worker.line in ready]:
-                job, outcome = worker.job, _hear(worker, crew)
+                job = worker.job
+                outcome = _hear(worker, crew)
                 if job is None:
                     continue
                 tries[job.name] = tries.get(job.name, 0) + 1

@@ -118,7 +118,8 @@ def _cells(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definiti
 
 def _number(row: _Row, field: str) -> str:
     """Format the value of a trait for the table, with a note in parentheses if it is not reliable."""
-    value, verdict = getattr(row.traits, field), row.assessed[field].verdict
+    value = getattr(row.traits, field)
+    verdict = row.assessed[field].verdict
     text = trait_table.format_number(value)
     return text if value is None or verdict != "not reliable" else f"{text} ({verdict})"
 

@@ -109,7 +109,8 @@ class _Bar:
     """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
-        self._total, self._count = len(jobs), 0
+        self._total = len(jobs)
+        self._count = 0
         watched = sys.stderr.isatty()
         pixels = sum(job.pixels for job in jobs)
         self._bar = tqdm(total=pixels, bar_format=_FORM, dynamic_ncols=True, leave=False, colour=COLOUR) if watched else None

@@ -179,7 +179,8 @@ def _submit(one: _Attempt) -> str:
 
 def _look(one: _Attempt, number: str, now: Place | None, say: Callable[[str], None]) -> Outcome | _Attempt | None:
     """Return the outcome of a Slurm job that has ended, the next attempt, or None if it has not ended."""
-    name, before = one.job.name, one.place
+    name = one.job.name
+    before = one.place
     if now is not None and now.state in _OPEN:
         if now.state == "RUNNING" != before.state:
             say(f"{name}: Slurm job {number} runs on {now.node}")

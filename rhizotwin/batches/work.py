@@ -50,14 +50,18 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
         state, sentence = "done", ""
     except UserError as error:
         disk = isinstance(error.__cause__, OSError) and error.__cause__.errno in OF_DISK
-        state, sentence = "again" if disk else "failed", str(error)
+        state = "again" if disk else "failed"
+        sentence = str(error)
     except MemoryError as error:
-        state, sentence = "again", formatting.error_sentence(error)
+        state = "again"
+        sentence = formatting.error_sentence(error)
     except OSError as error:
-        state, sentence = "again" if error.errno in OF_DISK else "failed", formatting.error_sentence(error)
+        state = "again" if error.errno in OF_DISK else "failed"
+        sentence = formatting.error_sentence(error)
     except Exception as error:  # a fault of one scan must not end the batch
         logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
-        state, sentence = "failed", formatting.error_sentence(error)
+        state = "failed"
+        sentence = formatting.error_sentence(error)
     outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=memory.peak_mib())
     try:
         note(job, outcome)

@@ -62,7 +62,8 @@ def take(folder: Path) -> dict[str, Any]:
 
 def compare(folder: Path, case: str, reference: dict[str, Any]) -> Comparison:
     """Compare a rendered case with its reference fingerprint."""
-    known, found = reference.get(case), take(folder)
+    known = reference.get(case)
+    found = take(folder)
     if known is None:
         return Comparison(case=case, largest=float("inf"), volume=float("inf"), has_reference=False)
     largest = float("inf")

@@ -36,7 +36,8 @@ def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[
     """
     from rhizotwin.sim.simulate import simulate
 
-    reference, found = fingerprints.reference(benchmark), []
+    reference = fingerprints.reference(benchmark)
+    found = []
     for case in benchmark.cases:
         simulate(case.rendered_scene(), folder / case.name, profile_name=case.profile, seed=case.seed, monitor=monitor)
         found.append(fingerprints.compare(folder / case.name, case.name, reference))
@@ -66,7 +67,8 @@ def check_made(benchmark: Benchmark, folder: Path) -> None:
         command = f"rhizotwin bench make {benchmark.name} -o"
         if not (folder / case.name / "truth" / "truth.json").is_file():
             raise UserError(f"the case {case.name} is missing in {folder}; render it with: {command} {folder}")
-        found, pictures = load_dataset(folder / case.name), count_pictures(case.rendered_scene())
+        found = load_dataset(folder / case.name)
+        pictures = count_pictures(case.rendered_scene())
         if (found.scene.camera.image_wh, len(found.frames), found.seed) != (case.image_wh, pictures, case.seed):
             raise UserError(
                 f"{folder / case.name} was rendered for another benchmark than {benchmark.name}; render it with: {command} NEW_FOLDER"

@@ -90,8 +90,10 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
 def _undistort(dataset: Dataset, lens: Camera, posed: Posed, masks: dict[str, Picture], goal: Path) -> None:
     """Remove the lens distortion from pictures and masks, and write them together with their cameras."""
     (fx, fy), (cx, cy) = lens.focal_px, lens.principal_px
-    matrix, distortion = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(lens.distortion)
-    known, frames = {frame.file: frame for frame in dataset.frames}, []
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    distortion = np.array(lens.distortion)
+    known = {frame.file: frame for frame in dataset.frames}
+    frames = []
     for file, pose in posed:
         picture = np.asarray(read_image(dataset, known[file]))
         name = f"{Path(file).stem}.png"

@@ -46,7 +46,9 @@ def score_outputs(output: Path, dataset: Path) -> tuple[dict[str, Any], list[str
     sentences : list of str
         Reasons why files could not be scored.
     """
-    names, scores, sentences = contents(output) if output.is_dir() else [], dict[str, Any](), list[str]()
+    names = contents(output) if output.is_dir() else []
+    scores = dict[str, Any]()
+    sentences = list[str]()
     for kind, (known, score) in KINDS.items():
         file = next((name for name in known if name in names), None)
         if file is None:

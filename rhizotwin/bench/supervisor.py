@@ -78,7 +78,8 @@ def descendants() -> list[int]:
             for line in lister.communicate()[0].splitlines():
                 process, shown, status = line.split()[:3]
                 parents[int(process)] = (int(shown), status.startswith("Z") or int(process) == lister.pid)
-    found, waiting = [], [os.getpid()]
+    found = []
+    waiting = [os.getpid()]
     while waiting:
         above = waiting.pop()
         below = [process for process, (parent, _) in parents.items() if parent == above]

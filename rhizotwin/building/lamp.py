@@ -66,7 +66,9 @@ def lamp_holder(scene: Scene, measures: Measures) -> Part:
             f"the front lamp (lights.front_wh_mm) of {wide:g} x {high:g} mm is too small for the printed holders; "
             f"use a lamp of at least {LEAST_LAMP_MM:g} x {LEAST_LAMP_MM:g} mm"
         )
-    half, wall, screw = (high - measures.fit_mm) / 2.0, HOLDER_WALL_MM, _screw_x_mm(measures)
+    half = (high - measures.fit_mm) / 2.0
+    wall = HOLDER_WALL_MM
+    screw = _screw_x_mm(measures)
     fins = half - HOLDER_DEEP_MM - measures.fit_mm
     bore = raised(hole(M5_MM), -wall - 1.0, 1.0).transform(np.array([[1.0, 0.0, 0.0, screw], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]]))
     return Part(

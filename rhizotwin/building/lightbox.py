@@ -34,7 +34,8 @@ def _clip_outline(measures: Measures) -> CrossSection:
 
     The clip is open towards -y, and its back is at +y.
     """
-    gap, wall = _clip_gap_mm(measures), CLIP_WALL_MM
+    gap = _clip_gap_mm(measures)
+    wall = CLIP_WALL_MM
     nose = measures.slot_mm / 2.0 - measures.fit_mm / 2.0
     lip = min(measures.slot_lip_mm, nose)
     body = rounded(2.0 * (gap + wall), 2.0 * (gap + wall), 1.0) - CrossSection.square((2.0 * gap, 2.0 * gap), center=True)
@@ -72,7 +73,9 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
     The profile is parallel to the z axis of the clip. A panel holder is screwed to the back of the clip.
     """
-    back, thick, screw = _clip_gap_mm(measures), CLIP_WALL_MM + 2.0, _clip_screw_mm(measures)
+    back = _clip_gap_mm(measures)
+    thick = CLIP_WALL_MM + 2.0
+    screw = _clip_screw_mm(measures)
     drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-screw, screw))
     through = drop.extrude(thick + 2.0).transform(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, back - 1.0], [0.0, 1.0, 0.0, 0.0]]))
     # the profile runs along y behind the panel; the back of the clip, with the holder, faces the canister
@@ -125,7 +128,8 @@ def slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]
 
     They are measured from the back of the channel, in mm.
     """
-    wall, fit = HOLDER_WALL_MM, measures.fit_mm
+    wall = HOLDER_WALL_MM
+    fit = measures.fit_mm
     board = (wall, wall + measures.panel_board_mm + fit)
     bright = board[1] + measures.diffuser_gap_mm
     return board, (bright, bright + measures.diffuser_mm + fit)
@@ -148,7 +152,10 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
 
     The back of the channel is at x = 0, and the edge of the panel at y = 0.
     """
-    wall, deep, screw, bar = HOLDER_WALL_MM, HOLDER_DEEP_MM, _clip_screw_mm(measures), _bar_beyond_mm(measures)
+    wall = HOLDER_WALL_MM
+    deep = HOLDER_DEEP_MM
+    screw = _clip_screw_mm(measures)
+    bar = _bar_beyond_mm(measures)
     board, diffuser = slots(measures)
     long = diffuser[1] + wall
     outline = union([channel(measures), rectangle((0.0, -bar - screw - SCREW_ROOM_MM), (wall, 0.0))])
@@ -220,8 +227,10 @@ def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
 
 def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, middles_mm: list[float]) -> Part:
     """Create a wall piece for the upper and lower edge of the lightbox."""
-    z, high = scene.lights.backlight_z_mm, scene.lights.backlight_wh_mm[1]
-    x, cut = _panel_x_mm(scene, measures), long_mm - measures.fit_mm
+    z = scene.lights.backlight_z_mm
+    high = scene.lights.backlight_wh_mm[1]
+    x = _panel_x_mm(scene, measures)
+    cut = long_mm - measures.fit_mm
     places = []
     for y in middles_mm:
         for up in (1.0, -1.0):
@@ -248,7 +257,8 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
     clear = HOLDER_DEEP_MM + measures.fit_mm
     floor = raised(channel(measures, deep=0.0), 0.0, long)
     solid = floor + raised(channel(measures), clear, long - clear)
-    x, low = _panel_x_mm(scene, measures), scene.lights.backlight_z_mm - high / 2.0
+    x = _panel_x_mm(scene, measures)
+    low = scene.lights.backlight_z_mm - high / 2.0
     places = []
     for side in (-1.0, 1.0):  # opens towards the centre of the panel
         axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -side, 0.0, 0.0], [0.0, 0.0, -side, 0.0], [0.0, 0.0, 0.0, 1.0]])

@@ -142,7 +142,8 @@ def _chained(strokes: list[Array]) -> list[Array]:
     for number, piece in enumerate(pieces):
         for end in piece:
             ends.setdefault(_place(end), []).append(number)
-    left, lines = set(range(len(pieces))), []
+    left = set(range(len(pieces)))
+    lines = []
     while left:
         number = left.pop()
         line = [pieces[number][0], pieces[number][1]]

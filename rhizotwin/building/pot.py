@@ -70,7 +70,8 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
     """
     pot, can, fit = scene.net_pot, scene.canister, measures.fit_mm
     seat = strip_seat_radius_mm(scene, measures)
-    over, into = can.outer_radius_mm + fit, can.inner_radius_mm - fit
+    over = can.outer_radius_mm + fit
+    into = can.inner_radius_mm - fit
     inside = into - measures.wall_mm
     funnel = over - inside
     _refuse_pot(scene, measures, skirt_mm=seat - over, funnel_mm=funnel)
@@ -132,7 +133,8 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
     low = scene.canister.inner_radius_mm - measures.fit_mm - measures.wall_mm - SEAT_MM
     z = scene.net_pot.grid_z_mm
     disc = turned([(0.0, z), (low, z), (low + GRID_MM, z + GRID_MM), (0.0, z + GRID_MM)])
-    opening, pitch = measures.mesh_opening_mm, measures.mesh_opening_mm + measures.mesh_bar_mm
+    opening = measures.mesh_opening_mm
+    pitch = measures.mesh_opening_mm + measures.mesh_bar_mm
     steps = (np.arange(-int(low / pitch) - 1, int(low / pitch) + 2)) * pitch
     reach = low - RIM_MM
     openings = union(
@@ -202,7 +204,8 @@ def canister_ring(scene: Scene, measures: Measures) -> Part:
     The height of the ring equals the thickness of the canister's base, so that the ring does not occlude the water.
     """
     can = scene.canister
-    inner, outer = can.outer_radius_mm + measures.fit_mm, ring_outer_radius_mm(scene, measures)
+    inner = can.outer_radius_mm + measures.fit_mm
+    outer = ring_outer_radius_mm(scene, measures)
     outline = circle(outer) - circle(inner / np.cos(np.pi / SIDES)) - union(hole(M3_MM, at) for at in ring_screws_mm(scene, measures))
     return Part(
         name="canister_ring",

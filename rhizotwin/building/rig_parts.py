@@ -53,7 +53,8 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
     UserError
         If there is not enough space for a part.
     """
-    floor_mm, under = rig.clearance.floor_z_mm, tank.below(scene)
+    floor_mm = rig.clearance.floor_z_mm
+    under = tank.below(scene)
     parts = [
         pot.net_pot(scene, measures),
         pot.net_pot_grid(scene, measures),
@@ -91,7 +92,8 @@ def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]
 
     The parts are the canister, motor, tank, some frame profiles, and LED board and diffuser of panel and front lamp.
     """
-    can, floor_mm = scene.canister, rig.clearance.floor_z_mm
+    can = scene.canister
+    floor_mm = rig.clearance.floor_z_mm
     under = tank.below(scene)
     drive = table.drive_of(scene, measures)
     cup = raised(circle(can.outer_radius_mm), -can.height_mm, 0.0) - raised(circle(can.inner_radius_mm), can.floor_z_mm, 1.0)
@@ -140,7 +142,9 @@ def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) 
 
     Its slots are narrow grooves of constant width. The wide inner part of real slots is omitted.
     """
-    side, slot, deep = measures.profile_mm, measures.slot_mm, 3.0 * measures.slot_lip_mm
+    side = measures.profile_mm
+    slot = measures.slot_mm
+    deep = 3.0 * measures.slot_lip_mm
     slots = union(
         CrossSection.square((slot, 2.0 * deep), center=True).translate((0.0, side / 2.0)).rotate(turn) for turn in (0.0, 90.0, 180.0, 270.0)
     )

@@ -108,11 +108,14 @@ def gear(teeth: int, module_mm: float, *, backlash_mm: float) -> CrossSection:
         Reduction of the tooth thickness along the pitch circle.
     """
     pitch = module_mm * teeth / 2.0
-    base, tip, root = pitch * np.cos(PRESSURE_RAD), pitch + module_mm, pitch - 1.25 * module_mm
+    base = pitch * np.cos(PRESSURE_RAD)
+    tip = pitch + module_mm
+    root = pitch - 1.25 * module_mm
     half = (np.pi * module_mm / 2.0 - backlash_mm) / 2.0 / pitch  # half the tooth angle at the pitch circle, rad
     radius = np.linspace(max(base, root), tip, FLANK_POINTS)
     width = half + _involute(PRESSURE_RAD) - _involute(np.arccos(np.minimum(base / radius, 1.0)))
-    radius, width = np.concatenate([[root], radius]), np.concatenate([width[:1], width])
+    radius = np.concatenate([[root], radius])
+    width = np.concatenate([width[:1], width])
     angle = np.concatenate([-width, width[::-1]])
     tooth = np.concatenate([radius, radius[::-1]])
     angles = (angle[None] + (2.0 * np.pi / teeth * np.arange(teeth))[:, None]).ravel()

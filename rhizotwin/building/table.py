@@ -127,7 +127,8 @@ def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tup
     for a face that points down.
     """
     deep = _groove_mm(measures)
-    r, past = drive.race_radius_mm, 0.5
+    r = drive.race_radius_mm
+    past = 0.5
     return [(r - deep - past, z - into * past), (r, z + into * deep), (r + deep + past, z - into * past)]
 
 
@@ -218,7 +219,8 @@ def pinion_turn_deg(drive: Drive) -> float:
 
     The axis of the pinion is displaced towards -y from that of the turntable.
     """
-    pitch_ring, pitch = 360.0 / drive.teeth, 360.0 / PINION_TEETH
+    pitch_ring = 360.0 / drive.teeth
+    pitch = 360.0 / PINION_TEETH
     ring_phase = (-90.0 / pitch_ring) % 1.0  # angle of the ring's teeth at -y, from a tooth
     return 90.0 + pitch * (0.5 + ring_phase)
 
@@ -311,7 +313,8 @@ def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
     ]
     long = FOOT_MM - 1.0
     along_x = np.array([[0.0, 0.0, 1.0, -long / 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
-    tap, deep = TAP_M4_MM / 2.0, min(high - 5.0, 20.0)
+    tap = TAP_M4_MM / 2.0
+    deep = min(high - 5.0, 20.0)
     screw = turned([(0.0, 1.0), (tap, 1.0), (tap, -deep), (0.0, -deep - tap)], sides=48)
     body = raised(rounded(FOOT_MM, measures.profile_mm, 2.0), -high, 0.0)
     solid = joined([body, polygon(tongue).extrude(long).transform(along_x)]) - screw

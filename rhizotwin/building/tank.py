@@ -69,7 +69,8 @@ def magnet_places_mm(scene: Scene) -> list[tuple[float, float]]:
 
     They are the same in the turntable plate and in the carrier.
     """
-    radius, turn = magnet_radius_mm(scene), 2.0 * np.pi * np.arange(MAGNETS) / MAGNETS
+    radius = magnet_radius_mm(scene)
+    turn = 2.0 * np.pi * np.arange(MAGNETS) / MAGNETS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
 
 
@@ -94,13 +95,15 @@ def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
     """
     if scene.tank is None:
         return plate
-    most_wide, most_high = PAD_WIDE_MM - 2.0 * LEAST_WALL_MM - MAGNET_PLAY_MM, CARRIER_MM - table.LEAST_FLOOR_MM - MAGNET_PLAY_MM
+    most_wide = PAD_WIDE_MM - 2.0 * LEAST_WALL_MM - MAGNET_PLAY_MM
+    most_high = CARRIER_MM - table.LEAST_FLOOR_MM - MAGNET_PLAY_MM
     if measures.magnet_mm[0] > most_wide or measures.magnet_mm[1] > most_high:
         raise UserError(
             f"magnet_mm: magnets with a diameter of {measures.magnet_mm[0]:g} and a height of {measures.magnet_mm[1]:g} mm do not fit the "
             f"turntable and the carrier in the tank; use magnets of at most {most_wide:g} x {most_high:g} mm"
         )
-    radius, half = magnet_radius_mm(scene), PAD_WIDE_MM / 2.0
+    radius = magnet_radius_mm(scene)
+    half = PAD_WIDE_MM / 2.0
     pad = raised(circle(radius + half) - circle(radius - half), -1.0, PAD_MM)
     return replace(plate, solid=joined([plate.solid, pad]) - pockets(scene, measures, PAD_MM))
 
@@ -153,7 +156,8 @@ def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
 
     The upper face of the disc is at z = 0.
     """
-    outer, glide = ring_outer_radius_mm(scene, measures), 0.7 * scene.canister.outer_radius_mm
+    outer = ring_outer_radius_mm(scene, measures)
+    glide = 0.7 * scene.canister.outer_radius_mm
     screws = union(hole(table.TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     disc = raised(circle(outer) - screws, -CARRIER_MM, 0.0)
     ring = circle(glide + GLIDE_WIDE_MM / 2.0) - circle(glide - GLIDE_WIDE_MM / 2.0)

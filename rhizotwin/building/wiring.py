@@ -149,7 +149,8 @@ def page_of(diagram: Diagram) -> Page:
     outer: dict[tuple[str, str], float] = {}
     low = 0.0
     for column, names in enumerate((diagram.left, diagram.right)):
-        x, y = COLUMNS_MM[column], 20.0
+        x = COLUMNS_MM[column]
+        y = 20.0
         for name in names:
             high = PIN_MM * (len(pins[name]) + 1.2)
             corners = np.array([[x, y], [x + BOX_WIDE_MM, y], [x + BOX_WIDE_MM, y + high], [x, y + high], [x, y]])
@@ -186,12 +187,14 @@ def _lines(wires: Sequence[Wire], places: dict[tuple[str, str], tuple[float, flo
         (x0, y0), (x1, y1) = places[wire.start], places[wire.end]
         if wire in across:
             lane = gap[0] + 26.0 + (gap[1] - gap[0] - 52.0) * (across.index(wire) + 0.5) / len(across)
-            path, note = [[x0, y0], [lane, y0], [lane, y1], [x1, y1]], (lane + 1.0, y1 - 0.8)
+            path = [[x0, y0], [lane, y0], [lane, y1], [x1, y1]]
+            note = (lane + 1.0, y1 - 0.8)
         else:  # both ends are in one column, so the line is routed along its outer side
             edge = outer[wire.start]
             side = -1.0 if edge < x0 else 1.0
             lane = edge + side * (3.0 + 1.6 * [w for w in drawn if w not in across].index(wire))
-            path, note = [[edge, y0], [lane, y0], [lane, y1], [edge, y1]], (edge + (1.0 if side > 0.0 else -9.0), y1 - 0.8)
+            path = [[edge, y0], [lane, y0], [lane, y1], [edge, y1]]
+            note = (edge + (1.0 if side > 0.0 else -9.0), y1 - 0.8)
         ink.append(Strokes(lines_mm=(np.array(path),), width_mm=0.2))
         if wire.note:
             ink.append(Text(at_mm=note, text=wire.note, height_mm=1.5, grey=0.3))

@@ -166,7 +166,8 @@ def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndar
     """Render the exploded view of the rig as a picture (H, W, 3), with printed parts in orange."""
     things = [(COLOURS.get(name, PRINTED), surface(solid)) for name, solids in exploded(parts, bought) for solid in solids]
     view = np.concatenate([vertices @ CORNER.axes.T for _, (vertices, _) in things])
-    low, high = view.min(axis=0)[:2] - 10.0, view.max(axis=0)[:2] + 10.0
+    low = view.min(axis=0)[:2] - 10.0
+    high = view.max(axis=0)[:2] + 10.0
     px_mm = float((high - low).max()) / PICTURE_PX
     box = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
     picture = nearest = None
@@ -177,7 +178,8 @@ def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndar
         rgba = shade(raster, colour, px_mm=px_mm, flat=False)
         depth = np.where(raster.hit, raster.depth_mm, -np.inf)
         if picture is None or nearest is None:
-            picture, nearest = np.ones((*raster.hit.shape, 3)), np.full(raster.hit.shape, -np.inf)
+            picture = np.ones((*raster.hit.shape, 3))
+            nearest = np.full(raster.hit.shape, -np.inf)
         front = depth > nearest
         picture[front] = rgba[front][:, :3]
         nearest[front] = depth[front]

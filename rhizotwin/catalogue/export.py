@@ -138,7 +138,8 @@ def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) ->
     connection.set_progress_handler(lambda: int(time.monotonic() - begin > MOST_S), _STEPS)
     try:
         cursor = connection.execute(sql, values)
-        rows, size = [], 0
+        rows = []
+        size = 0
         for row in cursor:
             rows.append(tuple(row))
             size += sum(len(value) for value in row if isinstance(value, str | bytes))

@@ -40,7 +40,8 @@ def strip_for_canister(strip: MarkerStrip, canister: int) -> MarkerStrip:
         raise UserError(
             f"canister {canister}: the scene has no marker strip (strip.rows = 0) by which plants could be identified; add a strip"
         )
-    first_id, most = strip.first_id + (canister - 1) * count, 0
+    first_id = strip.first_id + (canister - 1) * count
+    most = 0
     for dictionary in (strip.dictionary, LARGE_DICTIONARY):
         most = strip_count(dictionary, strip.first_id, count) - strip.first_id // count
         if 1 <= canister <= most:

@@ -79,7 +79,8 @@ def _files(catalogue: Catalogue) -> Iterator[Problem]:
 def _unlisted(catalogue: Catalogue) -> Iterator[Problem]:
     """Yield each dataset or result that is not listed, although it lies in the same folder as a listed one."""
     listed = [*(one.path for one in catalogue.scans()), *(one.path for one in catalogue.results())]
-    known, parents = {catalogue.stored_path(path) for path in listed}, {path.parent for path in listed}
+    known = {catalogue.stored_path(path) for path in listed}
+    parents = {path.parent for path in listed}
     for parent in sorted(parents):
         folders: list[Path] = sorted(parent.iterdir()) if parent.is_dir() else []
         for folder in folders:

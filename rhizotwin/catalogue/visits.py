@@ -31,7 +31,8 @@ def plan_visits(catalogue: Catalogue, planned: Sequence[tuple[str, str]]) -> lis
     UserError
         If a scan that has begun or was missed is no longer planned, although other scans of its plant are.
     """
-    plants, wanted = {plant for plant, _ in planned}, set(planned)
+    plants = {plant for plant, _ in planned}
+    wanted = set(planned)
     with catalogue.writing():
         others = [one for one in list_visits(catalogue) if (one.plant, one.due_utc) not in wanted]
         dropped = [one for one in others if one.state == "due" or one.plant in plants]

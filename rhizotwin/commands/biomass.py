@@ -188,6 +188,7 @@ def _print_fits(model: "Model", found: "list[Pair]") -> None:
         print(f"fresh root mass per volume: mean {mean:.4g} g/ml of {count(len(own), 'plant')}")
     for one in model.tried:
         if one.kind == "root_fresh" and one.trait == "volume" and one.proportional:
-            middle, reach = one.line.intercept, one.line.reach(biomass.SHARE) * one.line.covariance[0][0] ** 0.5
+            middle = one.line.intercept
+            reach = one.line.reach(biomass.SHARE) * one.line.covariance[0][0] ** 0.5
             low, density, high = (1000.0 * float(np.exp(middle + side * reach)) for side in (-1.0, 0.0, 1.0))
             print(f"fitted density of fresh roots: {density:.4g} g/ml, 90 % interval {low:.4g} to {high:.4g} g/ml")

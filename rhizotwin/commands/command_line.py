@@ -186,7 +186,8 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
             return f"{name} is missing"
         return f"{name} needs a value; write a value that begins with - as {argument.names[0]}=VALUE"
     if isinstance(error, CoercionError) and error.token is not None:
-        name, value = error.token.keyword or name, error.token.value
+        name = error.token.keyword or name
+        value = error.token.value
         if error.msg is not None:
             return f"{name}: {error.msg}"
         choices = get_args(error.target_type)
@@ -198,7 +199,8 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
         known = [other for one in error.argument_collection for other in one.names]
         return f"unknown option {word}{_suggestion(word, known)}"
     if isinstance(error, UnknownCommandError | UnusedCliTokensError) and error.unused_tokens:
-        word, chain = error.unused_tokens[0], " ".join(error.command_chain or ())
+        word = error.unused_tokens[0]
+        chain = " ".join(error.command_chain or ())
         if chain and chain not in GROUPS:
             return f"unexpected argument {word!r}"
         names = [step for group, _, step in (command.rpartition(" ") for command in COMMANDS) if group == chain]

@@ -144,7 +144,8 @@ def _identified(
     from rhizotwin.rig.scanning.first_look import take_first_look
     from rhizotwin.rig.scanning.observers import Observers
 
-    plants, strip = known.plants(), bench.scene.strip
+    plants = known.plants()
+    strip = bench.scene.strip
     if subject.plant is None:
         image = take_first_look(devices, bench.scene, Observers(ask=rigs.asker()))
         plant = identity.identify(image, plants, strip)

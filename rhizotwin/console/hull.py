@@ -148,7 +148,8 @@ class Hull:
             views = np.zeros(len(middles), np.int64)
             for outline in outlines:
                 seen, empty = self._look(middles, edge_mm, outline)
-                views, middles = (views + seen)[~empty], middles[~empty]
+                views = (views + seen)[~empty]
+                middles = middles[~empty]
             middles = middles[views >= LEAST_SEEN]
             if edge_mm <= FINEST_MM or 8 * len(middles) > MOST_CELLS or not len(middles):
                 return middles, edge_mm

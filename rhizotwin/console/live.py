@@ -65,7 +65,8 @@ class Live(Observer):
         self._wake = threading.Condition()
         self._hull = Hull(scene)
         self._worker = Worker(name="hull", on_error=on_error)
-        self._begun_s, self._held_s = time.monotonic(), 0.0
+        self._begun_s = time.monotonic()
+        self._held_s = 0.0
 
     def on_plan(self, total: int, done: int) -> None:
         """Set the number of planned pictures, and the number of pictures taken before an interruption."""
@@ -143,7 +144,8 @@ class Live(Observer):
         gc.collect()
 
     def _add(self, look: Look, *, carve: bool) -> None:
-        frame, tank = look.frame, self.scene.tank
+        frame = look.frame
+        tank = self.scene.tank
         if look.sighting is not None and (tank is None or frame.table_deg is not None):
             cam_from_tank = None
             if tank is not None and frame.table_deg is not None:  # the tank does not rotate with the table

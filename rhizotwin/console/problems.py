@@ -29,7 +29,8 @@ class Problems:
         """Set the problem of a part of the console, and announce it unless it is already known."""
         text = for_console(f"{part}: {error_sentence(error)}")
         with self._lock:
-            known, self._texts[part] = self._texts.get(part), text
+            known = self._texts.get(part)
+            self._texts[part] = text
         if text != known:
             self.announce(part, error)
 

@@ -202,7 +202,8 @@ class Queue:
             state = "waiting" if again else "failed"
             error = f"{died}; {'it starts again' if again else 'add the scan to the queue again'}"
         except BaseException as raised:  # noqa: BLE001 - an error of one job must not end the queue
-            state, error = "failed", explained(raised)
+            state = "failed"
+            error = explained(raised)
         with self._wake:
             if self._ended or job not in self._jobs:  # the console ends, or the job was removed
                 return
@@ -240,7 +241,8 @@ class Queue:
     def _end_process(self) -> None:
         """End the process of the reconstruction, which has sent its outcome or failed."""
         with self._wake:
-            process, self._process = self._process, None
+            process = self._process
+            self._process = None
         process.join(END_S)
         process.kill()
         process.join()

@@ -163,7 +163,8 @@ class RigThread:
             with self._wake:
                 if self._next is None and not self._ended:
                     self._wake.wait(LIVE_S)
-                following, self._next = self._next, None
+                following = self._next
+                self._next = None
                 self._doing = None if following is None else following[1]
                 if following is None and self._ended:
                     break
@@ -175,16 +176,19 @@ class RigThread:
 
     def _do(self, action: Callable[[], Any], future: Future[Any]) -> None:
         try:
-            result, error = action(), None
+            result = action()
+            error = None
         except BaseException as raised:  # noqa: BLE001 - passed on through the future
-            result, error = None, raised
+            result = None
+            error = raised
             if not isinstance(raised, KeyboardInterrupt):  # the action was stopped by a user
                 self._on_error(raised)
         self._end(future, result, error)
 
     def _end(self, future: Future[Any], result: Any, error: BaseException | None) -> None:
         with self._wake:
-            self.busy, self._doing = "", None
+            self.busy = ""
+            self._doing = None
         if error is None:
             future.set_result(result)
         else:

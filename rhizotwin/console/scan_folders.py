@@ -85,7 +85,9 @@ class ScanFolders:
 
     def __init__(self, root: Path, *, scans: Path | None = None, results: Path | None = None) -> None:
         self.root = root
-        self.scans, self.results, self.pictures = scans or root / "scans", results or root / "results", root / "pictures"
+        self.scans = scans or root / "scans"
+        self.results = results or root / "results"
+        self.pictures = root / "pictures"
         for folder in (self.scans, self.results, self.pictures):
             folder.mkdir(parents=True, exist_ok=True)
         self._entries: dict[Path, tuple[tuple[int, int], ScanEntry | ResultEntry | None]] = {}
@@ -248,7 +250,8 @@ def _scan_entry(path: Path) -> ScanEntry:
     name = path.parent.name
     try:
         dataset = load_dataset(path.parent)
-        subject, origin = dataset.scene.subject, dataset.origin
+        subject = dataset.scene.subject
+        origin = dataset.origin
         views = _views(dataset)
         return ScanEntry(
             name=name,

@@ -75,7 +75,8 @@ class ScheduleRun:
             self._scan = self._show_scan(name, self.experiment.known_scene(member, visit.due_utc))
 
     def _end_scan(self) -> None:
-        scan, self._scan = self._scan, None
+        scan = self._scan
+        self._scan = None
         if scan is not None:
             scan.live.close()
 
@@ -89,7 +90,8 @@ class _Person(PersonChanger):
     def __init__(self, table: Callable[[], RealTable | EmulatedTable | None], ask: Ask) -> None:
         super().__init__(self._asked)
         self._table = table
-        self._to_person, self._answer = ask, ""
+        self._to_person = ask
+        self._answer = ""
 
     def change(self, member: Member, reason: str, /) -> None:
         """Ask the person to place the canister of a plant.

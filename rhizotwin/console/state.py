@@ -118,7 +118,8 @@ class StateView:
 
     def _hull_state(self) -> dict[str, object]:
         """Return the size of the canister, and the version and number of cells of the hull, as JSON values."""
-        scan, can = self._console.scan, self._console.bench.scene.canister
+        scan = self._console.scan
+        can = self._console.bench.scene.canister
         cells = None if scan is None else scan.live.cells_mm
         with self._lock:
             if cells is not self._hull[1]:

@@ -106,7 +106,8 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
     from rhizotwin.recon.optics.projection import ViewBank
     from rhizotwin.stored.load import load_result
 
-    cameras, kept = Cameras.of(dataset, summary), load_result(session.folder).silhouettes
+    cameras = Cameras.of(dataset, summary)
+    kept = load_result(session.folder).silhouettes
     known = [k for k, file in enumerate(cameras.files) if file in kept]
     if not known:
         raise UserError(f"{session.folder} contains no silhouettes; repeat the reconstruction")
@@ -123,7 +124,8 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
         found = agreement.compare(bank, silhouettes, middles, leaves.voxel_mm * size[there].astype(np.float64))
         return found.missed_share, _surplus(found, volume_mm3[there])
 
-    measured, leaves = session.measure(), session.leaves
+    measured = session.measure()
+    leaves = session.leaves
     as_found = leaves.occupancy.astype(np.float64) * leaves.size.astype(np.float64) ** 3
     missed, surplus = agree(leaves.low, leaves.size, as_found)
     missed_now, surplus_now = agree(measured.solid.low, measured.solid.size, measured.volumes_mm3)

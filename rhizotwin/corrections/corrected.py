@@ -65,8 +65,10 @@ def write(
     UserError
         If the output folder contains files other than a result, or a file of the result is missing.
     """
-    mesh, roots = _corrected_mesh(session), session.state.roots()
-    surface_mesh, voxels = Mesh.of(mesh), _voxels(session.measure())
+    mesh = _corrected_mesh(session)
+    roots = session.state.roots()
+    surface_mesh = Mesh.of(mesh)
+    voxels = _voxels(session.measure())
     summary = summarise(session, surface_mesh)
     summary |= reliability.judge_volume(session, summary, dataset)
     if summary.get("plants"):
@@ -103,8 +105,11 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
     mesh : Mesh
         Corrected surface.
     """
-    old, state, measured = session.summary, session.state, session.measure()
-    before, after = float(old["volume_mm3"]), measured.volume_mm3
+    old = session.summary
+    state = session.state
+    measured = session.measure()
+    before = float(old["volume_mm3"])
+    after = measured.volume_mm3
     low, high = old["volume_bounds_mm3"]
     points = [mesh.vertices_mm, *(line.points_mm for line in state.lines.values())]
     corners = np.concatenate(points) if sum(len(part) for part in points) else np.zeros((1, 3))

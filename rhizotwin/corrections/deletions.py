@@ -74,5 +74,6 @@ def reattach(lines: Lines, deletion: Deletion) -> dict[int, Line]:
 
 def _is_unedited(lines: Lines, deletion: Deletion, number: int, root: int) -> bool:
     """Return whether a part of a root is as the deletion left it. The root itself may have another parent."""
-    line, then = lines.get(number), deletion.after[number]
+    line = lines.get(number)
+    then = deletion.after[number]
     return line is not None and line.points_mm is then.points_mm and (number == root or line.parent == then.parent)

@@ -76,7 +76,8 @@ class Line:
 
     def nearest_mm(self, point_mm: Sequence[float]) -> float:
         """Return the arc length, in mm, of the point on the centre line that is nearest to ``point_mm``."""
-        begin, step = self.points_mm[:-1], np.diff(self.points_mm, axis=0)
+        begin = self.points_mm[:-1]
+        step = np.diff(self.points_mm, axis=0)
         square = np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
         share = np.clip(np.einsum("ij,ij->i", np.asarray(point_mm) - begin, step) / square, 0.0, 1.0)
         away = np.linalg.norm(begin + share[:, None] * step - np.asarray(point_mm), axis=1)
@@ -92,9 +93,11 @@ class Line:
         inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
         points = polyline.interpolate(self.points_mm, way, at)
-        pieces, before = [], 0.0
+        pieces = []
+        before = 0.0
         for piece in self.pieces:
-            low, high = max(begin_mm - before, 0.0), min(end_mm - before, piece.length_mm)
+            low = max(begin_mm - before, 0.0)
+            high = min(end_mm - before, piece.length_mm)
             if high > low:
                 pieces.append(piece.between(low, high))
             before += piece.length_mm
@@ -119,7 +122,8 @@ class Line:
 
 def descendants(lines: Lines, number: int) -> list[int]:
     """Return the numbers of a root and all its descendants, the root itself first."""
-    found, waiting = list[int](), [number]
+    found = list[int]()
+    waiting = [number]
     while waiting:
         one = waiting.pop()
         found.append(one)
@@ -191,7 +195,8 @@ def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tu
     gone : list of int
         Numbers of roots that lay completely inside the region.
     """
-    changed, gone = dict(lines), list[int]()
+    changed = dict(lines)
+    gone = list[int]()
     if not lines:
         return changed, gone
     ends = np.cumsum([len(line.points_mm) for line in lines.values()])[:-1]
@@ -201,7 +206,8 @@ def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tu
     for (number, line), within in zip(lines.items(), np.split(of_all, ends), strict=True):
         if not within.any():
             continue
-        way, stretches = line.way_mm, line.stretches(~within)
+        way = line.way_mm
+        stretches = line.stretches(~within)
         if not stretches:
             gone.append(number)
             continue
@@ -222,16 +228,20 @@ def reroot(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Li
     The end that is nearer to ``point_mm`` is chosen. The root then has no parent, and its former ancestors become its
     laterals.
     """
-    changed, line = dict(lines), lines[number]
+    changed = dict(lines)
+    line = lines[number]
     if line.nearest_mm(point_mm) > line.length_mm / 2.0:
         line = line.backward()
-    above, child = line.parent, number
+    above = line.parent
+    child = number
     changed[number] = replace(line, parent=-1)
     while above >= 0:
-        parent, at = lines[above], changed[child].points_mm
+        parent = lines[above]
+        at = changed[child].points_mm
         turned = parent.backward() if _distance_mm(parent.points_mm[-1], at) < _distance_mm(parent.points_mm[0], at) else parent
         changed[above] = replace(turned, parent=child)
-        child, above = above, parent.parent
+        child = above
+        above = parent.parent
     return changed
 
 
@@ -258,7 +268,8 @@ def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
 
 def as_roots(lines: Lines) -> tuple[Root, ...]:
     """Convert lines to roots. Parents are sorted before their children."""
-    placed, roots = dict[int, int](), list[Root]()
+    placed = dict[int, int]()
+    roots = list[Root]()
     waiting = sorted((number for number, line in lines.items() if line.parent not in lines), reverse=True)
     while waiting:
         number = waiting.pop()

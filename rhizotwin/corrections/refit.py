@@ -53,7 +53,8 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         from rhizotwin.recon.tubes.root_light import Prior
         from rhizotwin.stored.load import load_result
 
-        cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
+        cameras = Cameras.of(dataset, summary)
+        kept = load_result(result_folder).silhouettes
         missing = [file for file in cameras.files if file not in kept]
         if missing or not cameras.files:
             raise UserError(
@@ -102,7 +103,11 @@ def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
         number = waiting.pop(0)
         numbers.append(number)
         waiting += [k for k, line in lines.items() if line.parent == number]
-    centres, radii, fixed, branches, count = list[Array](), list[Array](), list[Mask](), list[NDArray[np.int64]](), 0
+    centres = list[Array]()
+    radii = list[Array]()
+    fixed = list[Mask]()
+    branches = list[NDArray[np.int64]]()
+    count = 0
     for place, number in enumerate(numbers):
         line = lines[number]
         own = line.points_mm if place == 0 or line.parent not in lines else line.points_mm[1:]

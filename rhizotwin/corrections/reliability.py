@@ -30,7 +30,9 @@ def judge_volume(session: Session, summary: Json, dataset: Path | None) -> Json:
         Folder of the dataset. None: the dataset recorded in the result. If the dataset is missing, the volume is not
         reliable.
     """
-    old, before_mm3, after_mm3 = session.summary, float(session.summary["volume_mm3"]), float(summary["volume_mm3"])
+    old = session.summary
+    before_mm3 = float(session.summary["volume_mm3"])
+    after_mm3 = float(summary["volume_mm3"])
     ratio = after_mm3 / before_mm3 if before_mm3 > 0.0 else 1.0
     terms = [
         Term(name=str(t.get("name", "")), less_mm3=ratio * t["less_mm3"], more_mm3=ratio * t["more_mm3"], why=t["why"])
@@ -44,7 +46,8 @@ def judge_volume(session: Session, summary: Json, dataset: Path | None) -> Json:
         except UserError as error:
             lost.append(f"the corrections were not compared with the pictures: {error}")
         else:
-            check, term = found.check(), found.term(float(summary["edits"]["volume_before_mm3"]), after_mm3)
+            check = found.check()
+            term = found.term(float(summary["edits"]["volume_before_mm3"]), after_mm3)
             earlier = failure_reasons([Check(**one) for one in checks if one["name"] == check.name])
             terms = [*(one for one in terms if one.name != term.name), term]
             checks = [*(one for one in checks if one["name"] != check.name), asdict(check)]

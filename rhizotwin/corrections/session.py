@@ -152,7 +152,8 @@ class Session:
                     total = float(volumes.sum())
                 else:
                     solid = self._undivided if self._divided is None else self.solid
-                    volumes, total = solid.measured_mm3, float(self._undivided.measured_mm3.sum())
+                    volumes = solid.measured_mm3
+                    total = float(self._undivided.measured_mm3.sum())
                 self._measured = now, Measured(total, now.length_mm, len(now.lines), volumes, solid)
             return self._measured[1]
 

@@ -212,7 +212,8 @@ class Solid:
         if len(self.sources) > self.given:
             from rhizotwin.recon.tubes import filling
 
-            made, owner = self._tube_volumes_mm3(alive, given=False) / room, np.full(len(room), -1)
+            made = self._tube_volumes_mm3(alive, given=False) / room
+            owner = np.full(len(room), -1)
             for part in self._parts:
                 added = part.source >= self.given
                 owner[part.leaf[added]] = part.source[added]
@@ -308,7 +309,8 @@ class Solid:
         dense, radius, owner, along = (np.concatenate(part) for part in zip(*parts, strict=True))
         centre = self.centre_mm[left]
         reach = _NEAR_VOXELS * self.voxel_mm
-        best, height = np.full(len(left), -1), np.full(len(left), np.inf)
+        best = np.full(len(left), -1)
+        height = np.full(len(left), np.inf)
         for chosen in (np.flatnonzero(radius > reach), np.flatnonzero(radius <= reach)):
             if len(chosen) and len(left):
                 away, near = cKDTree(dense[chosen]).query(centre, workers=-1)

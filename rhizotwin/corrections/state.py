@@ -164,7 +164,8 @@ def _inner_arc_length(line: Line, edit: Edit) -> float:
 
     Raise an error if the point is an end of the root.
     """
-    at, length = line.nearest_mm(_point(edit)), line.length_mm
+    at = line.nearest_mm(_point(edit))
+    length = line.length_mm
     if not 1e-6 < at < length - 1e-6:
         raise UserError(f"correction '{edit.do}': the point is an end of root {edit.roots[0]}; choose a point between the two ends")
     return at
@@ -205,7 +206,8 @@ def _restore_deletion(state: State) -> State:
     """Restore the last deletion that was not restored."""
     if not state.deletions:
         raise UserError("there are no deleted roots or voxels to restore")
-    last, gone = state.deletions[-1], state.gone.copy()
+    last = state.deletions[-1]
+    gone = state.gone.copy()
     gone[last.rows] = False
     return replace(state, lines=deletions.restore(state.lines, state.removed, last), gone=gone, deletions=state.deletions[:-1])
 
@@ -312,7 +314,8 @@ def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) ->
     source_of = dict(zip(made, sources, strict=True))
     lines = dict(state.lines)
     for number, root in changed.items():
-        line, pieces = state.lines[number], list[Piece]()
+        line = state.lines[number]
+        pieces = list[Piece]()
         way = line.way_mm
         for a, b, stays in runs[number]:
             if stays:

@@ -91,15 +91,18 @@ def _close_holes(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tupl
     beside = faces[rim[faces].sum(axis=1) >= 2]
     edges = np.concatenate([beside[:, [0, 1]], beside[:, [1, 2]], beside[:, [2, 0]]])
     edges = edges[rim[edges].all(axis=1)]
-    key, twin = edges @ [len(vertices), 1], edges @ [1, len(vertices)]
+    key = edges @ [len(vertices), 1]
+    twin = edges @ [1, len(vertices)]
     onward: dict[int, list[int]] = {}
     for a, b in edges[~np.isin(key, twin)].tolist():
         onward.setdefault(b, []).append(a)  # opposite to the faces, so that the fan has their orientation
-    points, fans = [vertices], []
+    points = [vertices]
+    fans = []
     count = len(vertices)
     while onward:
         start = next(iter(onward))
-        loop, here = [start], start
+        loop = [start]
+        here = start
         while True:
             choices = onward.get(here)
             if not choices:

@@ -91,11 +91,13 @@ def _iterate_closest_points(young: Array, old: Array, tree: cKDTree, begin: Arra
         moved = young @ motion[:3, :3].T + motion[:3, 3]
         away, near = tree.query(moved)
         kept = away <= np.quantile(away, KEPT)
-        middle, goal = moved[kept].mean(axis=0), old[near[kept]].mean(axis=0)
+        middle = moved[kept].mean(axis=0)
+        goal = old[near[kept]].mean(axis=0)
         points = np.concatenate([moved[kept] - middle, STRIP_MM * motion[:3, :3].T])  # the last three are the rotated axes
         turn = Rotation.align_vectors(np.concatenate([old[near[kept]] - goal, STRIP_MM * np.eye(3)]), points)[0].as_matrix()
         step = np.eye(4)
-        step[:3, :3], step[:3, 3] = turn, goal - turn @ middle
+        step[:3, :3] = turn
+        step[:3, 3] = goal - turn @ middle
         motion = step @ motion
         after = young @ motion[:3, :3].T + motion[:3, 3]
         if np.abs(after - moved).max() < STILL_MM:

@@ -140,7 +140,8 @@ def means(seen: Sequence[Observation], *, most: float = inf) -> list[Point]:
     points = []
     for treatment, day in sorted({(one.treatment, one.day) for one in seen}):
         values = np.array([one.value for one in seen if (one.treatment, one.day) == (treatment, day)])
-        mean, count = float(values.mean()), len(values)
+        mean = float(values.mean())
+        count = len(values)
         error = float(student.ppf(0.95, count - 1) * values.std(ddof=1) / count**0.5) if count > 1 else 0.0
         low, high = (_moved(mean, side * error, most) for side in (-1.0, 1.0))
         points.append(Point(treatment=treatment, day=day, mean=mean, low=low, high=high, plants=count))
@@ -269,9 +270,11 @@ def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], 
     design = _design(seen, columns)
     day = np.array([one.day for one in seen])
     days = len(np.unique(day))
-    y, plants = np.log([one.value for one in seen]), [one.plant for one in seen]
+    y = np.log([one.value for one in seen])
+    plants = [one.plant for one in seen]
     value, error = _fit(y, design, plants, slopes=day - day.mean() if days > 2 else None)
-    count, dof = columns.shape[1], _degrees_of_freedom(seen, design, columns)
+    count = columns.shape[1]
+    dof = _degrees_of_freedom(seen, design, columns)
     found = [Effect(value=float(v), error=float(e), dof=dof) for v, e in zip(value, error, strict=True)][days:]
     return found[:count], found[count:]
 

@@ -131,7 +131,8 @@ def rig_numbers(summary: Json) -> dict[str, float]:
     """
     rig: dict[str, Any] = summary.get("rig") or {}
     checks = {str(one.get("name")): one.get("value") for one in summary.get("checks") or [] if isinstance(one, dict)}
-    focal, applied = rig.get("focal_scale_found"), rig.get("focal_scale", 1.0)
+    focal = rig.get("focal_scale_found")
+    applied = rig.get("focal_scale", 1.0)
     found = {
         "focal_scale": focal,
         "focal_left": focal if applied == 1.0 else 1.0,

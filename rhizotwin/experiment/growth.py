@@ -234,7 +234,8 @@ def traits_csv(growth: Growth) -> str:
     for trait in CURVES:
         rates = {(plant, end): rate for plant, _, end, rate in relative_rates(growth.seen.get(trait, ()))}
         for plant, one in ((plant, one) for plant, days in growth.plants.items() for one in days if trait in one.traits):
-            assessed, day = one.assessment(trait), one.subject.day or 0.0
+            assessed = one.assessment(trait)
+            day = one.subject.day or 0.0
             low, high = assessed.interval or (None, None)
             numbers = [format_exact(value) for value in (one.traits[trait], low, high)]
             doses = [format_exact(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]

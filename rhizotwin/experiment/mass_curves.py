@@ -196,7 +196,8 @@ def _head(path: Path) -> set[str]:
 def _read_predicted(rows: Sequence[table_file.Row]) -> list[Weighed]:
     found = []
     for row in rows:
-        kind, grams = row.cells.get("mass", ""), table_file.number(row, "mass (g)")
+        kind = row.cells.get("mass", "")
+        grams = table_file.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
             raise UserError(f"{row.where}: the row is not a predicted mass; specify a table written by 'rhizotwin biomass predict'")
         low, high = (table_file.number(row, f"{end} (g)") for end in ("low", "high"))

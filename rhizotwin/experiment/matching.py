@@ -135,7 +135,8 @@ def track_roots(days: Sequence[Day]) -> TrackedPlant:
         here, on_mm = now, LEAST_ON_MM
         if moved:
             found = align([latest[name] for name in latest], now.roots)
-            here, on_mm = _align_day(now, found), max(LEAST_ON_MM, RESIDUALS * found.residual_mm)
+            here = _align_day(now, found)
+            on_mm = max(LEAST_ON_MM, RESIDUALS * found.residual_mm)
             residuals.append(found.residual_mm)
         known = _match_roots(list(latest.values()), here.roots, on_mm)
         own = [list(latest)[known[k]] if k in known else "" for k in range(len(here.roots))]
@@ -146,7 +147,8 @@ def track_roots(days: Sequence[Day]) -> TrackedPlant:
                 tracks[own[k]] = Track(name=own[k], parent=parent, order=root.order, absent_day=moved[-1].day if moved else 0.0)
             track = tracks[own[k]]
             first_mm = track.states[0].length_mm if track.states else np.inf
-            length_mm, diameter_mm = polyline.length_mm(root.points_mm), _basal_diameter_mm(root, first_mm)
+            length_mm = polyline.length_mm(root.points_mm)
+            diameter_mm = _basal_diameter_mm(root, first_mm)
             track.states.append(RootState(day=now.day, root=root, length_mm=length_mm, diameter_mm=diameter_mm))
             latest[own[k]] = root
         moved.append(here)
@@ -187,7 +189,9 @@ def _match_roots(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> 
     near = cKDTree(mine.points).sparse_distance_matrix(cKDTree(theirs.points), on_mm, output_type="ndarray")
     a, b, away = near["i"], near["j"], near["v"]
     along = np.abs(np.sum(mine.along[a] * theirs.along[b], axis=1)) >= LEAST_COSINE
-    a, b, worth = a[along], b[along], 1.0 - 0.5 * away[along] / on_mm
+    a = a[along]
+    b = b[along]
+    worth = 1.0 - 0.5 * away[along] / on_mm
     best = np.zeros(len(mine.points) * len(today))  # maximum score of each known point on each current root
     np.maximum.at(best, a * len(today) + theirs.owner[b], worth)
     score = np.zeros((len(known), len(today)))

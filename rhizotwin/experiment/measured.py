@@ -190,7 +190,8 @@ def _read_row(row: table_file.Row) -> Measured:
         value = table_file.number(row, column)
         if value is None:
             continue
-        own, factor = definitions[stem], 1.0
+        own = definitions[stem]
+        factor = 1.0
         if stem == "volume":
             if match[2] not in _MM3:
                 raise UserError(f"{row.where}: the column {column} has no known unit; the unit must be (mm3), (cm3), (ml) or (l)")

@@ -149,8 +149,10 @@ def find_nutation(hours: Array, points_mm: Array, *, wave_mm: float) -> Nutation
     wave_mm : float
         Standard deviation of errors that change with the position in the pixels, mm.
     """
-    number, span = len(hours), float(hours[-1] - hours[0])
-    shortest, longest = LEAST_PER_PERIOD * float(np.median(np.diff(hours))), span / LEAST_PERIODS
+    number = len(hours)
+    span = float(hours[-1] - hours[0])
+    shortest = LEAST_PER_PERIOD * float(np.median(np.diff(hours)))
+    longest = span / LEAST_PERIODS
     free = 3 * number - 15
     if longest <= shortest or free < 6:
         return None
@@ -254,7 +256,8 @@ def _measure_series(
     """Return the tracks of the tips in the scans after a full scan, keyed by day in ascending order."""
     if not scans:
         return []
-    fitter, found = TipFitter(full.folder, full.roots), dict[float, dict[int, Tip]]()
+    fitter = TipFitter(full.folder, full.roots)
+    found = dict[float, dict[int, Tip]]()
     for day, dataset in scans.items():
         try:
             found[day] = fitter.fit(dataset)

@@ -66,7 +66,8 @@ def write(
 
 
 def _sentence(track: TipTrack) -> str:
-    rate, half = 24.0 * track.length.mean_rate, 24.0 * IN_90 * track.length.mean_rate_sigma
+    rate = 24.0 * track.length.mean_rate
+    half = 24.0 * IN_90 * track.length.mean_rate_sigma
     said = f"{track.plant}, root {track.root}: {rate:.2f} mm/day (90 % interval {rate - half:.2f} to {rate + half:.2f})"
     if (nutation := track.nutation) is None:
         return f"{said}; no circumnutation"

@@ -99,7 +99,8 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
         raise UserError(f"{file} does not exist, because the reconstruction found no centre lines; no wire can be measured")
     lengths, volumes = dict.fromkeys(ordered, 0.0), dict.fromkeys(ordered, 0.0)
     for root in read_rsml(file):
-        length, volume = rsml.length_mm([root]), tube_mm3([root])
+        length = rsml.length_mm([root])
+        volume = tube_mm3([root])
         if length <= 0.0 or volume <= 0.0:
             continue
         own = (4.0 / pi * volume / length) ** 0.5

@@ -109,7 +109,9 @@ def merge(readings: Sequence[Reading], treatments: Mapping[str, str] | None = No
     known = {plant: name for plant, name in (treatments or {}).items() if name}
     found: dict[tuple[str, float, bool], Reading] = {}
     for one in readings:
-        plant, day, treatment = one.subject.plant, one.subject.day or 0.0, one.subject.treatment
+        plant = one.subject.plant
+        day = one.subject.day or 0.0
+        treatment = one.subject.treatment
         if treatment and known.setdefault(plant, treatment) != treatment:
             raise UserError(f"{one.where}: plant {plant} has two treatments, {known[plant]!r} and {treatment!r}; correct one of them")
         before = found.get((plant, day, one.renewed))

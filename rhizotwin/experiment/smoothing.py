@@ -55,10 +55,12 @@ def smooth(times: Array, values: Array) -> Smoothed:
         Values and rates at the times of the measurements. Standard deviations are multiplied by a factor, so that
         normal intervals have the width of those of Student's t distribution with N - 3 degrees of freedom.
     """
-    count, span = len(times), float(times[-1] - times[0])
+    count = len(times)
+    span = float(times[-1] - times[0])
     t = (times - times[0]) / span
     basis = np.stack([np.ones(count), t, t**2], axis=1)
-    early, apart = np.minimum(t[:, None], t), np.abs(t[:, None] - t)
+    early = np.minimum(t[:, None], t)
+    apart = np.abs(t[:, None] - t)
     shape = early**3 * (early**2 / 5.0 + apart * early / 2.0 + apart**2 / 3.0) / 4.0
     after = early**3 * (early / 4.0 + apart / 3.0) / 2.0  # derivative where the first time is the later one
     slope = np.where(t[:, None] > t, after, early**2 * (early**2 / 4.0 + 2.0 * apart * early / 3.0 + apart**2 / 2.0) / 2.0)

@@ -254,7 +254,8 @@ def _move(tree: Tubes, by_mm: Array) -> Tubes:
     centre = tree.centre_mm.copy()
     for nodes, end, by in zip(tree.branches, tree.ends, np.broadcast_to(by_mm, (len(tree.branches), 3)), strict=True):
         axis = polyline.unit_vectors(tree.centre_mm[nodes[-1]] - tree.centre_mm[nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)]])
-        line, more_mm = tree.centre_mm[end], float(by @ axis)
+        line = tree.centre_mm[end]
+        more_mm = float(by @ axis)
         along = polyline.arc_length_mm(line)
         if along[-1] > 0.0:
             longer = np.concatenate([line, line[-1:] + max(more_mm, 0.0) * axis])

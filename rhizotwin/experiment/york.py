@@ -108,7 +108,8 @@ def fit_line(points: Points, *, slope: float | None = None, scatter: bool = True
     _, group, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if len(sizes) <= parameters:
         raise ValueError(f"{len(sizes)} independent points are too few to fit {parameters} parameters with an uncertainty")
-    size, dof = sizes[group], len(sizes) - parameters
+    size = sizes[group]
+    dof = len(sizes) - parameters
     spread = float(np.var(y)) + float(np.var(x))
     least = 1e-12 * max(spread, 1e-12)  # keeps the weights finite for points without errors and scatter
 
@@ -139,7 +140,8 @@ def _fit_york(x: Array, y: Array, x_var: Array, y_var: Array, *, slope: float | 
         beta = weight * (u * y_var + b * v * x_var)
         if slope is not None:
             break
-        before, b = b, float(np.sum(weight * beta * v) / np.sum(weight * beta * u))
+        before = b
+        b = float(np.sum(weight * beta * v) / np.sum(weight * beta * u))
         if abs(b - before) <= CONVERGED * abs(b):
             break
     chi2 = float(np.sum(weight * (v - b * u) ** 2))

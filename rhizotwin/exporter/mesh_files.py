@@ -57,7 +57,8 @@ def _encode_3mf(mesh: trimesh.Trimesh) -> bytes:
 
     Trimesh 5.2 omits colours, and writes different bytes in each call.
     """
-    colours, has_colours = "", mesh.visual.kind == "vertex"
+    colours = ""
+    has_colours = mesh.visual.kind == "vertex"
     triangles = [f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces.tolist()]
     if has_colours:
         shades, index = np.unique(np.asarray(mesh.visual.vertex_colors), axis=0, return_inverse=True)

@@ -185,7 +185,8 @@ def best_distance_mm(view: View, optics: Optics, heights_mm: tuple[float, float]
     tuple of float
         Distance of the pinhole from the axis, mm, and RMS error, px, of points in the water near the axis.
     """
-    rng, radius = np.random.default_rng(0), _NEAR_AXIS * optics.inner_radius_mm
+    rng = np.random.default_rng(0)
+    radius = _NEAR_AXIS * optics.inner_radius_mm
     points = rng.uniform((-radius, -radius, heights_mm[0]), (radius, radius, heights_mm[1]), (400, 3))
     points = points[np.hypot(points[:, 0], points[:, 1]) < radius]
 

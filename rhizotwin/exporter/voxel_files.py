@@ -50,7 +50,8 @@ def bounding_shape(leaves: Leaves) -> tuple[int, int, int]:
 
 def block_of(leaves: Leaves) -> Block:
     """Return the occupancies of all voxels in the bounding box of a shape."""
-    low, shape = leaves.low.min(axis=0), bounding_shape(leaves)
+    low = leaves.low.min(axis=0)
+    shape = bounding_shape(leaves)
     values = np.zeros(shape, np.uint8)
     for first in range(0, shape[2], _SLAB):
         part = np.zeros((shape[0], shape[1], min(_SLAB, shape[2] - first)), np.float32)
@@ -102,7 +103,8 @@ def encode_vtk(block: Block) -> bytes:
 
 def encode_tiff(block: Block) -> bytes:
     """Return a TIFF stack with ImageJ's description: pages from the lowest z, rows from the lowest y."""
-    written, voxel_mm = io.BytesIO(), block.voxel_mm
+    written = io.BytesIO()
+    voxel_mm = block.voxel_mm
     origin = {f"{axis}origin": float(-first / voxel_mm) for axis, first in zip("xyz", block.first_mm, strict=True)}
     sizes = {"axes": "ZYX", "spacing": voxel_mm, "unit": "mm", **origin}
     tifffile.imwrite(

@@ -161,7 +161,9 @@ def _images_in_text(path: Path) -> Iterator[tuple[str, int, frames.Array]]:
         if not words or words[0].startswith("#"):
             continue
         try:
-            numbers, camera, name = [float(word) for word in words[1:8]], int(words[8]), words[9].strip()
+            numbers = [float(word) for word in words[1:8]]
+            camera = int(words[8])
+            name = words[9].strip()
         except (ValueError, IndexError) as error:
             raise UserError(f"{path}, line {index}: a line must be IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME") from error
         yield name, camera, _pose(numbers, f"{path}: the pose of {name}")

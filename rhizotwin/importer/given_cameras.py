@@ -139,12 +139,19 @@ def _inner(shown: "np.ndarray[tuple[int, int], np.dtype[np.bool_]]") -> tuple[in
 
     Starting from the whole, the side with the largest fraction of cells that are False is moved inwards.
     """
-    top, bottom, left, right = 0, shown.shape[0] - 1, 0, shown.shape[1] - 1
+    top = 0
+    bottom = shown.shape[0] - 1
+    left = 0
+    right = shown.shape[1] - 1
     while top < bottom and left < right:
-        across, down = shown[:, left : right + 1], shown[top : bottom + 1]
+        across = shown[:, left : right + 1]
+        down = shown[top : bottom + 1]
         share = [1.0 - float(side.mean()) for side in (across[top], across[bottom], down[:, left], down[:, right])]
         worst = int(np.argmax(share))
         if share[worst] == 0.0:
             break
-        top, bottom, left, right = top + (worst == 0), bottom - (worst == 1), left + (worst == 2), right - (worst == 3)
+        top = top + (worst == 0)
+        bottom = bottom - (worst == 1)
+        left = left + (worst == 2)
+        right = right - (worst == 3)
     return top, bottom, left, right

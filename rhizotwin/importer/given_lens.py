@@ -133,7 +133,8 @@ class Lens:
         edges = self.rays(np.array([[0.0, cy], [width - 1.0, cy], [cx, 0.0], [cx, height - 1.0]]))
         reach = np.fmin(np.abs(edges), WIDEST_TAN)
         left, right, above, below = (int(fx * reach[0, 0]), int(fx * reach[1, 0]), int(fy * reach[2, 1]), int(fy * reach[3, 1]))
-        size, middle = (left + right + 1, above + below + 1), (float(left), float(above))
+        size = (left + right + 1, above + below + 1)
+        middle = (float(left), float(above))
         return replace(other, image_wh=size, focal_px=(fx, fy), principal_px=middle, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def _radial(self, r: Array) -> Array:

@@ -94,7 +94,8 @@ class PictureCopier:
             data, grey = read_picture(path, image_wh=self._picture_wh)
             if self._levels is not None:
                 data = encode_silhouette(grey, self._levels[path])
-        sealed, orientation = self._raw or is_sealed(data), read_orientation(data)
+        sealed = self._raw or is_sealed(data)
+        orientation = read_orientation(data)
         given = None if self._given is None else self._given.of(path)
         if self._resampler is not None and given is not None:
             data = self._resample(path, grey if self._raw else data, self._resampler, given.lens)

@@ -147,7 +147,8 @@ def _check_greys(grey: Grey, levels: Levels, path: Path) -> int:
     cover = levels.cover(grey[y : y + height, x : x + width])
     roots = cover > MASK_MARGIN
     between = roots & (cover <= 1.0 - MASK_MARGIN)
-    count, share = int(roots.sum()), float(between.sum() / grey.size)
+    count = int(roots.sum())
+    share = float(between.sum() / grey.size)
     if between.sum() > MASK_GREYS * count and _are_labels(cover, roots, between):
         raise UserError(
             f"{path} is not a silhouette: {100.0 * between.sum() / count:.0f} % of its root pixels have values between black and white "

@@ -122,7 +122,8 @@ def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monit
         for found in results:
             goal = folder / found.place
             _copy_folder(found.folder, goal)
-            path, place = str(found.summary.get("dataset", "")), found.scan.place if found.scan else ""
+            path = str(found.summary.get("dataset", ""))
+            place = found.scan.place if found.scan else ""
             atomic.write_json(goal / "result.json", found.summary | {"dataset": place})
             if (page := goal / "report.html").is_file():
                 atomic.write_bytes(page, page.read_bytes().replace(_dataset_cells(path), _dataset_cells(place)))

@@ -63,7 +63,8 @@ def reconstruct_baseline(
     Result
         Result in memory, whose volume is marked as not trusted.
     """
-    settings, watch = settings or Settings(), Monitor.of(monitor)
+    settings = settings or Settings()
+    watch = Monitor.of(monitor)
     loaded = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     return _result(method, _METHODS[method](loaded, settings, watch), settings=settings, monitor=watch)
 

@@ -78,7 +78,10 @@ def convention_of(points: Floats, true_mm: Floats, *, box: tuple[Floats, Floats]
     """
     rng = np.random.default_rng(0)
     points, true_mm = (rng.permutation(each)[:_POINTS] for each in (points, true_mm))
-    tree, tree_true, some, some_true = cKDTree(points), cKDTree(true_mm), points[:_QUERIES], true_mm[:_QUERIES]
+    tree = cKDTree(points)
+    tree_true = cKDTree(true_mm)
+    some = points[:_QUERIES]
+    some_true = true_mm[:_QUERIES]
 
     def misfit_mm(candidate: Convention) -> float:
         ahead = tree_true.query(candidate.convert(some))[0]
@@ -86,10 +89,12 @@ def convention_of(points: Floats, true_mm: Floats, *, box: tuple[Floats, Floats]
         return float(ahead.mean() + back.mean()) / 2.0
 
     expected = Convention()
-    diagonal_mm, expected_mm = float(np.linalg.norm(np.ptp(true_mm, axis=0))), misfit_mm(expected)
+    diagonal_mm = float(np.linalg.norm(np.ptp(true_mm, axis=0)))
+    expected_mm = misfit_mm(expected)
     if expected_mm < _FITS_WELL * diagonal_mm:
         return expected
-    best, best_mm = expected, min(_FITS * diagonal_mm, expected_mm / _BETTER)
+    best = expected
+    best_mm = min(_FITS * diagonal_mm, expected_mm / _BETTER)
     for candidate in _candidates(box, scales_of(where)):
         found_mm = misfit_mm(candidate)
         if found_mm < 0.9 * best_mm:  # symmetric shapes fit several orders equally well, of which the first is the most usual
@@ -147,7 +152,8 @@ def _candidates(box: tuple[Floats, Floats] | None, scales: Iterable[float]) -> I
         rows = tuple(tuple(float(value) for value in row) for row in axes)
         yield Convention(scale, rows)
         if box is not None and scale == 1.0:
-            corner_mm, half_mm = box[0], box[1] / 2.0
+            corner_mm = box[0]
+            half_mm = box[1] / 2.0
             shift_mm = corner_mm + np.abs(axes) @ half_mm - axes @ (corner_mm + half_mm)
             x, y, z = map(float, shift_mm)
             yield Convention(scale, rows, (x, y, z))

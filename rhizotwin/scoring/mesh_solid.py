@@ -42,7 +42,8 @@ def compare_volumes(mesh: Mesh, true: Mesh) -> tuple[float | None, float | None,
     found, known = to_solid(mesh), to_solid(true)
     if found is None or known is None:
         return _compare_with_voxels(mesh, true)
-    volume_mm3, both_mm3 = found.solid.volume(), (found.solid ^ known.solid).volume()
+    volume_mm3 = found.solid.volume()
+    both_mm3 = (found.solid ^ known.solid).volume()
     iou = min(1.0, both_mm3 / (volume_mm3 + known.solid.volume() - both_mm3))
     return volume_mm3, iou, ("parts of the mesh overlap and were united",) if found.was_united else ()
 
@@ -50,7 +51,8 @@ def compare_volumes(mesh: Mesh, true: Mesh) -> tuple[float | None, float | None,
 def _compare_with_voxels(mesh: Mesh, true: Mesh) -> tuple[float | None, float | None, tuple[str, ...]]:
     """Compute the same as `compare_volumes` from voxels."""
     points = np.concatenate([one.vertices_mm[np.unique(one.faces)] for one in (mesh, true)])
-    low, extent_mm = points.min(axis=0), np.ptp(points, axis=0)
+    low = points.min(axis=0)
+    extent_mm = np.ptp(points, axis=0)
     voxel_mm = float(extent_mm.max()) / _MOST_SIDE
     cells = np.argwhere(np.ones(np.maximum(np.ceil(extent_mm / voxel_mm).astype(int), 1), bool)).astype(np.int32)
     size = np.ones(len(cells), np.int32)

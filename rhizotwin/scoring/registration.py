@@ -115,7 +115,8 @@ def _starting_poses(cloud: _Cloud, to: _Cloud) -> list[Floats]:
     poses = []
     for turn in turns:
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, middle_to - turn @ middle
+        pose[:3, :3] = turn
+        pose[:3, 3] = middle_to - turn @ middle
         poses.append(pose)
     return poses
 
@@ -126,7 +127,10 @@ def _iterate_closest_points(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm:
     Return the pose (4, 4), and the mean point-to-point distance, mm, by which poses are ranked. The median distance of
     a plant with misplaced laterals would depend on the taproot only.
     """
-    tree, tree_to, least_mm, mean_mm = cKDTree(cloud.points), cKDTree(to.points), LEAST_SPREAD * size_mm, np.inf
+    tree = cKDTree(cloud.points)
+    tree_to = cKDTree(to.points)
+    least_mm = LEAST_SPREAD * size_mm
+    mean_mm = np.inf
     for _ in range(ROUNDS):
         now = frames.apply(pose, cloud.points)
         (away, ahead), (away_back, back) = tree_to.query(now), tree.query(frames.apply(frames.invert(pose), to.points))

@@ -223,7 +223,9 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     mesh_path = truth_mesh_path(dataset.folder)
     result_files.check_same_scan(found.dataset_sha256, found.scene, where, dataset)
-    truth, true_solid, solid = load_truth(dataset.folder), result_files.read_mesh(mesh_path), found.solid
+    truth = load_truth(dataset.folder)
+    true_solid = result_files.read_mesh(mesh_path)
+    solid = found.solid
 
     extents_mm = np.subtract(solid.extents_max_mm, solid.extents_min_mm)
     extents_true_mm = np.subtract(truth.extents_max_mm, truth.extents_min_mm)

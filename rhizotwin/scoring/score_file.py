@@ -170,7 +170,8 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
     from rhizotwin.scoring.mesh_solid import compare_volumes  # imports the simulator
 
     known = _Known.of(dataset)
-    mesh, convention = foreign_files.read_shape(Path(file)), Convention()
+    mesh = foreign_files.read_shape(Path(file))
+    convention = Convention()
     if registered:
         check_unit(mesh, known.solid, where=str(file))
         mesh = register(mesh, known.solid).moved
@@ -225,7 +226,8 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     convention = convention_of(points, on_truth, where=str(file))
     points = convention.convert(points)
     some = points[np.random.default_rng(0).permutation(len(points))[:SURFACE_SAMPLES]]
-    to_truth, to_points = surface_distance.distances(some, vertices, faces), cKDTree(points).query(on_truth)[0]
+    to_truth = surface_distance.distances(some, vertices, faces)
+    to_points = cKDTree(points).query(on_truth)[0]
     return replace(
         known.score(file),
         extents_error=known.extents_error(points),
@@ -272,7 +274,8 @@ def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
     The file is read with `foreign_files.read_traits`.
     """
-    known, stated = _Known.of(dataset), foreign_files.read_traits(Path(file))
+    known = _Known.of(dataset)
+    stated = foreign_files.read_traits(Path(file))
     true = known.traits()
     traits = {name: _score_stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
     volume = stated.get("volume")
@@ -325,7 +328,8 @@ class _Known:
     def check_voxels(self, voxel_mm: float, *, where: str) -> None:
         """Raise `UserError` if voxels are larger than the true solid, or too small for its comparison."""
         size_mm = np.ptp(self.solid.vertices_mm, axis=0)
-        least_mm, most_mm = float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_COLUMNS)), float(size_mm.max())
+        least_mm = float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_COLUMNS))
+        most_mm = float(size_mm.max())
         if not least_mm <= voxel_mm <= most_mm:
             raise UserError(
                 f"{where}: the voxel size is {voxel_mm:g} mm, but must be {least_mm:.2g} to {most_mm:.3g} mm for a specimen "
@@ -334,7 +338,8 @@ class _Known:
 
     def traits(self) -> dict[str, float | None]:
         """Return the true values of the scalar traits, keyed by trait name (see `scenes.trait_table`)."""
-        volume_mm3, surface_mm2 = self.truth.volume_mm3, float(self.solid.areas_mm2.sum())
+        volume_mm3 = self.truth.volume_mm3
+        surface_mm2 = float(self.solid.areas_mm2.sum())
         measured = measure_traits(self.roots, self.solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)
         return {name: one.true for name, one in compare_traits(measured, measured).items() if not isinstance(one.true, list)}
 

@@ -178,7 +178,8 @@ class Compared:
 
 def compare(shape: Image, picture: Silhouette) -> Compared:
     """Compare the projected coverage (H, W) of a result with a picture, in the usable pixels of the picture."""
-    shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.usable))
+    shown = signed_distance(picture)
+    made = signed_distance(Silhouette(shape, picture.usable))
     told = shown < UNSEEN_PX
     root, own = (shown > 0.0) & told, (made > 0.0) & told
     apart = np.abs(made - shown)[(_outline_samples(root) | _outline_samples(own)) & told]

@@ -73,11 +73,13 @@ def compare_plants(
     scores = []
     for one in told:
         name = one.subject.plant
-        own, length_true = rsml.plant_roots(roots, name), rsml.length_mm(rsml.plant_roots(true, name))
+        own = rsml.plant_roots(roots, name)
+        length_true = rsml.length_mm(rsml.plant_roots(true, name))
         away, nearest = tree.query(_sample_roots(own)[0])
         near = away < NEAR_MM
         low, high = one.volume_interval_mm3
-        volume_true, length = float(truth[name]["volume_mm3"]), rsml.length_mm(own)
+        volume_true = float(truth[name]["volume_mm3"])
+        length = rsml.length_mm(own)
         scores.append(
             PlantScore(
                 plant=name,

@@ -106,7 +106,9 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
     ValueError
         If the mesh is not closed.
     """
-    solid, origin, voxel = (truth.vertices_mm, truth.faces), leaves.origin_mm, leaves.voxel_mm
+    solid = (truth.vertices_mm, truth.faces)
+    origin = leaves.origin_mm
+    voxel = leaves.voxel_mm
     voxels_in_leaf = leaves.size.astype(np.float64) ** 3
     occupied = leaves.occupancy >= 0.5
 

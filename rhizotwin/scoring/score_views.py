@@ -90,7 +90,8 @@ def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *
         raise UserError(f"truth/truth.json contains no camera of {unknown[0]}; repeat the simulation")
     if not poses:
         return None
-    found, true = list(poses.values()), [true_poses[file] for file in poses]
+    found = list(poses.values())
+    true = [true_poses[file] for file in poses]
     errors = {file: frames.pose_error(a, b) for file, a, b in zip(poses, found, true, strict=True)}
     mm, deg = np.array(list(errors.values())).T
 

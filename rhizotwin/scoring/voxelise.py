@@ -225,7 +225,8 @@ def _split_columns(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: F
     points = (vertices_mm - origin_mm) / voxel_mm
     spans = np.ptp(points[faces][:, :, :2], axis=1)
     parts = max(1, int(np.ceil(((spans[:, 0] + 1.0) * (spans[:, 1] + 1.0)).sum() / PAIRS_AT_ONCE)))
-    low, high = int(np.floor(points[:, 0].min())) - 1, int(np.ceil(points[:, 0].max())) + 2
+    low = int(np.floor(points[:, 0].min())) - 1
+    high = int(np.ceil(points[:, 0].max())) + 2
     edges = np.unique(np.linspace(low, high, parts + 1).round().astype(int))
     return [(int(a), int(b)) for a, b in pairwise(edges)]
 

@@ -105,7 +105,8 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
 
     Raise `UserError` if the file is missing, damaged or empty, or if a value is invalid.
     """
-    path, prefix = Path(folder) / "shape.npz", "hull_" if hull else ""
+    path = Path(folder) / "shape.npz"
+    prefix = "hull_" if hull else ""
     if not path.is_file():
         raise UserError(f"{path} does not exist; repeat the reconstruction.")
     try:

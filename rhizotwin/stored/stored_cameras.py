@@ -30,7 +30,8 @@ class Cameras:
         Earlier versions did not store the scale of pictures without markers. For their results, the scale of the scene
         is used.
         """
-        rig, given = summary.get("rig") or {}, dataset.scene.camera
+        rig = summary.get("rig") or {}
+        given = dataset.scene.camera
         scaled = replace(given, mm_per_px=rig.get("mm_per_px") or given.mm_per_px)
         camera = scaled.as_pinhole().focused(rig.get("focal_scale") or 1.0)
         optics = Optics.from_scene(dataset.scene)

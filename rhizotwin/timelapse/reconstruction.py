@@ -83,7 +83,8 @@ class Reconstructor:
         from rhizotwin.batches import collect
         from rhizotwin.batches.run import run
 
-        folder, voxel_mm = str(self._experiment.results_folder), self._experiment.reconstruction.voxel_mm
+        folder = str(self._experiment.results_folder)
+        voxel_mm = self._experiment.reconstruction.voxel_mm
         begin_s = time.monotonic()
         try:
             jobs = collect.reconstructions([str(one.path) for one in scans], folder, voxel_mm=voxel_mm, settings=None, device="auto")

@@ -130,7 +130,8 @@ class Runner:
             self.table = self.table or (EmulatedTable if self.experiment.is_emulated else RealTable)(self.experiment)
             self._reopen(catalogue)
             self._changer = self._changer or changer_of(self.experiment, self.table, ask=self.listener.ask)
-            reconstructor, stop = Reconstructor(self.experiment, say=self.listener.say), self.listener.stop
+            reconstructor = Reconstructor(self.experiment, say=self.listener.say)
+            stop = self.listener.stop
             while (visit := _next_visit(catalogue)) is not None and not stop():
                 due = datetime.fromisoformat(visit.due_utc)
                 if due <= calendar.now():
@@ -157,7 +158,8 @@ class Runner:
 
     def _reopen(self, catalogue: Catalogue) -> None:
         """Plan scans again that were recorded as missed at a later time than now, because the clock was wrong."""
-        now, visits = self._now(), list_visits(catalogue)
+        now = self._now()
+        visits = list_visits(catalogue)
         last = max((one for visit in visits for one in (visit.began_utc, visit.ended_utc)), default="")
         if not last or datetime.fromisoformat(last) < now + STEP:
             return

@@ -78,7 +78,8 @@ def measure_edges(light: Image, rendered: Image, coverage: Image) -> Array:
 def _shift(own: Array, other: Array, edge: int, across: float) -> float | None:
     """Return the shift, px, at which a picture's gradients correlate best with the rendered ones around an edge."""
     half, reach = max(4, round(_WINDOW * across)), max(2, round(_REACH * across))
-    low, high = edge - half, edge + half
+    low = edge - half
+    high = edge + half
     if low - reach < 0 or high + reach >= len(other):
         return None
     pattern = own[low:high] - own[low:high].mean()

@@ -253,7 +253,9 @@ class _Data:
 
 def _fit_weights(columns: Array, precision: Array, difference: Array) -> tuple[Array, float]:
     """Return Huber's weights (N,) of the residuals without any parameter, and their standard deviation."""
-    weight, residual, sigma = np.ones(len(difference)), difference, 1.0
+    weight = np.ones(len(difference))
+    residual = difference
+    sigma = 1.0
     for _ in range(_ROUNDS):
         sigma = float(np.hypot(MAD * np.median(np.abs(residual)), _LATTICE_STEP))
         normal = columns.T @ (weight[:, None] * columns) / sigma**2 + np.diag(precision)

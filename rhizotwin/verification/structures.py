@@ -68,7 +68,8 @@ class Comparison:
 def compare(picture: Picture, rendered: Image, mm_per_px: float) -> Comparison:
     """Compare a picture with its rendered opacity (H, W)."""
     level = picture.trace_level(rendered)
-    shown, made = picture.smooth, smooth(rendered, np.ones_like(picture.usable))
+    shown = picture.smooth
+    made = smooth(rendered, np.ones_like(picture.usable))
     seen = cv2.erode(picture.usable.astype(np.uint8), _disc()) > 0
     root = (shown > level) & seen
     near_made, near_shown = (cv2.dilate((image > 0.5 * level).astype(np.uint8), _disc()) > 0 for image in (made, shown))
@@ -148,7 +149,8 @@ def _missing_points(compared: Sequence[Comparison], synthesis: Synthesis, scene:
 
 def _surplus_points(compared: Sequence[Comparison], synthesis: Synthesis, scene: Scene) -> _Points:
     """Return the points of the shape that the pictures do not show."""
-    places, pixels = [np.zeros((0, 3))], [np.zeros((0, len(compared), 2), np.int64)]
+    places = [np.zeros((0, 3))]
+    pixels = [np.zeros((0, len(compared), 2), np.int64)]
     for v, one in enumerate(compared):
         surface = synthesis.surface(true_camera(one.picture.camera, scene), one.rendered)
         px = np.argwhere(one.surplus & (surface.distance_px <= _NEAR_PX))[:, ::-1]
@@ -209,7 +211,8 @@ def _measure(
     Its pixels are added to the masks ``claimed`` of all views, and do not count for later structures: where lines of
     sight of two pictures meet by chance, their pixels usually belong to a structure that more pictures show.
     """
-    pixels, length_mm = {}, 0.0
+    pixels = {}
+    length_mm = 0.0
     for one, own, at in zip(compared, claimed, px.transpose(1, 0, 2), strict=True):
         there = at[at[:, 0] >= 0]
         there = there[~own[there[:, 1], there[:, 0]]]

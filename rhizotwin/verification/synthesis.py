@@ -136,8 +136,10 @@ class Synthesis:
         """Trace the lines of sight of pixels (N, 2) into the water."""
         if not len(px):
             return Rays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool))
-        renderer, wh = self.roots, np.array(self.roots.image_wh)
-        eye, backlit = renderer.sensors[0], renderer.backlit
+        renderer = self.roots
+        wh = np.array(self.roots.image_wh)
+        eye = renderer.sensors[0]
+        backlit = renderer.backlit
         sensor.set_pose(eye, camera.cam_from_canister)
         renderer.lamps.place(camera)
         tank.place(backlit.scene, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)

@@ -162,7 +162,8 @@ def verify(result: Result, dataset: Dataset, *, folder: Path | None = None, moni
     with monitor.stage("verify"):
         synthesis = Synthesis(result, dataset.scene)
         equations = Equations(result, dataset.scene, synthesis)
-        compared, edges = list[Comparison](), []
+        compared = list[Comparison]()
+        edges = []
         with monitor.steps("verify", len(pictures), "picture") as step:
             for picture in pictures:
                 camera = true_camera(picture.camera, dataset.scene)
