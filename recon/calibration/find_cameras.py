@@ -8,11 +8,12 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.calibration import bare_canister, markers, poses
+from rhizotwin.recon.calibration import bare_canister, markers, poses, view_fit
 from rhizotwin.recon.calibration.cameras import LEAST_VIEWS, Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
 from rhizotwin.recon.calibration.vessel_shape import refuse_corners
+from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
@@ -64,6 +65,7 @@ def find_cameras(
         return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
         return _require_views(pictures, _calibrate_bare(pictures, monitor))
+    _require_round_vessel(pictures)
     detected = _detect_markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
@@ -101,6 +103,16 @@ def _require_markers(pictures: Pictures, single_view: bool) -> None:
         f"{pictures.dataset.folder}: the position of the tank can only be estimated from the markers of all pictures together, "
         f"but {reason}."
     )
+
+
+def _require_round_vessel(pictures: Pictures) -> None:
+    """Raise a UserError if the vessel is not round in the pictures whose markers were already measured."""
+    scene = pictures.dataset.scene
+    if scene.tank is not None:
+        return
+    poses_found = {k: view_fit.single_view(view_fit.sightings(found, scene)) for k, found in pictures.measured.items()}
+    views = {k: View(camera=scene.camera, cam_from_canister=pose) for k, pose in poses_found.items() if pose is not None}
+    refuse_corners(list(views.values()), [pictures.images[k] for k in views], scene)
 
 
 def _calibrate_bare(pictures: Pictures, monitor: Monitor) -> Cameras:
@@ -187,11 +199,7 @@ def _find_canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, 
     poses_found = Cameras(lens=lens, optics=Optics.from_scene(pictures.dataset.scene), all=solved.views, order=tuple(keys))
     views = poses_found.views
     errors = None if solved.errors is None else solved.errors.reorder(keys, [None] * len(keys))
-    scene = pictures.dataset.scene
-    found = find_canister(views, lambda i: pictures.images[keys[i]], scene, errors=errors, settings=settings)
-    if found is None and scene.tank is None:
-        refuse_corners(views, lambda i: pictures.images[keys[i]], scene)
-    return found
+    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 
 def _collect_results(

@@ -1,8 +1,8 @@
-"""Detection of a vessel that is not round, where the edges of a round canister were not found."""
+"""Detection of a vessel that is not round, from its width in the views."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -45,15 +45,15 @@ MOST_SPREAD = 0.06
 diameters differ by 2 %, are below it. The widths of a square differ by up to 41 %."""
 
 
-def refuse_corners(views: Sequence[View], images: Callable[[int], Grey], scene: Scene) -> None:
+def refuse_corners(views: Sequence[View], images: Sequence[Grey], scene: Scene) -> None:
     """Raise an error if the width of the vessel differs between the views, so that it is not round.
 
     Parameters
     ----------
     views : sequence of View
         Cameras of the views, in the frame of the strip.
-    images : callable
-        Function that returns the picture of a view from the index of the view.
+    images : (H, W) sequence of uint8 or uint16 array
+        Picture of each view.
     scene : Scene
         Scene with the net pot and the height of the canister.
 
@@ -62,7 +62,7 @@ def refuse_corners(views: Sequence[View], images: Callable[[int], Grey], scene: 
     UserError
         If the vessel is not round. The message states the widths.
     """
-    found = [_half_width_mm(view, images(k), scene, side) for k, view in enumerate(views) for side in (-1.0, 1.0)]
+    found = [_half_width_mm(view, image, scene, side) for view, image in zip(views, images, strict=True) for side in (-1.0, 1.0)]
     widths = np.array(found).reshape(-1, 2).sum(axis=1)
     widths = widths[np.isfinite(widths)]
     if len(widths) < LEAST_VIEWS:

@@ -107,7 +107,7 @@ def test_vessels_that_are_not_round_are_named() -> None:
 
     def check(radius_mm: float, oval: complex) -> None:
         images = [picture(view.cam_from_canister, rng, radius_mm=radius_mm, oval=oval) for view in views]
-        refuse_corners(views, images.__getitem__, SCENE)
+        refuse_corners(views, images, SCENE)
 
     check(60.0, 0.0)  # round, but not as in the scene
     check(76.2, 1.0)
