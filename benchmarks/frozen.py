@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from benchmarks import commits, datasets, masks_in_air, reconstructions, worker
 from benchmarks.accuracy import percent
 from benchmarks.cases import DEFAULT_VOXEL_MM, Case, Pictures
-from benchmarks.output import markdown, value_at
+from benchmarks.output import markdown, stored_json, value_at
 from benchmarks.run import Say
 from rhizotwin.recon.results.parts import Leaves
 from rhizotwin.recon.results.result import Result
@@ -300,13 +300,8 @@ def read(folder: Path) -> dict[str, Any]:
         raise UserError(
             f"{folder} is not a folder of frozen cases: it contains no frozen.json; make one with `./run bench freeze -o {folder}`."
         )
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        found = {"commit": str(stored["commit"]), "cases": [str(name) for name in stored["cases"]], "version": stored["schema_version"]}
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); freeze the cases again.") from None
-    if found["version"] != SCHEMA_VERSION:
-        raise UserError(f"{path} has schema_version {found['version']}, this program reads {SCHEMA_VERSION}; freeze the cases again.")
+    with stored_json(path, SCHEMA_VERSION, "freeze the cases again") as stored:
+        found: dict[str, Any] = {"commit": str(stored["commit"]), "cases": [str(name) for name in stored["cases"]]}
     check_names(found["cases"], tuple(CASES))
     return found
 

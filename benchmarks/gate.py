@@ -1,6 +1,5 @@
 """Comparison of a run with the committed baseline. Missing, crashed, non-finite and unknown numbers fail."""
 
-import json
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks.metric import Metric
+from benchmarks.output import stored_json
 from benchmarks.scatter import Scatter
 from benchmarks.targets import TARGETS
 from rhizotwin.scenes import atomic
@@ -157,16 +157,9 @@ def read_baseline(path: Path) -> Baseline:
     """Read a committed baseline; raise UserError if it is missing or damaged."""
     if not path.is_file():
         raise UserError(f"{path} does not exist; run once with --update-baseline and commit it.")
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        version = stored["schema_version"]
-        if version != SCHEMA_VERSION:
-            raise UserError(f"{path} has schema_version {version}, this program reads {SCHEMA_VERSION}; update the baseline.")
-        metrics = stored["metrics"]
-        values = {str(key): float(entry["value"]) for key, entry in metrics.items()}
-        units = {str(key): str(entry["unit"]) for key, entry in metrics.items()}
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); run with --update-baseline.") from None
+    with stored_json(path, SCHEMA_VERSION, "run with --update-baseline") as stored:
+        values = {str(key): float(entry["value"]) for key, entry in stored["metrics"].items()}
+        units = {str(key): str(entry["unit"]) for key, entry in stored["metrics"].items()}
     return Baseline(path=path, values=values, units=units)
 
 

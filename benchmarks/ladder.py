@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import commits
+from benchmarks.output import stored_json
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.errors import UserError
 
 Record = dict[str, Any]
 
@@ -28,15 +28,10 @@ def read(path: Path = PATH) -> list[Record]:
     """Return the committed records, empty if there is no file; raise UserError if it is damaged."""
     if not path.is_file():
         return []
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        if stored["schema_version"] != SCHEMA_VERSION:
-            raise UserError(f"{path} has schema_version {stored['schema_version']}, this program reads {SCHEMA_VERSION}; make it again.")
+    with stored_json(path, SCHEMA_VERSION, "make it with `./run bench accuracy --update-baseline`") as stored:
         records = list(stored["records"])
         if not all(isinstance(record["case"]["name"], str) and record["commit"] and record["score"] for record in records):
             raise TypeError("a record is incomplete")
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); make it with `./run bench accuracy --update-baseline`.") from None
     return records
 
 

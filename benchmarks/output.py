@@ -1,13 +1,16 @@
 """Output of the benchmarks: lines of progress, tables of numbers, and the description of a run."""
 
+import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from benchmarks import cache
 from benchmarks.metric import Metric
 from benchmarks.targets import TARGETS
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.stored import sources
 
@@ -57,3 +60,30 @@ def value_at(record: Mapping[str, Any], path: str) -> float | None:
     for name in path.split("."):
         value = None if value is None else value.get(name)
     return None if value is None else float(value)
+
+
+@contextmanager
+def stored_json(path: Path, version: int, remedy: str) -> Iterator[dict[str, Any]]:
+    """Read a JSON file with a ``schema_version``, and name the file and the remedy if its content cannot be used.
+
+    Parameters
+    ----------
+    path : Path
+        Existing file.
+    version : int
+        Version that is read.
+    remedy : str
+        What to do if the file has another version or is damaged, also if the block of this context finds that.
+
+    Raises
+    ------
+    UserError
+        If the file is damaged.
+    """
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored["schema_version"] != version:
+            raise ValueError(f"its schema_version is {stored['schema_version']}, this program reads {version}")
+        yield stored
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"{path} is damaged ({error!r}); {remedy}.") from None

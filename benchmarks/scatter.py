@@ -3,7 +3,6 @@
 A number counts as changed if it exceeds `FACTOR` times the range of these runs, and the smallest relevant change.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from scipy.stats import norm
 from benchmarks import accuracy
 from benchmarks.cases import Case
 from benchmarks.metric import Metric
+from benchmarks.output import stored_json
 from benchmarks.run import Run, Say
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -160,15 +160,9 @@ def read(path: Path) -> Scatter:
     """Read a committed scatter, empty if there is none; raise UserError if it is damaged."""
     if not path.is_file():
         return Scatter(path=path, ranges={}, runs={})
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        version = stored["schema_version"]
-        if version != SCHEMA_VERSION:
-            raise UserError(f"{path} has schema_version {version}, this program reads {SCHEMA_VERSION}; make it again.")
+    with stored_json(path, SCHEMA_VERSION, "make it with `./run bench scatter --quick`") as stored:
         ranges = {str(key): float(entry["range"]) for key, entry in stored["metrics"].items()}
         runs = {str(key): int(entry["runs"]) for key, entry in stored["metrics"].items()}
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); make it with `./run bench scatter --quick`.") from None
-    if not all(math.isfinite(value) and value >= 0.0 for value in ranges.values()):
-        raise UserError(f"{path} is damaged (a range is negative or not a number); make it with `./run bench scatter --quick`.")
+        if not all(math.isfinite(value) and value >= 0.0 for value in ranges.values()):
+            raise ValueError("a range is negative or not a number")
     return Scatter(path=path, ranges=ranges, runs=runs)

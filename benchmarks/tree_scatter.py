@@ -3,14 +3,13 @@
 None of these changes is a reason for another tree; a large range shows decisions that rounding turns.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks import accuracy, commits, frozen, reconstructions
 from benchmarks.cases import Case
-from benchmarks.output import markdown, value_at
+from benchmarks.output import markdown, stored_json, value_at
 from benchmarks.run import Say
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -125,10 +124,7 @@ def read(path: Path = PATH) -> Stored:
     """Return the recorded measurements, empty if there are none; raise UserError if the file is damaged."""
     if not path.is_file():
         return {}
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        if stored["schema_version"] != SCHEMA_VERSION or not stored["commit"] or not table(stored):
-            raise ValueError("the version or the commit is missing")
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error!r}); make it with `./run bench scatter --frozen`.") from None
-    return dict(stored)
+    with stored_json(path, SCHEMA_VERSION, "make it with `./run bench scatter --frozen`") as stored:
+        if not stored["commit"] or not table(stored):
+            raise ValueError("the commit is missing")
+    return stored
