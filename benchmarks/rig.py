@@ -83,9 +83,9 @@ def _inverse(count: int) -> list[Metric]:
     landed = np.abs(kinematics.arm_from_cam(part, np.rad2deg(found.joints_rad)) - goals).max(axis=(1, 2)) < 1e-6
     failed = ~(found.converged & (found.steps <= MOST_STEPS) & landed)
     return [
-        Metric(key="rig/inverse/closed_form_error", value=float(off.max()), unit="mm", direction="down", abs_tol=1e-9),
-        Metric(key="rig/inverse/newton_failed", value=float(failed.mean()), unit="1", direction="down", abs_tol=0.0005),
-        Metric(key="rig/inverse/newton_steps", value=float(np.median(found.steps)), unit="1", direction="down", abs_tol=1.0),
+        Metric(key="rig/inverse/closed_form_error", value=float(off.max()), unit="mm", direction="down"),
+        Metric(key="rig/inverse/newton_failed", value=float(failed.mean()), unit="1", direction="down"),
+        Metric(key="rig/inverse/newton_steps", value=float(np.median(found.steps)), unit="1", direction="down"),
     ]
 
 
@@ -96,8 +96,8 @@ def _faults(count: int, run: Run, say: Say) -> list[Metric]:
     return [
         Metric(key="rig/faults/problems", value=float(sum(bool(one.problems) for one in runs)), unit="1", direction="down"),
         Metric(key="rig/faults/runs", value=float(len(runs)), unit="1", direction="up"),
-        Metric(key="rig/faults/complete_at_once", value=ended["complete"] / len(runs), unit="1", direction="up", abs_tol=0.05),
-        Metric(key="rig/faults/longest", value=max(one.virtual_s for one in runs), unit="s", direction="down", rel_tol=0.5),
+        Metric(key="rig/faults/complete_at_once", value=ended["complete"] / len(runs), unit="1", direction="up"),
+        Metric(key="rig/faults/longest", value=max(one.virtual_s for one in runs), unit="s", direction="down"),
     ]
 
 
@@ -126,7 +126,7 @@ def _overhead() -> list[Metric]:
     motion_s = step_deg / part.speed_deg_per_s + part.speed_deg_per_s / ACCELERATION_DEG_PER_S2
     exposed_s = rig.camera.exposure_s + READOUT_S  # the rows of a sensor are read out one after the other
     rest_s = np.diff(times) - motion_s - part.settle_s - exposed_s
-    return [Metric(key="rig/overhead/per_view", value=float(np.median(rest_s)), unit="s", direction="down", abs_tol=0.02)]
+    return [Metric(key="rig/overhead/per_view", value=float(np.median(rest_s)), unit="s", direction="down")]
 
 
 def _calibrate(profiles: tuple[str, ...]) -> list[Metric]:
@@ -140,8 +140,8 @@ def _calibrate(profiles: tuple[str, ...]) -> list[Metric]:
         true_px = scene.camera.focal_px
         error = max(abs(found.camera.focal_px[k] / true_px[k] - 1.0) for k in range(2))
         metrics += [
-            Metric(key=f"rig/calibrate/{profile}/focal_error", value=error, unit="1", direction="down", abs_tol=2e-4),
-            Metric(key=f"rig/calibrate/{profile}/rms", value=found.fit.rms_px, unit="px", direction="down", abs_tol=0.02),
+            Metric(key=f"rig/calibrate/{profile}/focal_error", value=error, unit="1", direction="down"),
+            Metric(key=f"rig/calibrate/{profile}/rms", value=found.fit.rms_px, unit="px", direction="down"),
         ]
     return metrics
 
@@ -158,6 +158,6 @@ def _scan_and_reconstruct() -> list[Metric]:
         twin.write_truth(folder, dataset.frames)
         found: dict[str, Any] = score(result, folder).to_dict()
     return [
-        Metric(key="rig/scan/volume_error", value=found["volume_error"], unit="1", direction="zero", abs_tol=0.01),
-        Metric(key="rig/scan/iou", value=found["iou"], unit="1", direction="up", abs_tol=0.01),
+        Metric(key="rig/scan/volume_error", value=found["volume_error"], unit="1", direction="zero"),
+        Metric(key="rig/scan/iou", value=found["iou"], unit="1", direction="up"),
     ]
