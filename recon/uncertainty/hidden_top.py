@@ -22,7 +22,7 @@ _STEP_MM = 0.25
 _WINDOW = 5
 """Length of the visible taproot from which the variation of its cross-section is estimated, as a multiple of the hidden
 length."""
-_LEAST_COSINE = 0.3
+LEAST_COSINE = 0.3
 """Minimum cosine of the angle between a taproot and the vertical. Roots at larger angles than this (73 degrees) are not
 extrapolated."""
 
@@ -107,7 +107,7 @@ def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float, float]
     window = min(_WINDOW * gap_mm, float(way[-1]))
     down = root.points_mm[0] - root.points_mm[int(np.searchsorted(way, min(gap_mm, way[-1])))]
     cosine = float(down[2] / max(np.linalg.norm(down), 1e-9))
-    if cosine < _LEAST_COSINE:
+    if cosine < LEAST_COSINE:
         return None
     length_mm = gap_mm / cosine
     at = np.arange(0.0, window, _STEP_MM)

@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rhizotwin.recon import device
 from rhizotwin.recon.device import UInt32
@@ -22,6 +23,7 @@ from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.tubes.tubes import TANGENT_NODES
 from rhizotwin.recon.uncertainty.budget import Term
+from rhizotwin.recon.uncertainty.hidden_top import LEAST_COSINE
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
@@ -51,8 +53,8 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, solids: L
 
     Vertical columns of voxels that end at such a place are extended until enough views see again, or to the edge of the
     water, and so are horizontal columns of solids. A root continues beyond its tip in its own direction: its side is no
-    end. Roots join upwards: if their cross-section increases towards the top, the columns hidden above it are assumed
-    to be wider (`_widening`). The axis with the largest hidden volume is used.
+    end, also if it is nearly horizontal. Roots join upwards: if their cross-section increases towards the top, the
+    columns hidden above it are assumed to be wider (`_widening`). The axis with the largest hidden volume is used.
 
     Parameters
     ----------
@@ -73,7 +75,7 @@ def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, solids: L
     tips = _hidden_tips(bank, maps, roots, water)
     hidden = {
         axis: [tips * (axis != _UP)] + [_hidden_columns(bank, maps, part, water, axis, side) for side in (-1, 1)]
-        for part, axes in ((_Voxels.of(solids), (0, 1)), (_Voxels.of(leaves), (_UP,)))
+        for part, axes in ((_Voxels.of(solids), (0, 1)), (_Voxels.of(leaves, roots), (_UP,)))
         for axis in axes
     }
     axis = max(hidden, key=lambda a: sum(hidden[a]))
@@ -97,20 +99,33 @@ class _Voxels:
     origin_mm: Array
     """Position (3,) of the corner of the voxel with index 0, canister frame, mm."""
     edge_mm: float
+    roots: Sequence[Root]
+    """Roots of the shape."""
 
     @classmethod
-    def of(cls, leaves: Leaves) -> _Voxels:
+    def of(cls, leaves: Leaves, roots: Sequence[Root] = ()) -> _Voxels:
         """Merge leaves into voxels."""
         units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
         index, size, occupancy = to_voxels(leaves, units)
         cells, edge_mm = to_unit_cubes(index, size).astype(np.int64), units * leaves.grid.size_mm
-        return cls(cells, spread_values(occupancy, size), np.asarray(leaves.grid.origin_mm), edge_mm)
+        return cls(cells, spread_values(occupancy, size), np.asarray(leaves.grid.origin_mm), edge_mm, roots)
+
+    def steep(self, voxels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return the mask (K,) of the voxels, given by their indices, that are not part of a nearly horizontal root."""
+        if not self.roots:
+            return np.ones(len(voxels), np.bool_)
+        begin, end = (np.concatenate([root.points_mm[part] for root in self.roots]) for part in (slice(-1), slice(1, None)))
+        radius_mm = 0.5 * np.concatenate([root.diameters_mm[1:] for root in self.roots])
+        beside_mm, nearest = cKDTree(0.5 * (begin + end)).query(self.origin_mm + (self.cells[voxels] + 0.5) * self.edge_mm)
+        cosine = np.abs(polyline.unit_vectors(end - begin)[nearest, 2])
+        return np.asarray((cosine >= LEAST_COSINE) | (beside_mm > radius_mm[nearest] + self.edge_mm))
 
 
 def _hidden_columns(bank: ViewBank, maps: DistanceMaps, part: _Voxels, water: Water, axis: int, side: int) -> float:
     """Return the volume of the columns of voxels that may continue on one side (-1 or 1) of an axis, mm3."""
     cells, full, edge_mm, direction = part.cells, part.full, part.edge_mm, side * np.eye(3)[axis]
     last = _ends(cells, full, axis, side)
+    last = last[part.steep(last)]
     gap_mm = gaps_mm(bank, maps, part.origin_mm + (cells[last] + 0.5 + 0.5 * direction) * edge_mm, direction, water)
     wider = _widening(cells[:, 2], full, last, gap_mm / edge_mm) if (axis, side) == (_UP, 1) else 1.0
     before = CellSet.from_cells(cells).find(cells[last] - direction.astype(np.int64))  # a flat end cuts the last voxels
