@@ -227,6 +227,8 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
 def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | None, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
     known = root_uncertainty.Known(
+        mu_per_mm=solid.mu_per_mm,
+        lost=_volume_objections(solid),
         nodules=solid.nodules,
         flat=sum(term.less_mm3 for term in solid.volume.terms if term.name == "flat roots") / max(solid.volume.mm3, 1e-9),
         hidden_mm=solid.hidden_mm,
@@ -237,8 +239,6 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | 
             solid.roots,
             carved.bank,
             carved.silhouettes,
-            mu_per_mm=solid.mu_per_mm,
-            lost=_volume_objections(solid),
             known=known,
             calibration=solid.volume.calibration,
         )

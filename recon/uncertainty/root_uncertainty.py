@@ -66,6 +66,10 @@ LEAST_VIEWS = 4
 class Known:
     """Facts about a scan that the comparison of its roots with the pictures does not show."""
 
+    mu_per_mm: float | None = None
+    """Attenuation of the roots, 1/mm; None for opaque roots."""
+    lost: Sequence[str] = ()
+    """Reasons for which the scan as a whole is not trusted; empty if it is."""
     nodules: Sequence[Root] = ()
     """Nodules and other swellings, which the pictures show beside the roots."""
     flat: float = 0.0
@@ -82,9 +86,7 @@ def estimates(
     bank: ViewBank,
     silhouettes: Sequence[Silhouette],
     *,
-    mu_per_mm: float | None,
-    lost: Sequence[str],
-    known: Known | None = None,
+    known: Known = Known(),
     calibration: Calibration = NOT_CALIBRATED,
 ) -> tuple[Estimate, ...]:
     """Compare roots with the pictures.
@@ -95,11 +97,7 @@ def estimates(
         Reconstructed roots; without roots there is no estimate.
     bank, silhouettes : ViewBank, (V,) Silhouette
         All views, neighbours spread over the turn.
-    mu_per_mm : float or None
-        Attenuation of the roots; None for opaque roots.
-    lost : sequence of str
-        Reasons for which the scan as a whole is not trusted; empty if it is.
-    known : Known, optional
+    known : Known
         Facts that the comparison does not show; by default, there are none.
     calibration : Calibration, optional
         Calibration of the scan's intervals.
@@ -111,11 +109,10 @@ def estimates(
     """
     if not roots:
         return ()
-    known = known or Known()
     count = min(VIEWS, bank.count)
     places = root_residual.Places.project([*roots, *known.nodules], bank.select(range(count)))
-    drawn = root_residual.render(places, silhouettes[:count], mu_per_mm)
-    lost = (*lost, *_thin_objections(places.thin_share(_THIN_PX)))
+    drawn = root_residual.render(places, silhouettes[:count], known.mu_per_mm)
+    lost = (*known.lost, *_thin_objections(places.thin_share(_THIN_PX)))
     views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
     residuals = [view for view in views if view is not None]
     shape = silhouettes[0].coverage.shape

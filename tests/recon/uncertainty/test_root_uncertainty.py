@@ -42,7 +42,7 @@ def drawn(roots: list[Root], bank: ViewBank, alike: Sequence[Silhouette]) -> tup
 
 
 def told(roots, taken, lost=()):
-    return {estimate.name: estimate for estimate in root_uncertainty.estimates(roots, *taken, mu_per_mm=None, lost=lost)}
+    return {estimate.name: estimate for estimate in root_uncertainty.estimates(roots, *taken, known=Known(lost=lost))}
 
 
 def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
@@ -86,7 +86,7 @@ def test_missing_surplus_and_thick_roots_lie_in_the_interval(taken) -> None:
 def test_a_lost_scan_and_roots_finer_than_pixels_are_not_trusted(taken) -> None:
     assert not any(estimate.trusted for estimate in told(TRUE, taken, lost=("roots moved",)).values())
     assert "half a pixel" in told(of_diameter(0.2), taken)["total_length_mm"].verdict
-    assert root_uncertainty.estimates([], *taken, mu_per_mm=None, lost=()) == ()
+    assert root_uncertainty.estimates([], *taken) == ()
 
 
 def test_the_length_of_roots_that_are_not_resolved_may_be_larger(taken) -> None:
@@ -116,7 +116,7 @@ def test_flat_roots_and_the_net_pot_may_hide_length(taken) -> None:
     bank, pictures = taken
     hidden = Known(hidden_mm=8.0 * 0.02 * length_mm(TRUE))
     found = [
-        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), known=known)}
+        {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, known=known)}
         for known in (Known(), Known(flat=0.02), Known(flat=0.04), hidden)
     ]
     high = [one["total_length_mm"].interval[1] / length_mm(TRUE) for one in found]
@@ -133,7 +133,7 @@ def test_roots_may_continue_beyond_their_nodules(taken) -> None:
     nodules = [line((0.0, 0.0, z), (1.0, 0.0, z), diameter_mm=2.0, parent=-1) for z in (-30.0, -40.0)]
     pictures = drawn([*TRUE, *nodules], *taken)
     known = Known(nodules=nodules)
-    found = {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, mu_per_mm=None, lost=(), known=known)}
+    found = {one.name: one for one in root_uncertainty.estimates(TRUE, bank, pictures, known=known)}
     tips = sum(root.tip_seen for root in TRUE)
     assert found["tips"].interval[0] <= max(0, tips - len(nodules))
     assert "nodules" in found["tips"].verdict
