@@ -21,6 +21,7 @@ from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.plan import LEAST_MARKERS
 
 FOCUS_GIVEN = 1e-4
 """Relative standard deviation of the focal length of a calibrated lens. A calibration reached 0.009 %
@@ -110,7 +111,8 @@ def _require_round_vessel(pictures: Pictures) -> None:
     scene = pictures.dataset.scene
     if scene.tank is not None:
         return
-    poses_found = {k: view_fit.single_view(view_fit.sightings(found, scene)) for k, found in pictures.measured.items()}
+    read = {k: view_fit.sightings(found, scene) for k, found in pictures.measured.items() if len(found.ids) >= LEAST_MARKERS}
+    poses_found = {k: view_fit.single_view(found) for k, found in read.items()}
     views = {k: View(camera=scene.camera, cam_from_canister=pose) for k, pose in poses_found.items() if pose is not None}
     refuse_corners(list(views.values()), [pictures.images[k] for k in views], scene)
 
