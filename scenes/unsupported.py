@@ -55,7 +55,7 @@ def refuse_dark_ground(pictures: Iterable[tuple[str, Grey]]) -> None:
         ground, bright = np.percentile(image[1::3, 1::3], [100.0 * (1.0 - PANEL_SHARE), 99.5])
         ratios.append((float(ground) / float(bright) if bright > SEEN * np.iinfo(image.dtype).max else 1.0, name))
     if ratios and max(ratios)[0] < DARKEST:
-        ratio, name = max(ratios)
+        ratio, name = ratios[0]
         raise UserError(
             f"{name}: the ground is dark ({100.0 * ratio:.0f} % of the brightest parts), so that the roots are lit from the side (dark "
             "field), which is not supported, or the panel was off; take pictures in front of the bright panel"

@@ -97,7 +97,7 @@ def test_views_with_few_markers_or_no_root_are_named(dataset: Path, tmp_path: Pa
 
 SPOILT: dict[str, tuple[range, tuple[slice, ...], int | None, dict[str, Any], list[str]]] = {
     "two views left": (range(8), STRIP, None, {}, ["only 2 of 10", "at least 3", "view_000.png: no markers were found"]),
-    "no backlight": (range(10), WATER, 0, {}, ["view_000.png", "does not show the water", "backlight"]),
+    "no backlight": (range(10), WATER, 0, {}, ["view_000.png", "the ground is dark", "panel was off"]),
     # a part of the markers has ids that the scene's strip has too: their poses would be wrong
     "first id": (range(0), STRIP, None, {"first_id": 13}, ["images/view_00", "markers of another strip", "13 to 74"]),
 }
