@@ -56,10 +56,16 @@ def results_folder() -> Path:
 
 def value_at(record: Mapping[str, Any], path: str) -> float | None:
     """Return a number of a record by its path, such as ``roots.length_error``; None if a part is missing."""
+    value = entry_at(record, path)
+    return None if value is None else float(value)
+
+
+def entry_at(record: Mapping[str, Any], path: str) -> Any:
+    """Return an entry of a record by its path, such as ``case.scene``; None if a part is missing."""
     value: Any = record
     for name in path.split("."):
         value = None if value is None else value.get(name)
-    return None if value is None else float(value)
+    return value
 
 
 @contextmanager

@@ -64,11 +64,6 @@ def measure(*, quick: bool, say: Say) -> Run:
     return run
 
 
-def has_problems(run: Run) -> bool:
-    """Return whether a scan with faults violated a requirement."""
-    return any(one["problems"] for one in run.details.get("faults", ()))
-
-
 def _inverse(count: int) -> list[Metric]:
     """Compute random poses of the arm in closed form and by Newton's method, and evaluate the results."""
     part = ArmPart()

@@ -6,12 +6,14 @@ import math
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import product
 from typing import Any
 
-from benchmarks import ladder, tree_scatter
+from benchmarks import ladder, output, tree_scatter
 from benchmarks.cases import PHANTOMS, THICK_FAMILIES, THIN_FAMILIES
 from benchmarks.metric import Direction, Metric
+from benchmarks.output import entry_at, value_at
 from benchmarks.targets import TARGETS
 
 Record = Mapping[str, Any]
@@ -27,10 +29,18 @@ class _Quantity:
     """One number of a group of runs."""
 
     name: str
-    of: Callable[[Sequence[Record]], float]
-    unit: str
+    combine: Callable[[list[float]], float]
+    path: str
+    """Path of the combined values in a record; their signs do not count."""
     direction: Direction
     tolerance: float
+    unit: str = "1"
+
+    def of(self, records: Sequence[Record]) -> float:
+        """Return the number; NaN if a value is missing, in contrast to `max` and `median`."""
+        values = [value_at(record, self.path) for record in records]
+        known = [abs(value) for value in values if value is not None]
+        return self.combine(known) if len(known) == len(values) and not any(map(math.isnan, known)) else math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,58 +121,26 @@ def _pictures(record: Record) -> tuple[Any, ...]:
     return case["scene"], case["profile"], case["seed"], case["rings"], case["views"], *case["image_wh"]
 
 
-def _scene_in(*days: int) -> Callable[[Record], bool]:
-    return lambda record: record["case"]["scene"].startswith(tuple(f"radish_day{day:02d}" for day in days))
+def _scenes(*patterns: str) -> Callable[[Record], bool]:
+    return lambda record: any(fnmatchcase(record["case"]["scene"], pattern) for pattern in patterns)
 
 
-def _among(names: Sequence[str]) -> Callable[[Record], bool]:
-    return lambda record: bool(record["case"]["scene"] in names)
-
-
-def _named(name: str) -> Callable[[Record], bool]:
-    return lambda record: bool(record["case"]["scene"] == name)
-
-
-def _score_value(record: Record, *path: str) -> float:
-    value: Any = record
-    for name in path:
-        value = None if value is None else value.get(name)
-    return math.nan if value is None else float(value)
-
-
-def _sizes(*path: str) -> Callable[[Sequence[Record]], list[float]]:
-    return lambda records: [abs(_score_value(record, *path)) for record in records]
-
-
-def _over(
-    combine: Callable[[list[float]], float], values: Callable[[Sequence[Record]], list[float]]
-) -> Callable[[Sequence[Record]], float]:
-    """Return a quantity of many runs; a missing value makes it NaN, in contrast to `max` and `median`."""
-
-    def quantity(records: Sequence[Record]) -> float:
-        found = values(records)
-        return math.nan if any(math.isnan(value) for value in found) else combine(found)
-
-    return quantity
-
-
-_VOLUME = _sizes("score", "volume_error")
-_MEDIAN = _Quantity("volume_median", _over(statistics.median, _VOLUME), "1", "down", 0.003)
-_WORST = _Quantity("volume_worst", _over(max, _VOLUME), "1", "down", 0.005)
-_HOLDS = _Quantity("interval_holds", _over(statistics.mean, _sizes("score", "interval_holds_truth")), "1", "up", 0.0)
-_LENGTH = _Quantity("length_mean", _over(statistics.mean, _sizes("score", "roots", "length_error")), "1", "down", 0.003)
-_LENGTH_WORST = _Quantity("length_worst", _over(max, _sizes("score", "roots", "length_error")), "1", "down", 0.005)
-_PRECISION = _Quantity("tip_precision", _over(statistics.mean, _sizes("score", "roots", "tip_precision")), "1", "up", 0.01)
-_PRECISION_WORST = _Quantity("tip_precision_worst", _over(min, _sizes("score", "roots", "tip_precision")), "1", "up", 0.02)
-_RECALL_WORST = _Quantity("tip_recall_worst", _over(min, _sizes("score", "roots", "tip_recall")), "1", "up", 0.02)
-_RECALL = _Quantity("tip_recall", _over(statistics.mean, _sizes("score", "roots", "tip_recall")), "1", "up", 0.01)
-_IDENTITY = _Quantity("identity", _over(statistics.mean, _sizes("score", "topology", "identity")), "1", "up", 0.005)
-_ORDERS = _Quantity("order_length", _over(statistics.mean, _sizes("score", "topology", "order_length")), "1", "up", 0.005)
-_MAIN = _Quantity("main_length", _over(statistics.mean, _sizes("score", "topology", "main_length")), "1", "up", 0.01)
-_BRANCH_RECALL = _Quantity("branch_recall", _over(statistics.mean, _sizes("score", "topology", "branch_recall")), "1", "up", 0.01)
-_BRANCH_PRECISION = _Quantity("branch_precision", _over(statistics.mean, _sizes("score", "topology", "branch_precision")), "1", "up", 0.01)
-_WALL = _Quantity("wall_worst", _over(max, _sizes("wall_s")), "s", "down", 90.0)
-_MEMORY = _Quantity("memory_worst", _over(max, _sizes("peak_memory_mib")), "MiB", "down", 600.0)
+_MEDIAN = _Quantity("volume_median", statistics.median, "score.volume_error", "down", 0.003)
+_WORST = _Quantity("volume_worst", max, "score.volume_error", "down", 0.005)
+_HOLDS = _Quantity("interval_holds", statistics.mean, "score.interval_holds_truth", "up", 0.0)
+_LENGTH = _Quantity("length_mean", statistics.mean, "score.roots.length_error", "down", 0.003)
+_LENGTH_WORST = _Quantity("length_worst", max, "score.roots.length_error", "down", 0.005)
+_PRECISION = _Quantity("tip_precision", statistics.mean, "score.roots.tip_precision", "up", 0.01)
+_PRECISION_WORST = _Quantity("tip_precision_worst", min, "score.roots.tip_precision", "up", 0.02)
+_RECALL_WORST = _Quantity("tip_recall_worst", min, "score.roots.tip_recall", "up", 0.02)
+_RECALL = _Quantity("tip_recall", statistics.mean, "score.roots.tip_recall", "up", 0.01)
+_IDENTITY = _Quantity("identity", statistics.mean, "score.topology.identity", "up", 0.005)
+_ORDERS = _Quantity("order_length", statistics.mean, "score.topology.order_length", "up", 0.005)
+_MAIN = _Quantity("main_length", statistics.mean, "score.topology.main_length", "up", 0.01)
+_BRANCH_RECALL = _Quantity("branch_recall", statistics.mean, "score.topology.branch_recall", "up", 0.01)
+_BRANCH_PRECISION = _Quantity("branch_precision", statistics.mean, "score.topology.branch_precision", "up", 0.01)
+_WALL = _Quantity("wall_worst", max, "wall_s", "down", 90.0, "s")
+_MEMORY = _Quantity("memory_worst", max, "peak_memory_mib", "down", 600.0, "MiB")
 
 _TREE = (_IDENTITY, _ORDERS, _MAIN, _BRANCH_RECALL, _BRANCH_PRECISION)
 _ROOTS = (_LENGTH, _LENGTH_WORST, _PRECISION, _PRECISION_WORST, _RECALL, _RECALL_WORST, *_TREE)
@@ -170,16 +148,16 @@ _ROOTS = (_LENGTH, _LENGTH_WORST, _PRECISION, _PRECISION_WORST, _RECALL, _RECALL
 _OF_PLANTS = (_MEDIAN, _WORST, *_ROOTS, _HOLDS)
 
 _GROUPS: dict[str, tuple[Callable[[Record], bool], tuple[_Quantity, ...]]] = {
-    "sphere_20mm": (_named("sphere_20mm"), (_WORST,)),
-    "printed_8ml": (_named("printed_8ml"), (_WORST,)),
-    "radish_day05-15": (_scene_in(5, 10, 15), _OF_PLANTS),
-    "radish_day20-30": (_scene_in(20, 25, 30), _OF_PLANTS),
-    "fallen_plant": (_named("fallen_plant"), (_WORST, *_ROOTS)),
-    "thin_families": (_among(THIN_FAMILIES), _OF_PLANTS),
-    "thick_families": (_among(THICK_FAMILIES), _OF_PLANTS),
-    PLANT_GROUP: (lambda record: _scene_in(5, 10, 15, 20, 25, 30)(record) or _named("fallen_plant")(record), _ROOTS),
+    "sphere_20mm": (_scenes("sphere_20mm"), (_WORST,)),
+    "printed_8ml": (_scenes("printed_8ml"), (_WORST,)),
+    "radish_day05-15": (_scenes("radish_day05*", "radish_day1*"), _OF_PLANTS),
+    "radish_day20-30": (_scenes("radish_day2*", "radish_day30*"), _OF_PLANTS),
+    "fallen_plant": (_scenes("fallen_plant"), (_WORST, *_ROOTS)),
+    "thin_families": (_scenes(*THIN_FAMILIES), _OF_PLANTS),
+    "thick_families": (_scenes(*THICK_FAMILIES), _OF_PLANTS),
+    PLANT_GROUP: (_scenes("radish_day*", "fallen_plant"), _ROOTS),
     "all": (lambda record: bool(record["score"]), (_HOLDS,)),
-    DAY30: (_scene_in(30), (_WALL, _MEMORY)),
+    DAY30: (_scenes(f"{DAY30}*"), (_WALL, _MEMORY)),
 }
 
 _TITLES = {
@@ -241,32 +219,35 @@ and missing length are defined in [accuracy](accuracy.md#measures-of-the-tree). 
 
 def markdown(found: Sequence[Line], records: Sequence[Record]) -> str:
     """Return the table of groups, and one row for each run, as Markdown."""
-    rows = [
-        "| scenes | profile | number | runs | reached | goal | | thesis's method |",
-        "|---|---|---|---|---|---|---|---|",
+    groups = [
+        (
+            line.group,
+            line.profile,
+            _TITLES[line.quantity],
+            f"{line.runs}",
+            _text(line, line.value),
+            line.goal,
+            line.verdict,
+            _text(line, line.thesis),
+        )
+        for line in found
     ]
-    for line in found:
-        head = f"| {line.group} | {line.profile} | {_TITLES[line.quantity]} | {line.runs} "
-        rows.append(f"{head}| {_text(line, line.value)} | {line.goal} | {line.verdict} | {_text(line, line.thesis)} |")
     theirs = {_pictures(record): record for record in records if record["case"]["method"] == "thesis"}
-    rows += [
-        "",
-        "| scene | profile | rings | volume | 90 % interval | length | tips: precision / recall | identity | correct order | main roots "
-        "| branch points: precision / recall | ghosts / missing (mm) | processor s / MiB | thesis: volume | commit |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for record in records:
-        if record["case"]["method"] == "coverage":
-            rows.append(_run_row(record, theirs.get(_pictures(record))))
-    return "\n".join(rows) + "\n"
+    runs = [_run_row(record, theirs.get(_pictures(record))) for record in records if record["case"]["method"] == "coverage"]
+    titles = (
+        "scene | profile | rings | volume | 90 % interval | length | tips: precision / recall | identity | correct order | main roots "
+        "| branch points: precision / recall | ghosts / missing (mm) | processor s / MiB | thesis: volume | commit"
+    )
+    head = "scenes | profile | number | runs | reached | goal | | thesis's method"
+    return f"{output.markdown(head, groups)}\n\n{output.markdown(titles, runs)}\n"
 
 
-def _run_row(record: Record, other: Record | None) -> str:
+def _run_row(record: Record, other: Record | None) -> list[str]:
     case, score = record["case"], record["score"]
     true_mm3, size = score["volume_true_mm3"], "" if tuple(case["image_wh"]) == (800, 600) else f" {case['image_wh'][0]} px"
     interval = " to ".join(f"{100.0 * (limit / true_mm3 - 1.0):+.0f}" for limit in score["volume_interval_mm3"]) + " %"
     held = interval if score["interval_holds_truth"] else f"**{interval}**"
-    cells = [
+    return [
         f"`{case['scene']}`{size}" + (f" seed {case['seed']}" if case["seed"] else ""),
         case["profile"],
         str(case["rings"]),
@@ -277,7 +258,6 @@ def _run_row(record: Record, other: Record | None) -> str:
         "-" if other is None else _signed(other["score"]["volume_error"], digits=0),
         record["commit"],
     ]
-    return f"| {' | '.join(cells)} |"
 
 
 def _tree_cells(score: Mapping[str, Any]) -> list[str]:
@@ -299,36 +279,36 @@ def _signed(fraction: float | None, *, digits: int = 1) -> str:
     return "-" if fraction is None else f"{100.0 * fraction:+.{digits}f} %"
 
 
+_COLUMNS = {
+    "case": ("scene", "profile", "seed", "method", "rings", "views", "age_days"),
+    "score": ("volume_true_mm3", "volume_mm3", "volume_error", "interval_holds_truth", "recall", "precision", "iou"),
+    "score.roots": (
+        "length_true_mm",
+        "length_mm",
+        "length_error",
+        "recall",
+        "precision",
+        "tips_true",
+        "tips",
+        "tip_precision",
+        "tip_recall",
+    ),
+    "score.topology": (
+        *("identity", "order_length", "main_length", "branch_recall", "branch_precision"),
+        *("ghosts_mm", "doubled_mm", "missing_mm"),
+    ),
+}
+"""Columns of the table of runs, by the part of a record."""
+_COSTS = ("wall_s", "cpu_s", "peak_memory_mib", "load", "commit")
+
+
 def comma_separated(records: Sequence[Record]) -> str:
     """Return one row for each run, of both methods, as CSV with units in the header."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    case_fields = ("scene", "profile", "seed", "method", "rings", "views", "age_days")
-    score_fields = ("volume_true_mm3", "volume_mm3", "volume_error", "interval_holds_truth", "recall", "precision", "iou")
-    root_fields = ("length_true_mm", "length_mm", "length_error", "recall", "precision", "tips_true", "tips", "tip_precision", "tip_recall")
-    tree_fields = ("identity", "order_length", "main_length", "branch_recall", "branch_precision", "ghosts_mm", "doubled_mm", "missing_mm")
-    taken_fields = ("wall_s", "cpu_s", "peak_memory_mib", "load")
-    names = [
-        *case_fields,
-        *score_fields,
-        "interval_low_mm3",
-        "interval_high_mm3",
-        *(f"roots_{name}" for name in root_fields),
-        *tree_fields,
-        *taken_fields,
-        "commit",
-    ]
-    writer.writerow(names)
+    columns = {("roots_" * (part == "score.roots") + name): f"{part}.{name}" for part, names in _COLUMNS.items() for name in names}
+    rows = [[*columns, "interval_low_mm3", "interval_high_mm3", *_COSTS]]
     for record in records:
-        roots, tree = (record["score"].get(name) or {} for name in ("roots", "topology"))
-        writer.writerow(
-            [
-                *(record["case"].get(name) for name in case_fields),
-                *(record["score"].get(name) for name in score_fields),
-                *record["score"]["volume_interval_mm3"],
-                *(roots.get(name) for name in root_fields),
-                *(tree.get(name) for name in tree_fields),
-                *(record.get(name) for name in (*taken_fields, "commit")),
-            ]
-        )
+        cells = [entry_at(record, path) for path in (*columns.values(), "score.volume_interval_mm3", *_COSTS)]
+        rows.append([cell for entry in cells for cell in (entry if isinstance(entry, list) else [entry])])
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
