@@ -229,6 +229,7 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | 
     known = root_uncertainty.Known(
         mu_per_mm=solid.mu_per_mm,
         lost=_volume_objections(solid),
+        hull=solid.hull_mm3 / max(solid.volume.mm3, 1e-9),
         nodules=solid.nodules,
         flat=sum(term.less_mm3 for term in solid.volume.terms if term.name == "flat roots") / max(solid.volume.mm3, 1e-9),
         hidden_mm=solid.hidden_mm,

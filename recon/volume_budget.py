@@ -139,7 +139,9 @@ def _solid_terms(carved: CarvedHull, shape: UnitedShape, settings: Settings, mis
 
 def _merged_term(carved: CarvedHull, roots: Sequence[Root], volume_mm3: float) -> Term:
     """Return the term of roots that may be merged into thicker ones, or lost among others."""
-    less, more = root_uncertainty.merged_volume(roots, carved.bank, carved.silhouettes[0].coverage.shape)
+    less, more = root_uncertainty.merged_volume(
+        roots, carved.bank, carved.silhouettes[0].coverage.shape, carved.hull.leaves.volume_mm3() / max(volume_mm3, 1e-9)
+    )
     why = "many roots overlap, so that some may be merged into thicker ones, or lost if they are thinner than half a pixel"
     return Term(name="merged roots", less_mm3=less * volume_mm3, more_mm3=more * volume_mm3, why=why)
 

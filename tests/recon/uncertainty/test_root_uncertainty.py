@@ -96,7 +96,7 @@ def test_the_length_of_roots_that_are_not_resolved_may_be_larger(taken) -> None:
     bundle = [line((*top, -20.0), (*low, -70.0), diameter_mm=0.5, parent=-1) for top, low in places]
     found = told(bundle, (bank, drawn(bundle, bank, pictures)))["total_length_mm"]
     projected = root_residual.Places.project(bundle, bank)
-    assert root_uncertainty._merged_length(projected, pictures[0].coverage.shape, 1000) > 0.25  # so many views do not help
+    assert root_uncertainty._merged_length(projected, pictures[0].coverage.shape, 1000, 1.0) > 0.25  # so many views do not help
     assert not found.trusted
     assert "may be merged" in found.verdict
 
@@ -106,10 +106,11 @@ def test_crowded_roots_below_half_a_pixel_may_have_more_volume(taken, diameter_m
     bank, pictures = taken
     places = np.random.default_rng(3).uniform(-1.0, 1.0, (20, 2, 2))
     bundle = [line((*top, -20.0), (*low, -70.0), diameter_mm=diameter_mm, parent=-1) for top, low in places]
-    less, more = root_uncertainty.merged_volume(bundle, bank, pictures[0].coverage.shape)
+    less, more = root_uncertainty.merged_volume(bundle, bank, pictures[0].coverage.shape, 1.0)
     assert less > 0.0  # six views
+    assert root_uncertainty.merged_volume(bundle, bank, pictures[0].coverage.shape, 100.0)[0] > 10.0 > less  # no gaps between the roots
     assert (more > 0.2) == lost
-    assert root_uncertainty.merged_volume([], bank, pictures[0].coverage.shape) == (0.0, 0.0)
+    assert root_uncertainty.merged_volume([], bank, pictures[0].coverage.shape, 1.0) == (0.0, 0.0)
 
 
 def test_flat_roots_and_the_net_pot_may_hide_length(taken) -> None:
