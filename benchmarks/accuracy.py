@@ -3,13 +3,15 @@
 import json
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from math import nan
 from pathlib import Path
 from typing import Any
 
 from benchmarks import cache, datasets, reconstructions, tree_faults, worker
 from benchmarks.cases import NIGHTLY, Case
 from benchmarks.metric import Direction, Metric
+from benchmarks.output import value_at
 from benchmarks.reconstructions import UNCHANGED
 from benchmarks.run import Run, Say
 from rhizotwin.scenes import atomic
@@ -214,17 +216,16 @@ def metrics(case: Case, record: Record) -> list[Metric]:
                 "missing_mm": ("topology.missing_mm", "mm", "down", 0.1, 2.0),
             }
     return [
-        Metric(key=f"{case.name}/{name}", value=_at(found, where), unit=unit, direction=direction, rel_tol=rel_tol, abs_tol=abs_tol)
+        Metric(
+            key=f"{case.name}/{name}",
+            value=nan if (value := value_at(found, where)) is None else value,
+            unit=unit,
+            direction=direction,
+            rel_tol=rel_tol,
+            abs_tol=abs_tol,
+        )
         for name, (where, unit, direction, rel_tol, abs_tol) in rows.items()
     ]
-
-
-def _at(found: Mapping[str, Any], where: str) -> float:
-    """Return a number of a score by its path; NaN if a part of the path is missing."""
-    value: Any = found
-    for name in where.split("."):
-        value = None if value is None else value.get(name)
-    return float("nan") if value is None else float(value)
 
 
 class _TimeLeft:
