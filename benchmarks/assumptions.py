@@ -20,6 +20,7 @@ from skimage import filters
 
 from benchmarks import cache, datasets
 from benchmarks.cases import DEFAULT_VOXEL_MM, Pictures
+from benchmarks.output import markdown
 from benchmarks.run import Say
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
@@ -342,10 +343,8 @@ def _triple(values: NDArray[np.float64]) -> Triple:
 
 def table(counted: Sequence[CountedVolumes]) -> str:
     """Return the combinations as a Markdown table."""
-    rows = ["| poses | outlines | blind views | partial voxels kept | weighted | dropped |", "|---|---|---|---|---|---|"]
+    rows = []
     for one in counted:
-        errors = " | ".join(f"{100.0 * value:+.1f} %" for value in (one.kept, one.shared, one.dropped))
-        rows.append(
-            f"| {one.assumed.poses} | {one.assumed.outlines} | {'carve' if one.assumed.blind_carves else 'are ignored'} | {errors} |"
-        )
-    return "\n".join(rows)
+        errors = (f"{100.0 * value:+.1f} %" for value in (one.kept, one.shared, one.dropped))
+        rows.append([one.assumed.poses, one.assumed.outlines, "carve" if one.assumed.blind_carves else "are ignored", *errors])
+    return markdown("poses | outlines | blind views | partial voxels kept | weighted | dropped", rows)
