@@ -6,6 +6,9 @@ an opaque surface, or when it leaves the scene. The refractive index of refracti
 Roots therefore reflect light only at grazing angles with a small deflection. The reflected light comes from the panel,
 like the transmitted light, and both are added (docs/decisions/roots-refract.md). The same path determines whether the
 ray met the specimen, and the sequence of surfaces that it met.
+
+Rays through the clear wall of a round canister, which are most rays, are computed in closed form up to the specimen and
+behind it (`sim.clear_wall`). Mitsuba traces all others.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
+from rhizotwin.sim.clear_wall import INNER_WALL, OUTER_WALL, ClearWall
 from rhizotwin.sim.lights import Lamps
 
 MAX_DEPTH = 48
@@ -54,6 +58,8 @@ class Way(NamedTuple):
     same order."""
     end: mi.ShapePtr
     """Last surface that a ray met. It is null if the ray left the scene or met a light."""
+    facing: mi.Float
+    """Cosine of the angle between a ray and the normal of the last surface."""
     spans: mi.UInt32
     """Number of straight ray segments through the region of fine structures."""
     start: mi.Point3f
@@ -68,13 +74,18 @@ class Backlit:
     Parameters
     ----------
     scene : mitsuba.Scene
-        Scene without the two lights, canister frame.
+        Rig without the two lights and without the specimen, canister frame.
+    specimen : mitsuba.Scene or None
+        Specimen with root hairs and shoot. It is searched only up to the nearest surface of the rig, which Embree does
+        not do within one scene, because it searches triangles before other surfaces.
     lamps : Lamps
         Lights at their positions in the view.
     media : bool
         Whether the scene contains attenuating media (turbid water, translucent roots), which increase the time.
     room : Room or None
         Region of fine structures, through which ray segments are counted in ``spans``.
+    wall : ClearWall or None
+        Clear wall of the rig, through which rays are computed in closed form if nothing else attenuates them.
     roots : str
         Identifier of the shape whose reflected light is added to the transmitted light.
     parallel : bool
@@ -82,15 +93,29 @@ class Backlit:
         (``coherent``), which takes a quarter of the time off, misses surfaces if a component of the direction is zero.
     """
 
-    def __init__(self, scene: Any, lamps: Lamps, *, media: bool, room: Room | None = None, roots: str = "", parallel: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Any,
+        specimen: Any,
+        lamps: Lamps,
+        *,
+        media: bool,
+        room: Room | None = None,
+        wall: ClearWall | None = None,
+        roots: str = "",
+        parallel: bool = False,
+    ) -> None:
         self.scene = scene
+        self.specimen = specimen
         self.coherent = not parallel
         self.lamps = lamps
         self.media = media
         self.room = room
         self.bounds = [] if room is None else [mi.Float(bound) for bound in (room.low_mm, room.high_mm, room.radius_mm)]
         dr.make_opaque(self.bounds)
-        self.shapes = {shape.id(): mi.ShapePtr(shape) for shape in scene.shapes()}
+        self.wall = None if media else wall
+        parts = [scene] if specimen is None else [scene, specimen]
+        self.shapes = {shape.id(): mi.ShapePtr(shape) for part in parts for shape in part.shapes()}
         self.target = dr.zeros(mi.ShapePtr)
         self.roots = self.shapes.get(roots, dr.zeros(mi.ShapePtr))
         dr.make_opaque(self.roots)
@@ -103,10 +128,80 @@ class Backlit:
         self.target = self.shapes.get(target, dr.zeros(mi.ShapePtr))
         dr.make_opaque(self.target)
 
-    @dr.syntax  # type: ignore[untyped-decorator]
-    def follow(self, ray_: Any, active: Any = True) -> Way:
+    def follow(self, ray: Any, active: Any = True) -> Way:
         """Trace rays through the scene."""
-        ray = mi.Ray3f(dr.detach(ray_))  # current segment
+        ray, active = mi.Ray3f(dr.detach(ray)), mi.Bool(active)
+        if self.wall is None:
+            return self._trace(ray, active)
+        way, done = self._pass_wall(ray, active, self.wall)
+        return Way(*(dr.select(done, *values) for values in zip(way, self._trace(ray, active & ~done), strict=True)))
+
+    @dr.syntax  # type: ignore[untyped-decorator]
+    def _pass_wall(self, ray: Any, active: Any, wall: ClearWall) -> tuple[Way, Any]:
+        """Compute rays through the clear wall, and return whether a ray is one of them."""
+        light = mi.Float(0.0)
+        coverage = mi.Float(0.0)
+        course = mi.UInt32(0)
+        end = dr.zeros(mi.ShapePtr)
+        facing = mi.Float(0.0)
+        spans = mi.UInt32(0)
+        start = mi.Point3f(0.0)
+        heading = mi.Vector3f(0.0)
+        done = active & wall.faces(ray)
+        if done:
+            water, ahead_mm = wall.enter(ray)
+            behind, span_mm = wall.leave(water)
+            lamp, _ = self.lamps.meet(ray, ahead_mm)
+            done &= water.clear & (lamp == 0)
+            swim = mi.Ray3f(water.o, water.d)
+            swim.maxt = span_mm
+            course = self._extend(self._extend(course, self.shapes[OUTER_WALL]), self.shapes[INNER_WALL])
+
+            # ---- opaque specimen
+            met = self._meet_specimen(swim, done)
+            hit = done & met.is_valid()
+            si = met.compute_surface_interaction(swim, mi.RayFlags.All, hit)
+            end = dr.select(hit, met.shape, end)
+            facing = dr.abs(si.wi.z)
+            coverage = dr.select(hit & (met.shape == self.target), 1.0, 0.0)
+
+            # ---- no specimen: light behind the canister
+            lamp, glow = self.lamps.meet(mi.Ray3f(behind.o, behind.d), dr.largest(mi.Float))
+            through = self._extend(self._extend(course, self.shapes[INNER_WALL]), self.shapes[OUTER_WALL])
+            through = dr.select(lamp > 0, through * 31 + lamp, through)
+            course = dr.select(hit, self._extend(course, met.shape), through)
+            light = dr.select(hit, water.beta * self.shade(si, mi.Bool(False), hit)[0], behind.beta * glow[0])
+            done &= hit | behind.clear
+
+            if dr.hint(self.room is not None, mode="scalar"):
+                within = self.crosses_room(swim, dr.minimum(met.t, span_mm))
+                spans = dr.select(within, mi.UInt32(1), spans)
+                start = swim.o
+                heading = swim.d
+        return Way(light, coverage, course, end, facing, spans, start, heading), done
+
+    def _meet(self, ray: Any, active: Any) -> Any:
+        """Return the first intersection with rig and specimen."""
+        of_rig = self.scene.ray_intersect_preliminary(ray, False, active=active)
+        bounded = mi.Ray3f(ray)
+        bounded.maxt = of_rig.t
+        of_specimen = self._meet_specimen(bounded, active)
+        return dr.select(of_specimen.is_valid(), of_specimen, of_rig)
+
+    def _meet_specimen(self, ray: Any, active: Any) -> Any:
+        """Return the first intersection with the specimen."""
+        if self.specimen is None:
+            return dr.zeros(mi.PreliminaryIntersection3f)
+        return self.specimen.ray_intersect_preliminary(ray, self.coherent, active=active)
+
+    def _extend(self, course: Any, shape: Any) -> Any:
+        """Return the identifier of a sequence of surfaces to which a surface is added."""
+        return course * 31 + 3 + dr.reinterpret_array(mi.UInt32, shape)
+
+    @dr.syntax  # type: ignore[untyped-decorator]
+    def _trace(self, ray_: Any, active: Any) -> Way:
+        """Trace rays with Mitsuba."""
+        ray = mi.Ray3f(ray_)  # current segment
         beta = mi.Spectrum(1.0)  # fraction of the light in front of the ray that reaches the camera
         radiance = mi.Spectrum(0.0)
         coverage = mi.Float(0.0)  # 1 after the path met the target
@@ -115,13 +210,13 @@ class Backlit:
         depth = mi.UInt32(0)
         course = mi.UInt32(0)
         end = dr.zeros(mi.ShapePtr)
+        facing = mi.Float(0.0)
         spans = mi.UInt32(0)
         start = mi.Point3f(0.0)
         heading = mi.Vector3f(0.0)
-        active = mi.Bool(active)
 
         while dr.hint(active, max_iterations=MAX_DEPTH):
-            si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=self.coherent, active=active)
+            si = self._meet(ray, active).compute_surface_interaction(ray, mi.RayFlags.All, active)
 
             if dr.hint(self.room is not None, mode="scalar"):
                 within = active & self.crosses_room(ray, si.t)
@@ -136,7 +231,7 @@ class Backlit:
             active &= si.is_valid() & (lamp == 0)
 
             coverage[active & (si.shape == self.target)] = 1.0
-            course[active] = course * 31 + 3 + dr.reinterpret_array(mi.UInt32, si.shape)
+            course[active] = self._extend(course, si.shape)
 
             if dr.hint(self.media, mode="scalar"):
                 inside = active & (medium != dr.zeros(mi.MediumPtr))
@@ -148,6 +243,7 @@ class Backlit:
             opaque = active & ~smooth
             if opaque:
                 end = si.shape
+                facing = dr.abs(si.wi.z)
                 radiance += dr.select(opaque, beta * self.shade(si, outside, opaque), 0.0)
 
             active &= smooth
@@ -162,7 +258,7 @@ class Backlit:
             depth += 1
             active &= (depth < MAX_DEPTH) & (dr.max(beta) > 1e-6)
 
-        return Way(radiance[0], coverage, course, end, spans, start, heading)
+        return Way(radiance[0], coverage, course, end, facing, spans, start, heading)
 
     def transmittance(self, medium: Any, si: Any, active: Any) -> Any:
         """Return the transmittance of a medium along a ray segment.

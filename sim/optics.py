@@ -50,18 +50,10 @@ TURBID_FORWARD = 0.9
 scatter forward."""
 
 
-def build(
-    scene: Scene,
-    world: World,
-    solid: SpecimenSolid | None,
-    hairs: Sleeve | None = None,
-    *,
-    lamps: bool = True,
-    dirt_reach_mm: float | None = None,
-) -> mi.Scene:
-    """Build the Mitsuba scene of a rig with its drawn disturbances.
+def build(scene: Scene, world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None) -> mi.Scene:
+    """Build the complete Mitsuba scene of a rig with its drawn disturbances, for Mitsuba's integrators.
 
-    It contains no sensor.
+    It contains no sensor. The two lights are moved by `sim.lights.place`.
 
     Parameters
     ----------
@@ -71,9 +63,24 @@ def build(
         Closed surface of the specimen, mm, canister frame. None: empty canister.
     hairs : Sleeve or None
         Region of the specimen's root hairs.
-    lamps : bool
-        Whether to include the two lights, which `sim.lights.place` moves for each view. The scene without lights is the
-        same for all views.
+
+    Returns
+    -------
+    mi.Scene
+        Scene without a sensor.
+    """
+    water = _water_medium(scene)
+    specimen = {} if solid is None else _specimen_items(scene, world, solid, hairs, water)
+    return _load_scene(_rig_items(scene, world, water, dirt_reach_mm=None) | lights.lights(scene, world) | specimen)
+
+
+def build_rig(scene: Scene, world: World, *, dirt_reach_mm: float | None = None) -> mi.Scene:
+    """Build the Mitsuba scene of a rig without lights and specimen, which is the same for all views.
+
+    Parameters
+    ----------
+    scene, world : Scene, World
+        See `build`.
     dirt_reach_mm : float or None
         Distance, mm, by which dirt on the outside is dilated to an opaque area, so that rays with this spacing meet all
         dirt. None: true dirt.
@@ -83,14 +90,30 @@ def build(
     mi.Scene
         Scene without a sensor.
     """
-    water, wrong = _water_medium(scene), scene.disturbances
-    items: dict[str, Any] = {"type": "scene"}
-    items |= _canister(scene, world, water)
-    items |= _net_pot(scene, world)
+    return _load_scene(_rig_items(scene, world, _water_medium(scene), dirt_reach_mm=dirt_reach_mm))
+
+
+def build_specimen(scene: Scene, world: World, solid: SpecimenSolid, hairs: Sleeve | None) -> mi.Scene:
+    """Build the Mitsuba scene of a specimen without the rig.
+
+    Parameters
+    ----------
+    scene, world, solid, hairs : Scene, World, SpecimenSolid, Sleeve or None
+        See `build`.
+
+    Returns
+    -------
+    mi.Scene
+        Scene without a sensor.
+    """
+    return _load_scene(_specimen_items(scene, world, solid, hairs, _water_medium(scene)))
+
+
+def _rig_items(scene: Scene, world: World, water: Any, *, dirt_reach_mm: float | None) -> dict[str, Any]:
+    wrong = scene.disturbances
+    items = _canister(scene, world, water) | _net_pot(scene, world)
     if scene.tank is not None:
         items |= {name: _mesh(name, *shape) for name, shape in tank.meshes(scene, scene.tank).items()}
-    if lamps:
-        items |= lights.lights(scene, world)
     if wrong.seam_opacity > 0.0 or wrong.dust_specks or wrong.scratches:
         items[OUTER_DIRT] = _outer_dirt(scene, world, dirt_reach_mm)
     if world.algae:
@@ -99,15 +122,19 @@ def build(
         items[f"bubble_{number}"] = _bubble(bubble, world.n_water, water)
     if world.fibres:
         items["fibres"] = _mesh("fibres", *_tubes(world.fibres), _diffuse(FELT_REFLECTANCE))
-    if solid is not None:
-        haze = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_hair_mu_per_mm}) if hairs is not None else None
-        items[SPECIMEN] = _specimen(solid, wrong, world.n_water, haze or water)
-        if hairs is not None:
-            items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, _Media(interior=haze, exterior=water))
-    if solid is not None and solid.shoot is not None and scene.shoot is not None:
+    return items
+
+
+def _specimen_items(scene: Scene, world: World, solid: SpecimenSolid, hairs: Sleeve | None, water: Any) -> dict[str, Any]:
+    wrong = scene.disturbances
+    haze = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_hair_mu_per_mm}) if hairs is not None else None
+    items: dict[str, Any] = {SPECIMEN: _specimen(solid, wrong, world.n_water, haze or water)}
+    if hairs is not None:
+        items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, _Media(interior=haze, exterior=water))
+    if solid.shoot is not None and scene.shoot is not None:
         green = {"type": "twosided", "bsdf": _diffuse(scene.shoot.reflectance)}
         items[SHOOT] = _mesh(SHOOT, solid.shoot.vertices, solid.shoot.faces, green)
-    return _load_scene(items)
+    return items
 
 
 def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, slack_mm: float) -> mi.Scene | None:
@@ -129,7 +156,7 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
     mi.Scene or None
         Mitsuba scene for intersection tests only.
     """
-    items: dict[str, Any] = {"type": "scene"}
+    items: dict[str, Any] = {}
     for number, bubble in enumerate(world.bubbles):
         items[f"bubble_{number}"] = _bubble(replace(bubble, radius_mm=bubble.radius_mm + slack_mm), 1.0, None)
     if world.fibres:
@@ -139,7 +166,7 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
         items[SPECIMEN] = _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
     if hairs is not None:
         items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, _diffuse(ROOT_REFLECTANCE))
-    return _load_scene(items) if len(items) > 1 else None
+    return _load_scene(items) if items else None
 
 
 def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
@@ -182,7 +209,7 @@ def _load_scene(items: dict[str, Any]) -> mi.Scene:
     level = logger.log_level()
     logger.set_log_level(mi.LogLevel.Error)
     try:
-        return mi.load_dict(items)
+        return mi.load_dict({"type": "scene"} | items)
     finally:
         logger.set_log_level(level)
 

@@ -2,8 +2,8 @@
 
 Each view is rendered independently of all others. In most pixels of a backlit picture the light varies smoothly, which
 is tested with rays through the corners of the pixels. All rays of a pixel are only traced if its corner rays meet
-different surfaces, if the light varies nonlinearly between them, on the marker strip, and around fine structures that
-may lie between the corners.
+different surfaces, if the light varies nonlinearly between them, around edges on the marker strip, and around fine
+structures that may lie between the corners.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.sim import hanging, lights, optics, sensor, tank
+from rhizotwin.sim import hanging, lights, optics, sensor, strip, tank
 from rhizotwin.sim.backlit import Backlit, Way
+from rhizotwin.sim.clear_wall import ClearWall
 from rhizotwin.sim.specimen import SpecimenSolid, sleeve
 from rhizotwin.sim.world import TrueCamera, World
 
@@ -41,6 +42,9 @@ the blur. At the flanks of the canister, where the wall is seen at 70 degrees, a
 MOST_BEND = 1e-3
 """Maximum second difference of the light between neighbouring corners of a smooth pixel, as a fraction of full scale.
 If the light is averaged over the four corners, the error is a twelfth of this difference in each direction."""
+FINEST_PX = 2.0
+"""Minimum width of structures of the marker strip that the corners of pixels show, pixels. All rays are traced where
+they are finer."""
 BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
 """Cells of a 4 x 4 lattice, as column and row, through which rays search a pixel for fine structures. There is one cell
 in each column and each row."""
@@ -109,26 +113,31 @@ class Renderer:
             parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
             self.hanging = [hanging.HangingObject.of(name, vertices, solid) for name, vertices in parts.items()]
         media = wrong.turbidity_per_mm > 0.0 or scene.water.absorption_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
+        self.lit_scene: mi.Scene | None = None
         if fidelity == "path":
             self.lit_scene = optics.build(scene, world, solid, hairs)
             self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})
         farthest_mm = max(np.hypot(ring.distance_mm, ring.height_mm) for ring in scene.plan.rings) + scene.canister.outer_radius_mm
-        self.fine = optics.fine_things(world, solid, hairs, slack_mm=farthest_mm / min(scene.camera.as_pinhole(farthest_mm).focal_px))
+        pixel_mm = farthest_mm / min(scene.camera.as_pinhole(farthest_mm).focal_px)
+        self.fine = optics.fine_things(world, solid, hairs, slack_mm=pixel_mm)
         margin_mm = ROOM_MARGIN_MM + SWAYS * wrong.sway_mm + wrong.root_hair_mm
         room = optics.fine_things_room(world, solid, margin_mm=margin_mm) if self.fine is not None else None
         self.lamps = lights.Lamps(scene, world)
-        dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
-        self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]
+        rig, specimen = optics.build_rig(scene, world), None if solid is None else optics.build_specimen(scene, world, solid, hairs)
+        self.swaying = [part for part in (specimen, self.fine, self.lit_scene) if part is not None]
         parallel = scene.camera.kind == "telecentric"
-        self.backlit = Backlit(dark_scene, self.lamps, media=media, room=room, roots=optics.SPECIMEN, parallel=parallel)
+        wall = ClearWall.of(scene, world, rig.shapes(), reach_mm=_reach_mm(solid) + SWAYS * wrong.sway_mm)
+        self.backlit = Backlit(rig, specimen, self.lamps, media=media, room=room, wall=wall, roots=optics.SPECIMEN, parallel=parallel)
         self.targets = [optics.SHOOT if ring.kind == "shoot" else optics.SPECIMEN for ring in scene.plan.rings]
-        self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
+        self.strip = self.backlit.shapes[optics.STRIP]
+        self.coarse = mi.Float(FINEST_PX * pixel_mm / strip.finest_mm(scene.strip, scene.net_pot))
+        dr.make_opaque(self.coarse)
         self.blur_px = _blur_px(scene)
         self.near_dirt: Backlit | None = None
         if wrong.dust_specks or wrong.scratches:  # smaller than pixels
-            reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(scene.camera.as_pinhole(farthest_mm).focal_px)
-            empty = optics.build(scene, world, None, lamps=False, dirt_reach_mm=reach_mm)
-            self.near_dirt = Backlit(empty, self.lamps, media=False, parallel=parallel)
+            reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * pixel_mm
+            dirty_rig = optics.build_rig(scene, world, dirt_reach_mm=reach_mm)
+            self.near_dirt = Backlit(dirty_rig, None, self.lamps, media=False, parallel=parallel)
             self.near_dirt.aim(optics.OUTER_DIRT)
         self.sensors = [
             mi.load_dict(
@@ -220,21 +229,27 @@ class Renderer:
         ray, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), mi.Point2f(0.5))
         way = self.backlit.follow(ray)
         on_strip = way.end == self.strip
-        dr.eval(*way, on_strip)
+        is_fine = on_strip & (way.facing < self.coarse)
+        dr.eval(*way, on_strip, is_fine)
         shape = (height + 1, width + 1)
         light, coverage = (np.array(value).reshape(shape) for value in (way.light, way.coverage))
+        bent = _second_difference(light) > MOST_BEND
         edges = _corners_differ(np.array(way.course).reshape(shape))
         if self.fine is not None:
             found = self._count_fine_hits(self.fine, way)
             edges |= _combine_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
             edges |= (found > 0) & (found < len(BETWEEN))
             edges |= _filter_square(found, 1, cv2.dilate) != _filter_square(found, 1, cv2.erode)
-        mixed = _filter_square(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
+        blur = int(np.ceil(self.blur_px))
+        printed = _combine_corners(bent & np.array(on_strip).reshape(shape), np.maximum)
+        mixed = (
+            _filter_square(edges.astype(np.uint8), 1 + blur, cv2.dilate) | _filter_square(printed.astype(np.uint8), blur, cv2.dilate) > 0
+        )
         if self.near_dirt is not None:
             dirty = self.near_dirt.follow(ray).coverage
             mixed |= _combine_corners(np.array(dirty).reshape(shape), np.maximum) > 0
         if self.fidelity == "backlit":
-            mixed |= _combine_corners(np.maximum(_second_difference(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
+            mixed |= _combine_corners(bent | np.array(is_fine).reshape(shape), np.maximum)
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
 
     def _count_fine_hits(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
@@ -305,6 +320,12 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         a_j = np.array([0, 2, 3, 1])[j]
         return i ^ a_j, i ^ a_j ^ j
     return (i + j) % side, (i + 2 * j) % side
+
+
+def _reach_mm(solid: SpecimenSolid | None) -> float:
+    """Return the largest distance of roots and leaves from the canister's axis, mm."""
+    parts = [] if solid is None else [solid.vertices, *([] if solid.shoot is None else [solid.shoot.vertices])]
+    return max((float(np.hypot(part[:, 0], part[:, 1]).max()) for part in parts), default=0.0)
 
 
 def _blur_px(scene: Scene) -> float:

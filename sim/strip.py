@@ -59,6 +59,14 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
     return picture.astype(np.float32)
 
 
+def finest_mm(strip: MarkerStrip, net_pot: NetPot) -> float:
+    """Return the width of the finest structure of the strip: a cell of a marker or a gap between markers, mm."""
+    cells = len(marker_cells(strip.dictionary, strip.first_id))
+    column_pitch_mm = 2.0 * np.pi * net_pot.outer_radius_mm / strip.columns
+    gaps_mm = [column_pitch_mm - strip.marker_mm] + [strip.row_pitch_mm - strip.marker_mm] * (strip.rows > 1)
+    return float(min(strip.marker_mm / cells, *gaps_mm))
+
+
 def _share(texel_edges: NDArray[Any], cell_edges: NDArray[Any]) -> NDArray[np.float64]:
     """Return the fraction of each texel (T,) that each cell (C,) covers, as an array (T, C).
 
