@@ -136,9 +136,7 @@ class GphotoCamera:
     def _set(self, lock: Lock) -> None:
         """Set a value, unless it is already set, and wait until the camera has applied it."""
         widget = read_widget(self._library, self._camera, lock)
-        if widget is None or lock.fits(widget.get_value()) or widget.get_readonly():
-            return
-        wanted = lock.best(widget)
+        wanted = None if widget is None or widget.get_readonly() else lock.better(widget)
         if wanted is None:
             return
         widget.set_value(wanted)
@@ -146,7 +144,7 @@ class GphotoCamera:
         until_s = self._clock.now_s() + APPLIED_S
         while self._clock.now_s() < until_s:
             now = read_widget(self._library, self._camera, lock)
-            if now is not None and lock.fits(now.get_value()):
+            if now is not None and now.get_value() == wanted:
                 return
             self._clock.sleep(POLL_S)
 

@@ -39,11 +39,11 @@ class Lock:
         """Return whether a value is suitable."""
         return self.distance(str(value)) < math.inf
 
-    def best(self, widget: Any) -> str | None:
-        """Return the most suitable value that a setting offers, or None if there is none."""
+    def better(self, widget: Any) -> str | None:
+        """Return the most suitable value that a setting offers, or None if the present value is as suitable."""
         offered = [str(choice) for choice in widget.get_choices()]
-        best = min(offered, key=self.distance, default=None)
-        return best if best is not None and self.fits(best) else None
+        best = min(offered, key=self.distance, default="")
+        return best if offered and self.distance(best) < self.distance(str(widget.get_value())) else None
 
     def hold(self, widget: Any) -> "Lock":
         """Return the lock with the present value as the required one, if any value was suitable before."""
@@ -60,7 +60,7 @@ class Lock:
         if self.fits(value):
             return ""
         offered = [str(choice) for choice in widget.get_choices()]
-        near = f", available: {', '.join(offered[:40])}" if self.needed and len(offered) > 0 and self.best(widget) is None else ""
+        near = f", available: {', '.join(offered[:40])}" if self.needed and offered and not any(map(self.fits, offered)) else ""
         return f"{self.name} is {value} instead of {self.wanted}{near} ({self.remedy})"
 
 
@@ -94,11 +94,11 @@ def locks_for(settings: CameraSettings, *, tolerance: float) -> tuple[Lock, ...]
             name="the white balance",
             widgets=("whitebalance",),
             wanted="Daylight",
-            distance=_word(r"daylight|sunny|direct sunlight"),
+            distance=_preferred(r"daylight|sunny|direct sunlight") if settings.linear else _word(r"daylight|sunny|direct sunlight"),
             remedy="set it to daylight",
             needed=not settings.linear,  # raw files are balanced with colour_gains
         ),
-        Lock(name="the memory", widgets=("capturetarget",), wanted="internal", distance=_word(r"internal ram|sdram"), remedy="set it"),
+        Lock(name="the memory", widgets=("capturetarget",), wanted="internal", distance=_preferred(r"internal ram|sdram"), remedy=""),
         Lock(
             name="the file format",
             widgets=("imageformat", "imagequality"),
@@ -188,6 +188,12 @@ def _number(wanted: float, tolerance: float) -> Callable[[str], float]:
         return off if off <= tolerance else math.inf
 
     return distance
+
+
+def _preferred(pattern: str) -> Callable[[str], float]:
+    """Return a distance with which every value is suitable, but those that match the pattern are set if possible."""
+    word = _word(pattern)
+    return lambda value: min(word(value), 1.0)
 
 
 def _word(pattern: str) -> Callable[[str], float]:

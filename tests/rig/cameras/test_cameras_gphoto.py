@@ -23,7 +23,7 @@ from rhizotwin.rig.rig_file import CameraPart, RigFile, load_rig
 from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
-from rhizotwin.rig.twin.gphoto_library import EmulatedBody, EmulatedLibrary
+from rhizotwin.rig.twin.gphoto_library import EmulatedBody, EmulatedLibrary, Setting
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
@@ -84,6 +84,14 @@ def test_what_cannot_be_fixed_is_refused(body: EmulatedBody, name: str, change: 
     del body.settings["focusmode"]
     with pytest.raises(RigError, match="does not report the focus mode"):
         camera_of(body).prepare()
+
+
+def test_a_card_and_another_white_balance_suit_raw_files(body: EmulatedBody) -> None:
+    body.settings["capturetarget"] = Setting("card", ("card", "card+sdram"))
+    body.settings["whitebalance"] = Setting("Tungsten", ("Auto", "Tungsten"), stuck=True)
+    camera_of(body).prepare()
+    with pytest.raises(RigError, match="white balance is Tungsten instead of Daylight"):
+        camera_of(body, replace(SETTINGS, linear=False, bits=8)).prepare()
 
 
 def test_settings_that_change_during_a_scan_are_refused(body: EmulatedBody) -> None:
