@@ -144,11 +144,10 @@ def _hidden_tips(bank: ViewBank, maps: DistanceMaps, roots: Sequence[Root], wate
 
 
 def _widening(height: NDArray[np.int64], full: NDArray[np.float32], last: NDArray[np.int64], gap: Array) -> float:
-    """Return the upper 90 % limit of the cross-section in a hidden length above a shape, relative to that below it.
+    """Return the cross-section in a hidden length above a shape, relative to that below it.
 
-    The cross-section is assumed to increase over the hidden length as it does over an equal visible length below it, by
-    at most a factor of two. The uncertainty of this increase is as large as the increase. The limit is 1 if less than
-    twice the hidden length is visible, so that the increase is unknown.
+    It is assumed to increase over the hidden length as it does over an equal visible length below it, by at most a
+    factor of two. The result is 1 if less than twice the hidden length is visible, so that the increase is unknown.
 
     Parameters
     ----------
@@ -171,7 +170,7 @@ def _widening(height: NDArray[np.int64], full: NDArray[np.float32], last: NDArra
     if top < 2 * count:
         return 1.0
     upper, lower = section[top] - section[top - count], section[top - count] - section[top - 2 * count]
-    return 1.0 + 2.0 * float(np.clip(upper / max(lower, 1e-9) - 1.0, 0.0, 1.0))
+    return float(np.clip(upper / max(lower, 1e-9), 1.0, 2.0))
 
 
 def _describe_side(bank: ViewBank) -> str:
