@@ -14,6 +14,8 @@ from rhizotwin.rig.cameras.settings import CameraSettings
 
 UNKNOWN = -2
 """Error code GP_ERROR_BAD_PARAMETERS, which libgphoto2 returns for a setting that the camera does not have."""
+LISTS = 5, 6
+"""Types of settings that have a list of values, GP_WIDGET_RADIO and GP_WIDGET_MENU."""
 F_NUMBER_TOLERANCE = 0.05
 """Relative tolerance of f-numbers, which differ by 12 % in thirds of a stop."""
 _NUMBER = re.compile(r"(?:f/|ISO ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))?\s*s?", re.IGNORECASE)
@@ -41,7 +43,7 @@ class Lock:
 
     def better(self, widget: Any) -> str | None:
         """Return the most suitable value that a setting offers, or None if the present value is as suitable."""
-        offered = [str(choice) for choice in widget.get_choices()]
+        offered = _offered(widget)
         best = min(offered, key=self.distance, default="")
         return best if offered and self.distance(best) < self.distance(str(widget.get_value())) else None
 
@@ -59,7 +61,7 @@ class Lock:
         value = str(widget.get_value())
         if self.fits(value):
             return ""
-        offered = [str(choice) for choice in widget.get_choices()]
+        offered = _offered(widget)
         near = f", available: {', '.join(offered[:40])}" if self.needed and offered and not any(map(self.fits, offered)) else ""
         return f"{self.name} is {value} instead of {self.wanted}{near} ({self.remedy})"
 
@@ -171,6 +173,11 @@ def read_widget(library: Any, camera: Any, lock: Lock) -> Any:
             if error.code != UNKNOWN:
                 raise
     return None
+
+
+def _offered(widget: Any) -> list[str]:
+    """Return the values that a setting offers. Texts and numbers have no list of values."""
+    return [str(choice) for choice in widget.get_choices()] if widget.get_type() in LISTS else []
 
 
 def parse_number(value: str) -> float | None:

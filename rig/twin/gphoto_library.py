@@ -31,6 +31,7 @@ class Setting:
 
     value: str
     choices: tuple[str, ...]
+    """Values that the camera offers. A setting without a list of values is a text."""
     readonly: bool = False
     stuck: bool = False
     """Whether the camera keeps its value although setting it succeeds."""
@@ -102,6 +103,7 @@ class EmulatedLibrary:
 
     GPhoto2Error = EmulatedError
     GP_CAPTURE_IMAGE, GP_FILE_TYPE_NORMAL = 0, 1
+    GP_WIDGET_TEXT, GP_WIDGET_RADIO = 2, 5
     GP_EVENT_UNKNOWN, GP_EVENT_TIMEOUT, GP_EVENT_FILE_ADDED = 0, 1, 2
 
     def __init__(self, body: EmulatedBody) -> None:
@@ -149,7 +151,12 @@ class _Widget:
     def set_value(self, value: str) -> None:
         self._value = value
 
+    def get_type(self) -> int:
+        return EmulatedLibrary.GP_WIDGET_RADIO if self._setting.choices else EmulatedLibrary.GP_WIDGET_TEXT
+
     def get_choices(self) -> tuple[str, ...]:
+        if not self._setting.choices:
+            raise EmulatedError(-2, "Bad parameters")
         return self._setting.choices
 
     def get_readonly(self) -> bool:

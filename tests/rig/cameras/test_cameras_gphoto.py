@@ -73,6 +73,7 @@ def test_settings_are_fixed_and_raw_files_are_the_light(body: EmulatedBody) -> N
         ("shutterspeed", {"choices": ("1/60", "1/250")}, r"exposure time is 1/60 instead of 0.008 s, available: 1/60, 1/250 \(set exp"),
         ("iso", {"stuck": True}, "ISO is Auto instead of 200"),
         ("aperture", {"stuck": True}, "aperture is 5.6 instead of f/8"),
+        ("aperture", {"choices": ()}, "aperture is 5.6 instead of f/8"),
         ("imageformat", {"choices": ("Large Fine JPEG",)}, "file format is Large Fine JPEG instead of raw"),
     ],
 )
