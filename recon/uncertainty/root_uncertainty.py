@@ -47,8 +47,8 @@ volume for an overlap of 1 per view, and the overlap per view up to which all ro
 at 0.011, 0.016 and 0.017 per view. At 0.0044, length and volume were right to 1 and 4 %."""
 _FILLED, _OPEN = 0.14, 3.0
 """The same for roots between which the views leave no gaps, however many views there are: the relative volume for each
-unit of the ratio between hull and shape, and the ratio up to which all roots are separated. Six dense radishes with 20
-to 44 views had errors of at most 5 % up to a ratio of 3.8, +34 % at 5.3, and +63 % at 5.9."""
+unit of the ratio between hull and shape, and the ratio up to which all roots are separated. Eight dense radishes with
+16 to 44 views had -4 to +7 % up to a ratio of 4.6, +18 and +34 % at 5.2 and 5.3, and +63 and +34 % at 5.9 and 6.1."""
 _DENSE, _RESOLVED = 1.2, 0.4
 """The same for roots that are closer together than the pictures resolve, however many views there are: the relative
 length for a crowding of 1 (`root_residual.Places.crowding`), and the crowding up to which all roots are separated
