@@ -58,12 +58,12 @@ _TRACING = 21  # key of the path tracer's random stream
 Image = NDArray[np.float32]
 
 
-def check_samples(fidelity: str, samples: int | None) -> int:
-    """Validate the number of rays per pixel and return it.
+def check_samples(scene: Scene, fidelity: str, samples: int | None) -> int:
+    """Validate the fidelity and the number of rays per pixel, and return this number.
 
     If ``samples`` is None, return the default of the fidelity.
 
-    Raises `UserError` if a value is invalid.
+    Raises `UserError` if a value is invalid, or the fidelity does not support the lights of the scene.
     """
     if fidelity not in DEFAULT_SAMPLES:
         raise UserError(f"fidelity {fidelity!r} is not known; give one of: {', '.join(DEFAULT_SAMPLES)}")
@@ -73,6 +73,8 @@ def check_samples(fidelity: str, samples: int | None) -> int:
             f"samples is {count}, but the number of rays per pixel must be positive, "
             "and a square number such as 4, 9 or 16 for the fidelity 'backlit'"
         )
+    if fidelity == "path" and scene.lights.side_level > 0.0:
+        raise UserError("fidelity 'path' has no side lights (lights.side_level); use the fidelity 'backlit'")
     return count
 
 
@@ -97,9 +99,7 @@ class Renderer:
     def __init__(
         self, scene: Scene, world: World, solid: SpecimenSolid | None, *, fidelity: Fidelity = "backlit", samples: int | None = None
     ) -> None:
-        self.samples = check_samples(fidelity, samples)
-        if fidelity == "path" and scene.lights.side_level > 0.0:
-            raise UserError("fidelity 'path' has no side lights (lights.side_level); use the fidelity 'backlit'")
+        self.samples = check_samples(scene, fidelity, samples)
         self.side = round(self.samples**0.5)
         self.scene = scene
         self.world = world

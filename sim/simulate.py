@@ -80,7 +80,7 @@ def simulate(
     folder = Path(folder)
     if seed < 0:
         raise UserError(f"seed is {seed}, but the seed must be an integer of at least 0")
-    samples = check_samples(fidelity, samples)
+    samples = check_samples(scene, fidelity, samples)
     with (monitor := Monitor.of(monitor)).stage("specimen"):
         solid = build_specimen(scene, monitor=monitor)
     settings = {

@@ -3,6 +3,7 @@
 It consists of black markers on white paper and is unrolled from the net pot.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,12 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
 
 
 def finest_mm(strip: MarkerStrip, net_pot: NetPot) -> float:
-    """Return the width of the finest structure of the strip: a cell of a marker or a gap between markers, mm."""
+    """Return the width of the finest structure of the strip: a cell of a marker or a gap between markers, mm.
+
+    It is infinite for a strip without markers.
+    """
+    if strip.rows == 0:
+        return math.inf
     cells = len(marker_cells(strip.dictionary, strip.first_id))
     column_pitch_mm = 2.0 * np.pi * net_pot.outer_radius_mm / strip.columns
     gaps_mm = [column_pitch_mm - strip.marker_mm] + [strip.row_pitch_mm - strip.marker_mm] * (strip.rows > 1)

@@ -20,7 +20,7 @@ from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Lights, NetPot
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.backlit import AMBIENT
 from rhizotwin.sim.optics import ROOT_REFLECTANCE
-from rhizotwin.sim.render import Renderer
+from rhizotwin.sim.render import Renderer, check_samples
 from rhizotwin.sim.solids import to_surface, unite_roots
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.world import draw_world
@@ -231,7 +231,7 @@ def test_plane_walls_refract_and_side_lights_show_roots() -> None:
     assert image.max() == pytest.approx(ROOT_REFLECTANCE * (AMBIENT / world.n_water**2 + 0.8), rel=0.1)
     assert image[50, 50] < 0.5 * image.max()  # the front of a ball faces neither lamp
     with pytest.raises(UserError, match="no side lights"):
-        Renderer(part, world, None, fidelity="path")
+        check_samples(part, "path", None)
 
 
 BOXES = {
