@@ -18,7 +18,6 @@ from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, Outline, measure_coverage
-from rhizotwin.recon.hull import regularised
 from rhizotwin.recon.hull.leaves import Hull, Leaves
 from rhizotwin.recon.read_pictures import Pictures, read_pictures
 from rhizotwin.recon.reconstruct import gather
@@ -27,6 +26,7 @@ from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Listener, Monitor
+from rhizotwin.scoring import regularised_hull
 
 Baseline = Literal["thesis", "regularised", "hull"]
 SEARCH_PX = 2.0
@@ -103,7 +103,7 @@ def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape
     """
     pictures, carved, coverage = _carve_strictly(dataset, settings, watch, slack_px=SEARCH_PX, outline=None)
     with watch.stage("mend"):
-        leaves = regularised.regularise(carved.bank, carved.silhouettes, carved.hull)
+        leaves = regularised_hull.regularise(carved.bank, carved.silhouettes, carved.hull)
     mended = replace(carved, hull=Hull(leaves, leaves.occupancy, carved.hull.moved_in_mm3, carved.hull.blind_mm3))
     return _Shape(pictures, mended, coverage, _counted_mm3(leaves))
 

@@ -14,10 +14,10 @@ from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water, carve
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Hull, Leaves, to_unit_cubes
-from rhizotwin.recon.hull.regularised import regularise
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scoring.regularised_hull import regularise
 from tests.recon.hull import exact_pictures
 
 RODS = (
