@@ -29,12 +29,14 @@ _NOT_FIRST = ".=@"
 SLURM_JOB = "slurm_job"
 """Key of a record with the number of the Slurm job that has run the job. It is empty outside Slurm."""
 
-BASE_MIB, MIB_PER_MPX = 900.0, 120.0
-"""Coefficients of the estimated peak memory of a reconstruction: constant part in MiB, and MiB per million pixels.
+BASE_MIB, MIB_PER_MPX, LEAST_MIB = 900.0, 120.0, 1800.0
+"""Coefficients of the estimated peak memory of a reconstruction: constant part in MiB, MiB per million pixels, and the
+minimum of the sum in MiB.
 
-The constant part is the memory of the process with its libraries and compiled kernels: 4 pictures of 200x150 needed 871
-MiB with one thread, and 885 MiB with two; 12 pictures of 320x240 needed 886 to 915 MiB. The sum is an upper bound over
-the accuracy ladder.
+The constant part is the memory of the process with its libraries and compiled kernels: 12 pictures of 320x240 needed
+886 to 922 MiB, and 980 MiB as the second scan of a process. The hull of few pictures is large: 4 pictures of 200x150 of
+a printed phantom needed 1658 and 1721 MiB, so that the minimum is not lower. The sum is an upper bound over the
+accuracy ladder.
 Reconstructions of 18 plants with 38.4 million pixels (two rings of 40 views, 800x600) used up to 4953 MiB, and those of
 printed phantoms with 19.2 million pixels 1336 MiB. Voxels smaller than the default of 0.27 mm need more memory; voxels
 of 0.07 mm used twice as much.
@@ -65,7 +67,7 @@ class Job:
     @property
     def memory_mib(self) -> float:
         """Predicted upper bound of the job's peak memory."""
-        return RENDER_MIB if self.kind == "simulate" else BASE_MIB + MIB_PER_MPX * self.pixels / 1e6
+        return RENDER_MIB if self.kind == "simulate" else max(LEAST_MIB, BASE_MIB + MIB_PER_MPX * self.pixels / 1e6)
 
     @property
     def record(self) -> str:

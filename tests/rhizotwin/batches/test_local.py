@@ -23,6 +23,7 @@ def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: p
     line = SimpleNamespace(send=lambda plain: given.append(plain["name"]))
     monkeypatch.setattr(local, "_hire", lambda _: local._Worker(None, line))
     waiting = [job("large", tmp_path, pixels=40e6), job("huge", tmp_path, pixels=90e6), job("small", tmp_path, pixels=2e6)]
+    assert job("few", tmp_path, pixels=0.12e6).memory_mib > 1721.0, "4 pictures of 200x150"
     crew: list[local._Worker] = []
     local._hand_out(waiting, crew, 8, waiting[0].memory_mib + waiting[2].memory_mib)
     assert given == ["large", "small"]
