@@ -21,16 +21,16 @@ ENDS = {
 }
 """What squeue says of a job that has ended."""
 CASES: dict[str, tuple[str, list[str], str]] = {
-    "memory done": ("", ["1275M", "2550M"], "it needed more than the requested 1275 MiB of memory; it is submitted again with 2550 MiB"),
-    "log done": ("", ["1275M", "2550M"], "it needed more than the requested 1275 MiB of memory"),
-    "memory memory": ("more than the requested 2550 MiB of memory; use larger voxels", ["1275M", "2550M"], "2550 MiB"),
-    "time done": ("", ["1275M", "1275M 2940"], "it reached its time limit of 1-00:30:00; it is submitted again with 2940 min"),
-    "scancel node done": ("", ["1275M"] * 3, "it was ended by Slurm (NODE_FAIL); it is submitted again"),
-    "scancel scancel scancel": ("ended by Slurm (CANCELLED); run the same command again", ["1275M"] * 3, "(CANCELLED)"),
-    "python": ("without a record (sh: python: not found); check that the nodes", ["1275M"], "submitted as Slurm job 1 with 1275 MiB"),
-    "refused": ("configuration is not available (requested: 1275 MiB)", ["1275M"], ""),
+    "memory done": ("", ["2250M", "4500M"], "it needed more than the requested 2250 MiB of memory; it is submitted again with 4500 MiB"),
+    "log done": ("", ["2250M", "4500M"], "it needed more than the requested 2250 MiB of memory"),
+    "memory memory": ("more than the requested 4500 MiB of memory; use larger voxels", ["2250M", "4500M"], "4500 MiB"),
+    "time done": ("", ["2250M", "2250M 2940"], "it reached its time limit of 1-00:30:00; it is submitted again with 2940 min"),
+    "scancel node done": ("", ["2250M"] * 3, "it was ended by Slurm (NODE_FAIL); it is submitted again"),
+    "scancel scancel scancel": ("ended by Slurm (CANCELLED); run the same command again", ["2250M"] * 3, "(CANCELLED)"),
+    "python": ("without a record (sh: python: not found); check that the nodes", ["2250M"], "submitted as Slurm job 1 with 2250 MiB"),
+    "refused": ("configuration is not available (requested: 2250 MiB)", ["2250M"], ""),
     "earlier": ("", [], "Slurm job 7 of an earlier run is continued"),
-    "Ctrl-C": ("", ["1275M"], "scancel 1"),
+    "Ctrl-C": ("", ["2250M"], "scancel 1"),
 }
 """Ends of the submissions; then the failure, memory and time of each request, and a part of what is said."""
 
