@@ -236,14 +236,6 @@ class Cameras:
     """Calibration from the roots; None if there were too few roots."""
     warnings: tuple[str, ...] = ()
 
-    @staticmethod
-    def from_views(views: Sequence[View], optics: Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
-        """Create cameras from views (V,) that share one lens."""
-        every = tuple(
-            Camera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank) for view in views
-        )
-        return Cameras(lens=views[0].camera, optics=optics, all=every, order=tuple(range(len(views))), uncertainty=uncertainty)
-
     @cached_property
     def views(self) -> tuple[View, ...]:
         """Return the lens and pose of each used view (V,), in processing order."""

@@ -102,13 +102,6 @@ def shared_volume_mm3(spheres: Spheres, leaves: Leaves) -> float:
     return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
 
 
-def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
-    """Return the depth (N,) of points (N, 3) inside the union of spheres, mm. It is negative outside."""
-    if not len(points_mm) or not len(spheres.radius_mm):
-        return np.full(len(points_mm), -np.inf, np.float32)
-    return depth_mm(Bins.build(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0), points_mm)
-
-
 def depth_mm(listed: Bins, points_mm: Array) -> NDArray[np.float32]:
     """Return the depth (N,) of points (N, 3) inside the union of listed spheres, mm. It is negative outside."""
     if not len(points_mm) or not dr.width(listed.entries):

@@ -17,7 +17,7 @@ from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
-from tests.recon.hull.exact_pictures import ring_of, views_of
+from tests.recon.hull.exact_pictures import cameras_of, ring_of, views_of
 
 
 def line(*corners: tuple[float, float, float], step: float = 0.1) -> np.ndarray:
@@ -67,7 +67,7 @@ SCENE = ring_of(12)
 
 @cache
 def standing() -> Cameras:
-    return Cameras.from_views(views_of(SCENE), Optics.from_scene(SCENE))
+    return cameras_of(views_of(SCENE), Optics.from_scene(SCENE))
 
 
 @cache

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage import evidence, measure, silhouettes, translucency
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
-from tests.recon.hull.exact_pictures import ring_of, views_of
+from tests.recon.hull.exact_pictures import cameras_of, ring_of, views_of
 
 
 def strip(width_px: float, angle: float, offset: float, shape: tuple[int, int] = (96, 128), samples: int = 12) -> np.ndarray:
@@ -131,7 +130,7 @@ def test_translucent_roots_get_the_width_they_have() -> None:
 
 def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
     scene = ring_of(1)
-    cameras = Cameras.from_views(views_of(scene), Optics.from_scene(scene))
+    cameras = cameras_of(views_of(scene), Optics.from_scene(scene))
     opacity, coverage = picture(2.0, (0.3, 0.45, 0.8, 1.5))
     mu_per_mm = 2.0 * measure._px_a_mm(cameras) / PX_A_MM  # the same picture at the camera's scale
     seen = np.ones(opacity.shape, bool)

@@ -1,10 +1,13 @@
 """Exact silhouettes of round-ended tubes, drawn with the reference projection."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
+from rhizotwin.recon.calibration.cameras import Camera as FoundCamera
+from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.scenes import atomic, plan
@@ -19,6 +22,15 @@ _PIXEL_MM = 1.0
 
 def ring_of(views: int, image_wh: tuple[int, int] = (400, 300), **ring: float) -> Scene:
     return Scene(camera=Camera().resized(image_wh), plan=CapturePlan(rings=(Ring(views=views, **ring),)))
+
+
+def cameras_of(views: Sequence[cameras.View], optics: refraction.Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
+    """Return the cameras of views that share one lens."""
+    every = tuple(
+        FoundCamera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank)
+        for view in views
+    )
+    return Cameras(lens=views[0].camera, optics=optics, all=every, order=tuple(range(len(views))), uncertainty=uncertainty)
 
 
 def views_of(scene: Scene) -> list[cameras.View]:

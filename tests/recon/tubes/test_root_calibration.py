@@ -14,7 +14,7 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import rig_derivatives, root_calibration, root_sway, tube_fit, tubes
 from rhizotwin.recon.tubes.rig_derivatives import QUANTITIES, SWAY, Quantity
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from tests.recon.hull.exact_pictures import views_of
+from tests.recon.hull.exact_pictures import cameras_of, views_of
 from tests.recon.strings import blank, drawn
 
 VIEWS = 12
@@ -52,7 +52,7 @@ def given() -> Cameras:
     """Return cameras with uncertainty as two rings of good markers leave it."""
     camera = [6e-5, 6e-5, 3e-5, 1.5e-2, 1.5e-2, 1.5e-2]
     sigma = np.array([1e-4, 5e-6, 5e-6, 1e-3, 1e-3, *camera, *camera])
-    return Cameras.from_views(*rig(), RigUncertainty(np.repeat([0, 1], VIEWS // 2), np.diag(sigma**2), np.full(VIEWS, 7e-5)))
+    return cameras_of(*rig(), RigUncertainty(np.repeat([0, 1], VIEWS // 2), np.diag(sigma**2), np.full(VIEWS, 7e-5)))
 
 
 def free() -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 
 import rhizotwin as rt
 from rhizotwin.exporter import rays
-from rhizotwin.recon.calibration.cameras import HELD_OUT, Cameras
+from rhizotwin.recon.calibration.cameras import HELD_OUT
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.results.result import Result
@@ -20,6 +20,7 @@ from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.verification.synthesis import Synthesis, true_camera
 from tests.command import Command
 from tests.conftest import Reconstructed
+from tests.recon.hull.exact_pictures import cameras_of
 
 
 def moved(result: Result, shift_mm: tuple[float, float, float]) -> Result:
@@ -68,7 +69,7 @@ def test_masks_are_refused(made: Path, found: Reconstructed) -> None:
 
 def test_every_nth_view_is_held_out() -> None:
     view = View(camera=Camera(), cam_from_canister=frames.translation(0.0, 0.0, 400.0))
-    cameras = Cameras.from_views([view] * 11, Optics.from_scene(Scene()))
+    cameras = cameras_of([view] * 11, Optics.from_scene(Scene()))
     kept = cameras.hold_out(5)
     assert kept.order == (0, 1, 2, 3, 5, 6, 7, 8, 10)
     assert [(k, camera.used, camera.reason) for k, camera in kept.held_out.items()] == [(4, False, HELD_OUT), (9, False, HELD_OUT)]
