@@ -316,6 +316,8 @@ def growth(
     device : str
         Where to compute.
     """
+    if sets < 1:
+        raise UserError(f"--sets {sets}: must be at least 1")
     _start(device)
     from benchmarks import growth
 

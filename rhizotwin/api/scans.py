@@ -42,7 +42,8 @@ def import_pictures(
     Parameters
     ----------
     folder : path
-        Folder of pictures (PNG, JPG, TIFF or DNG), which are read in the natural order of their names.
+        Folder of pictures (PNG, JPG, TIFF, or raw pictures such as DNG), which are read in the natural order of their
+        names.
     output : path
         New or empty folder for the dataset.
     scene : Scene, str or path

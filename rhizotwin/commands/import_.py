@@ -48,7 +48,7 @@ def import_(
     Parameters
     ----------
     pictures : Path
-        Folder of pictures (PNG, JPG, TIFF, or raw pictures in DNG).
+        Folder of pictures (PNG, JPG, TIFF, or raw pictures such as DNG).
     scene : str
         Scene: a name listed by 'rhizotwin scenes', or a scene file (TOML).
     output : Path

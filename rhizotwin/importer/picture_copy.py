@@ -33,7 +33,7 @@ class PictureCopier:
     folder : Path
         Dataset folder.
     raw : bool
-        Whether the pictures are raw pictures (DNG).
+        Whether the pictures are raw pictures.
     levels : dict of Path to Levels, or None
         Levels of each silhouette; None for photographs.
     given : GivenCameras or None

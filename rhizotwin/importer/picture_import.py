@@ -67,7 +67,7 @@ def import_pictures(
     Parameters
     ----------
     folder : Path
-        Folder of PNG, JPG or TIFF pictures (8 or 16 bits) or raw pictures (DNG), read in the natural order of names.
+        Folder of PNG, JPG or TIFF pictures (8 or 16 bits) or raw pictures, read in the natural order of names.
     scene : Scene
         Scene of the rig. The picture size of its camera must match, unless the camera file contains a lens.
     out : Path

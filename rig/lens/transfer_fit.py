@@ -31,10 +31,10 @@ of a pixel is about 0.01 in g, and the changes of slope between adjacent knots a
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 MOST_RESIDUAL = 0.01
 """Maximum residual, as a fraction of the light. With a larger residual, the pixel values are no function of the light,
-for example because the camera adapts its curve to each picture."""
+for example because the camera adapts its curve to each picture, or the noise of dark pixels is too large."""
 LEVELS = 8
-"""Number of ranges of pixel values per picture in which residuals are averaged, so that noise does not count as
-residual."""
+"""Number of ranges of pixel values per picture in which residuals are averaged, so that noise counts as residual only
+where it changes the mean of the logarithm."""
 STOPS = 3
 """Number of steps per factor of two of a camera's shutter."""
 ROUNDED = 0.10
@@ -105,8 +105,8 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     if left > MOST_RESIDUAL:
         raise RigError(
             f"the pixel values are no function of the light: the residual is {100.0 * left:.1f} % of the light, at most "
-            f"{100.0 * MOST_RESIDUAL:g} % are permitted; use raw files, switch off automatic contrast and flickering lamps, and check the "
-            "exposure times"
+            f"{100.0 * MOST_RESIDUAL:g} % are permitted; use raw files or the lowest ISO, switch off automatic contrast and flickering "
+            "lamps, and check the exposure times"
         )
     share = np.linspace(0.0, 1.0, KNOTS)
     light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))
