@@ -61,9 +61,19 @@ Image = NDArray[np.float32]
 def check_samples(scene: Scene, fidelity: str, samples: int | None) -> int:
     """Validate the fidelity and the number of rays per pixel, and return this number.
 
-    If ``samples`` is None, return the default of the fidelity.
+    Parameters
+    ----------
+    scene : Scene
+        Scene to render.
+    fidelity : str
+        Method of rendering, see `Renderer`.
+    samples : int or None
+        Number of rays per pixel. None: default of the fidelity.
 
-    Raises `UserError` if a value is invalid, or the fidelity does not support the lights of the scene.
+    Raises
+    ------
+    UserError
+        If a value is invalid, or the fidelity does not support the lights of the scene.
     """
     if fidelity not in DEFAULT_SAMPLES:
         raise UserError(f"fidelity {fidelity!r} is not known; give one of: {', '.join(DEFAULT_SAMPLES)}")
