@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from rhizotwin.exporter import rays
 from rhizotwin.recon.optics.cameras import View, project
@@ -99,3 +100,39 @@ def test_bands_of_rows_give_the_same_rays(monkeypatch: pytest.MonkeyPatch) -> No
     banded = rays.trace(view, optics, SCENE)
     for name in ("origin_mm", "direction", "length_mm", "single_mm"):
         np.testing.assert_array_equal(getattr(banded, name), getattr(whole, name))
+
+
+def test_rays_of_the_example_method(tmp_path: Path) -> None:
+    example = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "methods" / "water_rays.py"))
+    optics, centre, radius_mm, views = Optics.from_scene(SCENE), np.array([9.0, -6.0, -60.0]), 6.0, 6
+    (tmp_path / "rays").mkdir()
+    roots = 0
+    for k in range(views):
+        traced = rays.trace(seen(LEVEL @ frames.rotation_z(2.0 * np.pi * k / views)), optics, SCENE)
+        traced.write(tmp_path / "rays" / f"{k}.npz")
+        mask = np.linalg.norm(np.cross(centre - traced.origin_mm, traced.direction), axis=-1) < radius_mm  # NaN is not
+        roots += mask.sum()
+        Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(tmp_path / f"{k}.png")
+    listed = [{"file": f"images/{k}.jpg", "rays": f"rays/{k}.npz"} for k in range(views)]
+    (tmp_path / "rays.json").write_text(json.dumps({"pictures": listed}))
+    (tmp_path / "load_rays.py").write_text(rays.LOADER)
+
+    origin, direction, root = example["read"](tmp_path, tmp_path)
+    away_mm = np.linalg.norm(np.cross(centre - origin, direction), axis=1)
+    assert root.sum() == roots > 500
+    assert away_mm[root].max() < radius_mm + 1e-3
+    assert away_mm[~root].min() > radius_mm - 1e-3
+    (low, high), radius = example["box_around"](origin, direction, root)
+    assert (low < centre - radius_mm).all()
+    assert (high > centre + radius_mm).all()
+    assert radius < np.hypot(*centre[:2]) + radius_mm + 2.1
+
+    last = np.isfinite(traced.length_mm)
+    given, given_aim = traced.origin_mm[last].astype(float), traced.direction[last].astype(float)
+    aimed_from, aim = example["centralised"](given, given_aim)
+    np.testing.assert_allclose(np.cross(example["nearest_to_axis"](given, given_aim) - aimed_from, aim), 0.0, atol=1e-6)
+    far = np.argmax(np.linalg.norm(aim - aim[0], axis=1))
+    across = np.column_stack([aim[0], -aim[far]])
+    centre = aimed_from[0] + np.linalg.lstsq(across, aimed_from[far] - aimed_from[0], rcond=None)[0][0] * aim[0]
+    assert np.linalg.norm(np.cross(centre - aimed_from, aim), axis=1).max() < 1e-3
+    assert np.linalg.norm(np.cross(centre - given, given_aim), axis=1).max() > 1.0  # refracted rays do not meet
