@@ -73,7 +73,9 @@ def angle_against(cam_from_canister: Array, references: Sequence[Reference], sce
     return angles[0] + float(np.median([wrap_angle(angle - angles[0]) for angle in angles]))
 
 
-def seen_angle(seen: Sighting, references: Sequence[Reference], scene: Scene, *, near_deg: float, given_deg: float | None = None) -> Angle:
+def angle_from_markers(
+    seen: Sighting, references: Sequence[Reference], scene: Scene, *, near_deg: float, given_deg: float | None = None
+) -> Angle:
     """Determine the present table angle from the markers.
 
     Parameters
@@ -106,13 +108,15 @@ def seen_angle(seen: Sighting, references: Sequence[Reference], scene: Scene, *,
     return Angle(table_deg=nearest_turn(angle, near_deg), source=f"{seen.markers} markers")
 
 
-def told_angle(*, near_deg: float, given_deg: float | None = None, ask: Ask | None = None, why: str = "the strip cannot be read") -> Angle:
+def angle_from_user(
+    *, near_deg: float, given_deg: float | None = None, ask: Ask | None = None, why: str = "the strip cannot be read"
+) -> Angle:
     """Return the present table angle according to the user, if the strip cannot be read. The angle is never assumed.
 
     Parameters
     ----------
     near_deg : float
-        Expected angle, see `seen_angle`.
+        Expected angle, see `angle_from_markers`.
     given_deg : float or None
         Angle given by the user in advance.
     ask : Ask or None

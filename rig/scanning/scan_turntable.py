@@ -15,10 +15,10 @@ from rhizotwin.rig.scanning.homing import (
     Angle,
     Reference,
     angle_against,
+    angle_from_markers,
+    angle_from_user,
     facing_angle,
     nearest_turn,
-    seen_angle,
-    told_angle,
     wrap_angle,
 )
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
@@ -336,8 +336,8 @@ class ScanTurntable:
         self, seen: Sighting | None, image: Grey, references: list[Reference], near_deg: float, *, given_deg: float | None
     ) -> Angle:
         if seen is not None:
-            return seen_angle(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg)
-        return told_angle(near_deg=near_deg, given_deg=given_deg, ask=self._user.ask, why=unread_reason(image, self._scene))
+            return angle_from_markers(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg)
+        return angle_from_user(near_deg=near_deg, given_deg=given_deg, ask=self._user.ask, why=unread_reason(image, self._scene))
 
     def _declare(self, angle: Angle) -> None:
         with convert_board_errors():

@@ -205,8 +205,10 @@ class HatLights:
         if pin is None:
             raise ValueError("pin=None but must be a GPIO pin")
         self._pins.output(pin, 1)
-        self._clock.sleep(SHUTTER_S)
-        self._pins.output(pin, 0)
+        try:
+            self._clock.sleep(SHUTTER_S)
+        finally:  # an interrupted scan must not leave the contact closed
+            self._pins.output(pin, 0)
 
     def off(self) -> None:
         """Switch all lamps off."""

@@ -1,10 +1,11 @@
 """Lamps of a Marlin board, which are two NeoPixel strips and lamps on its fan outputs."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import SHUTTER_S, check_levels
-from rhizotwin.rig.errors import LostError, NoAnswerError
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.rig_file import BandPart, LightsPart
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_lines import POSITION
@@ -68,8 +69,14 @@ class MarlinLights:
             If the firmware has no M240 (PHOTO_GCODE), or the connection is lost.
         """
         pulse = (f"M42 P{pin} S{_FULL}", f"G4 P{round(1000.0 * SHUTTER_S)}", f"M42 P{pin} S0")
-        for command in ("M240",) if pin is None else pulse:
-            self._link.command(command, expect_s=SHUTTER_S)
+        try:
+            for command in ("M240",) if pin is None else pulse:
+                self._link.command(command, expect_s=SHUTTER_S)
+        except BaseException:
+            if pin is not None:  # an interrupted scan must not leave the contact closed
+                with suppress(RigError):
+                    self._link.send_unheard(pulse[-1])
+            raise
         self._link.ask("M114", POSITION)
 
     def close(self) -> None:

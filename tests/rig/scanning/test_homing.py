@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhizotwin.rig.devices import LEAST_DEG
-from rhizotwin.rig.scanning.homing import Reference, angle_against, facing_angle, nearest_turn, seen_angle, told_angle, wrap_angle
+from rhizotwin.rig.scanning.homing import (
+    Reference,
+    angle_against,
+    angle_from_markers,
+    angle_from_user,
+    facing_angle,
+    nearest_turn,
+    wrap_angle,
+)
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.world import Sight
@@ -70,11 +78,11 @@ def test_of_all_turns_the_nearest_that_the_table_takes(angle: float, near: float
 
 
 def test_unseen_angle_is_as_given_or_a_person_is_asked() -> None:
-    assert told_angle(near_deg=0.0, given_deg=370.0).table_deg == pytest.approx(10.0)
+    assert angle_from_user(near_deg=0.0, given_deg=370.0).table_deg == pytest.approx(10.0)
     answers = iter(["nan", "1e9", " 45 deg"])
-    found = told_angle(near_deg=0.0, ask=lambda _: next(answers))
+    found = angle_from_user(near_deg=0.0, ask=lambda _: next(answers))
     assert (found.table_deg, found.source) == (45.0, "given by the operator")
-    assert seen_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
+    assert angle_from_markers(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
 
 
 def test_expected_markers_are_read_but_not_of_another_strip() -> None:

@@ -207,6 +207,10 @@ def test_the_shutter_contact_is_closed_for_a_while(bench: Any) -> None:
     assert driver.clock.now_s() - began_s == pytest.approx(0.1)
     with pytest.raises(ValueError, match="pin=None"):
         lights.release_shutter(None)
+    driver.clock.sleep = Mock(side_effect=KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        lights.release_shutter(6)
+    assert driver.level[6] == 0
 
 
 def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.MonkeyPatch, bench: Any) -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given, settings
@@ -182,6 +183,13 @@ def test_the_bytes_of_both_lamps(board: Any, lights: MarlinLights) -> None:
     assert board.strips == {1: {"R": 255, "U": 250, "B": 240, "P": 51}, 0: OFF}
     lights.off()
     assert board.strips == {0: OFF, 1: OFF}
+
+
+def test_an_interrupted_release_of_the_shutter_opens_its_contact(board: Any, lights: MarlinLights) -> None:
+    lights._link.command = Mock(side_effect=[None, KeyboardInterrupt])
+    with pytest.raises(KeyboardInterrupt):
+        lights.release_shutter(60)
+    assert board.sent[-1] == b"M42 P60 S0\n"
 
 
 @pytest.mark.parametrize("level", [1.1, float("nan")])
