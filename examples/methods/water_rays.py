@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image
 
 MARGIN_MM = 2.0
+NEAR_AXIS = 0.6  # as for `rhizotwin export --undistorted`
 
 
 def read(folder, masks, central=False):
@@ -29,13 +30,23 @@ def nearest_to_axis(origin, direction):
 def centralised(origin, direction):
     """Return the rays of the best camera with a single centre of projection.
 
-    The centre is the point nearest to all rays. Each new ray meets the given ray where that is nearest to the axis.
+    A camera's rays have slopes that are linear functions of their places on a plane across the direction of view. Here
+    it is the plane through the canister's axis. The function is fitted to the given rays near the axis.
     """
-    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    centre = np.linalg.solve(across.sum(0), np.einsum("nij,nj->i", across, origin))
     middle = nearest_to_axis(origin, direction)
-    aimed = (middle - centre) / np.linalg.norm(middle - centre, axis=1)[:, None]
-    return middle - np.linalg.norm(middle - origin, axis=1)[:, None] * aimed, aimed
+    away = np.hypot(middle[:, 0], middle[:, 1])
+    near = away < NEAR_AXIS * away.max()
+    forward = direction[near].mean(axis=0) / np.linalg.norm(direction[near].mean(axis=0))
+    right = np.cross(forward, [0.0, 0.0, 1.0]) / np.hypot(forward[0], forward[1])
+    across = np.stack([right, np.cross(right, forward)])
+    slope = direction @ across.T / (direction @ forward)[:, None]
+    place = middle @ across.T - (middle @ forward)[:, None] * slope
+    spread = place[near] - place[near].mean(axis=0)
+    rate = (spread * slope[near]).sum() / (spread**2).sum()
+    aimed = forward + (slope[near].mean(axis=0) + rate * (place - place[near].mean(axis=0))) @ across
+    aimed /= np.linalg.norm(aimed, axis=1)[:, None]
+    start = place @ across
+    return start - np.linalg.norm(start - origin, axis=1)[:, None] * aimed, aimed
 
 
 def box_around(origin, direction, root):
