@@ -81,7 +81,7 @@ def _half_width_mm(view: View, image: Grey, scene: Scene, side: float) -> float:
     away_mm = np.arange(NEAREST * pot_mm, BARE[1] * pot_mm, STEP_MM)
     low, high = scene.canister.floor_z_mm, min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm)
     z_mm = np.linspace(low + MARGIN * (high - low), high - MARGIN * (high - low), HEIGHTS)
-    across = side * np.array([-view.centre_mm[1], view.centre_mm[0]]) / np.hypot(*view.centre_mm[:2])
+    across = side * np.array([-view.centre_mm[1], view.centre_mm[0]]) / max(float(np.hypot(*view.centre_mm[:2])), 1e-9)
     aside = np.broadcast_to(away_mm[:, None] * across, (HEIGHTS, len(away_mm), 2))
     points = np.concatenate([aside, np.broadcast_to(z_mm[:, None, None], (*aside.shape[:2], 1))], axis=2).reshape(-1, 3)
     px = cam_pixels(view.camera, frames.apply(view.cam_from_canister, points)).reshape(HEIGHTS, -1, 2).astype(np.float32)

@@ -259,7 +259,7 @@ def _originates(root: Root, parent: Root, grandparent: Root) -> bool:
     way, at = polyline.arc_length_mm(parent.points_mm), _nearest(parent, root.points_mm[0])
     radius_mm = 0.5 * float(parent.diameters_mm[at])
     direction, log = _Way(root.points_mm, root.diameters_mm).beyond(radius_mm, _REACH_MM)
-    near = np.abs(way - way[at]) <= _REACH_MM
+    near = np.abs(way - way[at]) <= max(_REACH_MM, 2.0 * radius_mm)
     before, beyond = near & (way < way[at] - radius_mm), near & (way > way[at] + radius_mm)
     if not before.any() or not beyond.any():
         return True

@@ -112,7 +112,7 @@ class _Voxels:
 
     def steep(self, voxels: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return the mask (K,) of the voxels, given by their indices, that are not part of a nearly horizontal root."""
-        if not self.roots:
+        if not any(len(root.points_mm) > 1 for root in self.roots):
             return np.ones(len(voxels), np.bool_)
         begin, end = (np.concatenate([root.points_mm[part] for root in self.roots]) for part in (slice(-1), slice(1, None)))
         radius_mm = 0.5 * np.concatenate([root.diameters_mm[1:] for root in self.roots])
