@@ -163,7 +163,8 @@ class Backlit:
             si = met.compute_surface_interaction(swim, mi.RayFlags.All, hit)
             end = dr.select(hit, met.shape, end)
             facing = dr.abs(si.wi.z)
-            coverage = dr.select(hit & (met.shape == self.target), 1.0, 0.0)
+            of_wall = (self.target == self.shapes[OUTER_WALL]) | (self.target == self.shapes[INNER_WALL])
+            coverage = dr.select(of_wall | (hit & (met.shape == self.target)), 1.0, 0.0)
 
             # ---- no specimen: light behind the canister
             lamp, glow = self.lamps.meet(mi.Ray3f(behind.o, behind.d), dr.largest(mi.Float))
