@@ -48,6 +48,12 @@ height in the scene differ by more. The tolerance exceeds the height of a menisc
 CALLIPER_MM = 0.1
 """Standard deviation of a diameter measured with callipers, mm. The resolution of callipers is 0.02 mm, but the wall of
 a tube yields by a tenth of a millimetre."""
+_OTHER_LENS = (
+    "without a marker strip, only the cameras of a telecentric lens can be determined, whose rays are parallel "
+    '(camera.kind = "telecentric"). With another lens, print a strip (rhizotwin markers), or import the pictures with '
+    "their cameras (rhizotwin import --cameras)."
+)
+"""Message if the camera is not telecentric."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +113,7 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         not visible, or if the views are inconsistent.
     """
     if scene.camera.kind != "telecentric":
-        raise UserError('calibration without markers requires a telecentric camera. Set camera.kind = "telecentric" in the scene.')
+        raise UserError(_OTHER_LENS)
     if len(pictures) < LEAST_VIEWS:
         raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers, which requires at least {LEAST_VIEWS}")
     stack = np.stack(pictures)
