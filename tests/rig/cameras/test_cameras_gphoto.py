@@ -2,7 +2,6 @@
 
 import importlib.util
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,6 +17,7 @@ from rhizotwin.rig.cameras.gphoto import GphotoCamera
 from rhizotwin.rig.cameras.gphoto_locks import parse_number
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart, RigFile, load_rig
 from rhizotwin.rig.scanning.markers import read_strip
@@ -158,7 +158,13 @@ def test_an_interrupted_scan_resumes(tmp_path: Path) -> None:
         twin = Twin(scene, profile_name="clean", pictures="sketch", rig=rig)
         camera, taken = twin.open_camera(), count(1)
         capture = camera.capture
-        camera.capture = Mock(side_effect=lambda: capture() if next(taken) != stop_at else signal.raise_signal(signal.SIGINT))
+
+        def interrupted() -> Shot:
+            if next(taken) == stop_at:
+                raise KeyboardInterrupt
+            return capture()
+
+        camera.capture = Mock(side_effect=interrupted)
         with opened(twin, camera=camera) as devices:
             return scan(devices, twin.calibrated_scene(), tmp_path / "d", observers=Observers(say=lambda _: None), **options)
 
@@ -198,6 +204,7 @@ locale.setlocale(locale.LC_ALL, "C.UTF-8")
 from rhizotwin.rig.cameras.gphoto import GphotoCamera
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
 camera = GphotoCamera("0", CameraSettings(exposure_s=0.02, f_number=8.0), clock=SystemClock())
 try:
