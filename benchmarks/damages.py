@@ -10,6 +10,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,8 @@ def _clean_pictures(scenes: str) -> list[cases.Pictures]:
     return [case.pictures for case in cases.quick(scenes=(scenes,), profiles=("clean",), methods=("coverage",))]
 
 
-def catalogue(other: Scan) -> tuple[Damage, ...]:
-    """Return all damages; one of them takes a picture of another scan."""
+def catalogue(other: Callable[[], Scan]) -> tuple[Damage, ...]:
+    """Return all damages; one of them takes a picture of another scan, which is read when it is applied."""
     return (*LIGHT, *PLACE, exchange_picture(other))
 
 
@@ -70,13 +71,12 @@ def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], Non
     UserError
         For an unknown name.
     """
-    scan, other = Scan.read(clean_scan(scene)), Scan.read(datasets.make(other_pictures(scene)))
-    every = {damage.name: damage for damage in catalogue(other)}
+    every = {damage.name: damage for damage in catalogue(cache(lambda: Scan.read(datasets.make(other_pictures(scene)))))}
     unknown = [name for name in names or () if name not in every]
     if unknown:
         raise UserError(f"{unknown[0]!r} is not one of the damages: {', '.join(every)}")
     chosen = [every[name] for name in names] if names else list(every.values())
-    records = []
+    scan, records = Scan.read(clean_scan(scene)), []
     for place, damage in enumerate(chosen, start=1):
         records.append(_try(damage, scan))
         say(f"[{place}/{len(chosen)}] {line(records[-1])}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -246,10 +247,10 @@ PLACE = (
 )
 
 
-def exchange_picture(other: Scan) -> Damage:
+def exchange_picture(other: Callable[[], Scan]) -> Damage:
     """Return a scan with one picture of another scan, whose pictures have the same size."""
     return Damage(
         name="one-of-another-scan",
         why="one picture of another plant",
-        light=lambda scan, k: other.light[5] if k == 5 else scan.light[k],
+        light=lambda scan, k: other().light[5] if k == 5 else scan.light[k],
     )

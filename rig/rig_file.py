@@ -328,7 +328,8 @@ def _check_trigger(rig: RigFile, place: Place) -> None:
     if camera.trigger == "board" and camera.kind != "gphoto2":
         raise place.at("trigger").error(f"is possible only for kind gphoto2, not {camera.kind}", camera.trigger)
     if camera.trigger == "board" and rig.turntable.kind == "hat" and camera.trigger_pin not in set(range(28)) - set(rig.hat.pins):
-        raise place.at("trigger_pin").error("must be a GPIO pin, from 0 to 27, that is not used in [hat]", camera.trigger_pin)
+        given = () if camera.trigger_pin is None else (camera.trigger_pin,)
+        raise place.at("trigger_pin").error("must be a GPIO pin, from 0 to 27, that is not used in [hat]", *given)
 
 
 def _check_bands(rig: RigFile, place: Place) -> None:

@@ -6,17 +6,15 @@ camera and the lights move around it, so that only the two rectangles of the lig
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
-from rhizotwin.scenes import frames
 from rhizotwin.scenes.disturbances import Disturbances
 from rhizotwin.scenes.model import Scene
-from rhizotwin.sim import dirt, lights, strip, tank
+from rhizotwin.sim import dirt, lights, shapes, strip, tank
 from rhizotwin.sim.backlit import Room
 from rhizotwin.sim.specimen import Sleeve, SpecimenSolid
 from rhizotwin.sim.textures import bitmap
@@ -41,8 +39,6 @@ than a pixel."""
 DIRT_TEXEL_MM = 0.1
 """Edge of a texel of the map of dust and scratches, mm. It is half the width of a pixel on the wall at 800x600
 pixels."""
-OVAL_SIDES = 1440
-"""Number of facets of an oval wall. The facets deviate from the oval by at most 0.2 um. Their normals are exact."""
 TURBID_ALBEDO = 0.7
 """Albedo of turbid water, which is the fraction of the extinction that is due to scattering. The value is assumed."""
 TURBID_FORWARD = 0.9
@@ -113,7 +109,7 @@ def _rig_items(scene: Scene, world: World, water: Any, *, dirt_reach_mm: float |
     wrong = scene.disturbances
     items = _canister(scene, world, water) | _net_pot(scene, world)
     if scene.tank is not None:
-        items |= {name: _mesh(name, *shape) for name, shape in tank.meshes(scene, scene.tank).items()}
+        items |= {name: shapes.mesh(name, *shape) for name, shape in tank.meshes(scene, scene.tank).items()}
     if wrong.seam_opacity > 0.0 or wrong.dust_specks or wrong.scratches:
         items[OUTER_DIRT] = _outer_dirt(scene, world, dirt_reach_mm)
     if world.algae:
@@ -121,7 +117,7 @@ def _rig_items(scene: Scene, world: World, water: Any, *, dirt_reach_mm: float |
     for number, bubble in enumerate(world.bubbles):
         items[f"bubble_{number}"] = _bubble(bubble, world.n_water, water)
     if world.fibres:
-        items["fibres"] = _mesh("fibres", *_tubes(world.fibres), _diffuse(FELT_REFLECTANCE))
+        items["fibres"] = shapes.mesh("fibres", *shapes.fibre_tubes(world.fibres), shapes.diffuse(FELT_REFLECTANCE))
     return items
 
 
@@ -130,10 +126,10 @@ def _specimen_items(scene: Scene, world: World, solid: SpecimenSolid, hairs: Sle
     haze = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_hair_mu_per_mm}) if hairs is not None else None
     items: dict[str, Any] = {SPECIMEN: _specimen(solid, wrong, world.n_water, haze or water)}
     if hairs is not None:
-        items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, _Media(interior=haze, exterior=water))
+        items[HAIRS] = shapes.mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, shapes.Media(interior=haze, exterior=water))
     if solid.shoot is not None and scene.shoot is not None:
-        green = {"type": "twosided", "bsdf": _diffuse(scene.shoot.reflectance)}
-        items[SHOOT] = _mesh(SHOOT, solid.shoot.vertices, solid.shoot.faces, green)
+        green = {"type": "twosided", "bsdf": shapes.diffuse(scene.shoot.reflectance)}
+        items[SHOOT] = shapes.mesh(SHOOT, solid.shoot.vertices, solid.shoot.faces, green)
     return items
 
 
@@ -161,11 +157,11 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
         items[f"bubble_{number}"] = _bubble(replace(bubble, radius_mm=bubble.radius_mm + slack_mm), 1.0, None)
     if world.fibres:
         thick = tuple(replace(fibre, radius_mm=fibre.radius_mm + slack_mm) for fibre in world.fibres)
-        items["fibres"] = _mesh("fibres", *_tubes(thick), _diffuse(FELT_REFLECTANCE))
+        items["fibres"] = shapes.mesh("fibres", *shapes.fibre_tubes(thick), shapes.diffuse(FELT_REFLECTANCE))
     if solid is not None:
-        items[SPECIMEN] = _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
+        items[SPECIMEN] = shapes.mesh(SPECIMEN, solid.vertices, solid.faces, shapes.diffuse(ROOT_REFLECTANCE))
     if hairs is not None:
-        items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, _diffuse(ROOT_REFLECTANCE))
+        items[HAIRS] = shapes.mesh(HAIRS, hairs.vertices, hairs.faces, shapes.diffuse(ROOT_REFLECTANCE))
     return _load_scene(items) if items else None
 
 
@@ -219,32 +215,32 @@ def _canister(scene: Scene, world: World, water: Any) -> dict[str, Any]:
     wide_mm = None if can.half_width_mm is None else can.half_width_mm - can.outer_radius_mm
 
     def disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any]) -> dict[str, Any]:
-        return _disk(radius_mm, z_mm, bsdf) if wide_mm is None else _plate((radius_mm, radius_mm + wide_mm), z_mm, bsdf)
+        return shapes.disk(radius_mm, z_mm, bsdf) if wide_mm is None else shapes.plate((radius_mm, radius_mm + wide_mm), z_mm, bsdf)
 
     def wall(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], medium: dict[str, Any] | None = None) -> Any:
         if wide_mm is not None:
-            return _plane_walls((radius_mm, radius_mm + wide_mm), (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
+            return shapes.plane_walls((radius_mm, radius_mm + wide_mm), (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
         if (oval_mm := scene.disturbances.canister_out_of_round_mm) > 0.0:
-            return _oval(radius_mm, oval_mm, world.oval_rad, (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
-        return _cylinder(radius_mm, low_mm, high_mm, bsdf) | (medium or {})
+            return shapes.oval_wall(radius_mm, oval_mm, world.oval_rad, (low_mm, high_mm), bsdf, (medium or {}).get("interior"))
+        return shapes.cylinder(radius_mm, low_mm, high_mm, bsdf) | (medium or {})
 
     inside = {"interior": water} if water is not None else {}
     parts: dict[str, Any] = {
-        "outer_wall": wall(can.outer_radius_mm, can.floor_z_mm, 0.0, _dielectric(can.n_wall, scene.surroundings.n)),
-        "inner_wall": wall(can.inner_radius_mm, can.floor_z_mm, level, _dielectric(n_water, can.n_wall), inside),
-        "water_surface": disk(can.inner_radius_mm, level, _dielectric(n_water, 1.0)) | inside,
-        "floor": disk(can.outer_radius_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
-        "base_side": wall(can.outer_radius_mm, -can.height_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
-        "base_bottom": disk(can.outer_radius_mm, -can.height_mm, _diffuse(FLOOR_REFLECTANCE)),
-        "rim": disk(can.outer_radius_mm, 0.0, _diffuse(FELT_REFLECTANCE)),
-        "grid": disk(can.inner_radius_mm, scene.net_pot.grid_z_mm, _diffuse(FELT_REFLECTANCE)),
+        "outer_wall": wall(can.outer_radius_mm, can.floor_z_mm, 0.0, shapes.dielectric(can.n_wall, scene.surroundings.n)),
+        "inner_wall": wall(can.inner_radius_mm, can.floor_z_mm, level, shapes.dielectric(n_water, can.n_wall), inside),
+        "water_surface": disk(can.inner_radius_mm, level, shapes.dielectric(n_water, 1.0)) | inside,
+        "floor": disk(can.outer_radius_mm, can.floor_z_mm, shapes.diffuse(FLOOR_REFLECTANCE)),
+        "base_side": wall(can.outer_radius_mm, -can.height_mm, can.floor_z_mm, shapes.diffuse(FLOOR_REFLECTANCE)),
+        "base_bottom": disk(can.outer_radius_mm, -can.height_mm, shapes.diffuse(FLOOR_REFLECTANCE)),
+        "rim": disk(can.outer_radius_mm, 0.0, shapes.diffuse(FELT_REFLECTANCE)),
+        "grid": disk(can.inner_radius_mm, scene.net_pot.grid_z_mm, shapes.diffuse(FELT_REFLECTANCE)),
     }
     if scene.tank is not None:
         around = scene.tank
-        parts["outer_wall"] = wall(can.outer_radius_mm, can.floor_z_mm, around.level_mm, _dielectric(can.n_wall, around.n_liquid))
-        parts["outer_dry_wall"] = wall(can.outer_radius_mm, around.level_mm, 0.0, _dielectric(can.n_wall, 1.0))
+        parts["outer_wall"] = wall(can.outer_radius_mm, can.floor_z_mm, around.level_mm, shapes.dielectric(can.n_wall, around.n_liquid))
+        parts["outer_dry_wall"] = wall(can.outer_radius_mm, around.level_mm, 0.0, shapes.dielectric(can.n_wall, 1.0))
     if level < 0.0:
-        parts["dry_wall"] = wall(can.inner_radius_mm, level, 0.0, _dielectric(1.0, can.n_wall))
+        parts["dry_wall"] = wall(can.inner_radius_mm, level, 0.0, shapes.dielectric(1.0, can.n_wall))
     return parts
 
 
@@ -252,10 +248,10 @@ def _net_pot(scene: Scene, world: World) -> dict[str, Any]:
     pot = scene.net_pot
     seat = world.canister_from_strip
     paper = {"type": "diffuse", "reflectance": bitmap(strip.strip_picture(scene.strip, pot))}
-    sided = {"type": "twosided", "outside": paper, "inside": _diffuse(FELT_REFLECTANCE)}
+    sided = {"type": "twosided", "outside": paper, "inside": shapes.diffuse(FELT_REFLECTANCE)}
     return {
-        STRIP: _cylinder(pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, sided, seat),
-        "pot_top": _disk(pot.outer_radius_mm, pot.top_mm, _diffuse(FELT_REFLECTANCE), seat),
+        STRIP: shapes.cylinder(pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, sided, seat),
+        "pot_top": shapes.disk(pot.outer_radius_mm, pot.top_mm, shapes.diffuse(FELT_REFLECTANCE), seat),
     }
 
 
@@ -264,8 +260,8 @@ def _algae(scene: Scene, world: World) -> dict[str, Any]:
     radius_mm = narrowest_mm(scene) - ALGAE_GAP_MM
     z_range_mm = (can.floor_z_mm, scene.water.level_mm)
     opacity = dirt.opacity_map(world.algae, radius_mm=radius_mm, z_range_mm=z_range_mm, mm_per_texel=0.2)
-    film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": _diffuse(0.08)}}
-    return _cylinder(radius_mm, *z_range_mm, film)
+    film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": shapes.diffuse(0.08)}}
+    return shapes.cylinder(radius_mm, *z_range_mm, film)
 
 
 def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
@@ -273,7 +269,7 @@ def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
         "type": "sphere",
         "center": [bubble.x_mm, bubble.y_mm, bubble.z_mm],
         "radius": bubble.radius_mm,
-        "bsdf": _dielectric(1.0, n_water),
+        "bsdf": shapes.dielectric(1.0, n_water),
     }
     return ball | ({"exterior": water} if water is not None else {})
 
@@ -295,112 +291,18 @@ def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str,
     )
     if reach_mm is not None:
         opacity = dirt.dilate_opacity(opacity, reach_texels=round(reach_mm / DIRT_TEXEL_MM))
-    film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": _diffuse(FELT_REFLECTANCE)}}
-    return _cylinder(radius_mm, *z_range_mm, film)
+    film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": shapes.diffuse(FELT_REFLECTANCE)}}
+    return shapes.cylinder(radius_mm, *z_range_mm, film)
 
 
 def _specimen(solid: SpecimenSolid, wrong: Disturbances, n_water: float, water: Any) -> mi.Mesh:
     if wrong.root_mu_per_mm is None:
-        return _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
-    media = _Media(interior=mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_mu_per_mm}), exterior=water)
+        return shapes.mesh(SPECIMEN, solid.vertices, solid.faces, shapes.diffuse(ROOT_REFLECTANCE))
+    media = shapes.Media(interior=mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_mu_per_mm}), exterior=water)
     if wrong.root_n is None:
-        return _mesh(SPECIMEN, solid.vertices, solid.faces, {"type": "null"}, media)
-    glass = _dielectric(wrong.root_n, n_water)
-    return _mesh(SPECIMEN, solid.vertices, solid.faces, glass, media, normals=solid.normals)
-
-
-def _oval(
-    radius_mm: float, oval_mm: float, oval_rad: float, z_range_mm: tuple[float, float], bsdf: dict[str, Any], interior: Any
-) -> mi.Mesh:
-    """Return a vertical wall with exact normals.
-
-    Its radius is ``radius + oval cos(2 (azimuth - oval_rad))``.
-    """
-    azimuth = np.arange(OVAL_SIDES) * 2.0 * np.pi / OVAL_SIDES
-    radius = radius_mm + oval_mm * np.cos(2.0 * (azimuth - oval_rad))
-    slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    ring, out = np.stack([radius * c, radius * s], axis=1), np.stack([radius * c + slope * s, radius * s - slope * c], axis=1)
-    vertices = np.concatenate([np.column_stack([ring, np.full(OVAL_SIDES, z)]) for z in z_range_mm])
-    normals = np.tile(np.column_stack([out / np.linalg.norm(out, axis=1, keepdims=True), np.zeros(OVAL_SIDES)]), (2, 1))
-    a = np.arange(OVAL_SIDES)
-    b = (a + 1) % OVAL_SIDES
-    faces = np.concatenate([np.stack([a, b, b + OVAL_SIDES], axis=1), np.stack([a, b + OVAL_SIDES, a + OVAL_SIDES], axis=1)])
-    return _mesh(f"oval_{radius_mm:g}_{z_range_mm[0]:g}", vertices, faces, bsdf, _Media(interior=interior), normals=normals)
-
-
-def _plane_walls(half_mm: tuple[float, float], z_range_mm: tuple[float, float], bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
-    """Return the four vertical walls of a box about the axis, with outward normals."""
-    (x, y), name = half_mm, f"plane_{half_mm[0]:g}_{z_range_mm[0]:g}"
-    ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
-    vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in z_range_mm])
-    a = np.arange(4)
-    b = (a + 1) % 4
-    faces = np.concatenate([np.stack([a, b, b + 4], axis=1), np.stack([a, b + 4, a + 4], axis=1)])
-    return _mesh(name, vertices, faces, bsdf, _Media(interior=interior))
-
-
-def _plate(half_mm: tuple[float, float], z_mm: float, bsdf: dict[str, Any]) -> dict[str, Any]:
-    """Return a horizontal rectangle about the axis, whose normal points upwards."""
-    local = frames.translation(0.0, 0.0, z_mm) @ np.diag([*half_mm, 1.0, 1.0])
-    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(local), "bsdf": bsdf}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Media:
-    """Media on both sides of a surface; None for a medium without attenuation."""
-
-    interior: Any = None
-    exterior: Any = None
-
-
-def _mesh(
-    name: str,
-    vertices: NDArray[Any],
-    faces: NDArray[Any],
-    bsdf: dict[str, Any],
-    media: _Media = _Media(),
-    *,
-    normals: NDArray[Any] | None = None,
-) -> mi.Mesh:
-    props = mi.Properties()
-    props["bsdf"] = mi.load_dict(bsdf)
-    for side, medium in vars(media).items():
-        if medium is not None:
-            props[side] = medium
-    smooth = normals is not None
-    mesh = mi.Mesh(name, vertex_count=len(vertices), face_count=len(faces), props=props, has_vertex_normals=smooth)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.ascontiguousarray(vertices, dtype=np.float32).ravel()
-    parameters["faces"] = np.ascontiguousarray(faces, dtype=np.uint32).ravel()
-    if normals is not None:
-        parameters["vertex_normals"] = np.ascontiguousarray(normals, dtype=np.float32).ravel()
-    parameters.update()
-    mesh.set_id(name)
-    return mesh
-
-
-def _tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices (V, 3), mm, and faces (F, 3) of tubes around the centre lines of fibres.
-
-    The tubes are open at both ends.
-    """
-    vertices, faces, start = [], [], 0
-    turn = np.arange(sides) * 2.0 * np.pi / sides
-    for fibre in fibres:
-        count = len(fibre.points_mm)
-        tangent = np.gradient(fibre.points_mm, axis=0)
-        across = np.cross(tangent, [1.0, 0.0, 0.0])
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-        other = np.cross(tangent, across)
-        other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-9)
-        ring = np.cos(turn)[None, :, None] * across[:, None] + np.sin(turn)[None, :, None] * other[:, None]
-        vertices.append((fibre.points_mm[:, None] + fibre.radius_mm * ring).reshape(-1, 3))
-        i, j = (a.ravel() for a in np.meshgrid(np.arange(count - 1), np.arange(sides), indexing="ij"))
-        a, b = start + i * sides + j, start + i * sides + (j + 1) % sides
-        faces += [np.stack([a, b, b + sides], axis=1), np.stack([a, b + sides, a + sides], axis=1)]
-        start += count * sides
-    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+        return shapes.mesh(SPECIMEN, solid.vertices, solid.faces, {"type": "null"}, media)
+    glass = shapes.dielectric(wrong.root_n, n_water)
+    return shapes.mesh(SPECIMEN, solid.vertices, solid.faces, glass, media, normals=solid.normals)
 
 
 def _water_medium(scene: Scene) -> Any:
@@ -410,27 +312,3 @@ def _water_medium(scene: Scene) -> Any:
         return None
     phase = {"type": "hg", "g": TURBID_FORWARD}
     return mi.load_dict({"type": "homogeneous", "albedo": TURBID_ALBEDO * turbidity / sigma_t, "sigma_t": sigma_t, "phase": phase})
-
-
-def _cylinder(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], seat: frames.Array | None = None) -> dict[str, Any]:
-    local = frames.translation(0.0, 0.0, low_mm) @ np.diag([radius_mm, radius_mm, high_mm - low_mm, 1.0])
-    to_world = local if seat is None else seat @ local
-    return {"type": "cylinder", "to_world": mi.ScalarTransform4f(to_world), "bsdf": bsdf}
-
-
-def _disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any], seat: frames.Array | None = None) -> dict[str, Any]:
-    local = frames.translation(0.0, 0.0, z_mm) @ np.diag([radius_mm, radius_mm, 1.0, 1.0])
-    to_world = local if seat is None else seat @ local
-    return {"type": "disk", "to_world": mi.ScalarTransform4f(to_world), "bsdf": bsdf}
-
-
-def _dielectric(n_inside: float, n_outside: float) -> dict[str, Any]:
-    """Return a smooth dielectric interface.
-
-    ``n_outside`` is the refractive index on the side to which the surface's normal points.
-    """
-    return {"type": "dielectric", "int_ior": n_inside, "ext_ior": n_outside}
-
-
-def _diffuse(reflectance: float) -> dict[str, Any]:
-    return {"type": "diffuse", "reflectance": reflectance}

@@ -51,7 +51,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Scan:
 
 def test_every_damage_can_be_read_and_differs_from_clean(scan: Scan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda _: None)  # nothing here need outlast a power cut, and that is most of the time
-    every = damages.catalogue(replace(scan, light=scan.light[::-1]))
+    every = damages.catalogue(lambda: replace(scan, light=scan.light[::-1]))
     assert len({damage.name for damage in every}) == len(every)
     for damage in every:
         written = load_dataset(damage.write(scan, tmp_path / damage.name).folder)
