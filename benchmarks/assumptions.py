@@ -25,7 +25,6 @@ from benchmarks.run import Say
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.carved_hull import CarvedHull, carve_hull
-from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.hull import carve
@@ -35,6 +34,7 @@ from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.truth import load_truth
+from rhizotwin.scoring.baselines import thesis_silhouette
 from rhizotwin.stored import sources
 
 Poses = Literal["picture", "one row", "scan"]
@@ -196,7 +196,7 @@ def _coverage(dataset: Dataset, cameras: Cameras, outlines: Outlines) -> Coverag
     pictures = read_pictures(dataset, monitor=Monitor())
     if outlines == "coverage":
         return measure_coverage(pictures, cameras, monitor=Monitor())[1]
-    drawn = silhouettes.thesis if outlines == "edges" else dark
+    drawn = thesis_silhouette if outlines == "edges" else dark
     return measure_coverage(pictures, cameras, monitor=Monitor(), outline=lambda image, _, seen: drawn(image, seen))[1]
 
 

@@ -10,7 +10,6 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from skimage import filters
 
 from benchmarks import assumptions, datasets
 from benchmarks.assumptions import Level
@@ -18,9 +17,7 @@ from benchmarks.cases import Pictures
 from rhizotwin.experiment import mass_curves, thesis_tables
 from rhizotwin.recon import carved_hull
 from rhizotwin.recon.calibration.find_cameras import find_cameras
-from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import measure_coverage
-from rhizotwin.recon.coverage.silhouettes import Image, Mask
 from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.read_pictures import read_pictures
@@ -30,6 +27,7 @@ from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scoring import baselines
 from rhizotwin.scoring.score_views import mask_errors
 from rhizotwin.stored.result_files import read_grey
 
@@ -162,8 +160,8 @@ def _silhouettes(dataset: Dataset) -> bytes:
     true = read_grey(picture_path(dataset.folder / "truth" / "masks", dataset.frames[0].file))
     steps = {
         "Otsu's threshold": assumptions.dark(image, usable).coverage,
-        "Sobel edges": _edges(image, usable),
-        "both, opened": silhouettes.thesis(image, usable).coverage,
+        "Sobel edges": baselines.thesis_edges(image, usable).astype(np.float32),
+        "both, opened": baselines.thesis_silhouette(image, usable).coverage,
         "our coverage": coverage.coverage,
     }
     row, column = (int(np.average(index, weights=true)) for index in np.indices(true.shape))
@@ -181,13 +179,6 @@ def _silhouettes(dataset: Dataset) -> bytes:
         axes.set_xticks([])
         axes.set_yticks([])
     return png(drawn, dpi=_DPI)
-
-
-def _edges(image: Image, usable: Mask) -> Image:
-    """Return the Sobel edges of a picture by hysteresis, with the thresholds of `silhouettes.thesis`."""
-    steep = filters.sobel(np.where(usable, image, np.median(image[usable])))
-    high = filters.threshold_otsu(steep[usable])
-    return np.asarray(filters.apply_hysteresis_threshold(steep, 0.5 * high, high) & usable, np.float32)
 
 
 def _rays(optics: Optics, scene: Scene) -> bytes:

@@ -170,7 +170,7 @@ def _find_shape(scan: _Scan) -> _Shape:
     calibrated = rooting.calibrate(tree, monitor=scan.monitor)
     cameras, finished = calibrated.cameras, rooting.finish_tree(calibrated, monitor=scan.monitor)
     roots = scan.stages.keep("roots", crown.mark_hidden(finished, hull.water.top_mm), leave=_ON_DEVICE)
-    mu_per_mm = roots.attenuation.mu_per_mm
+    mu_per_mm = roots.attenuation.light.mu_per_mm
     coverage = remeasure_coverage(scan.coverage, cameras, mu_per_mm, settings=scan.settings.coverage, monitor=scan.monitor)
     if coverage is not scan.coverage or (cameras.roots is not None and cameras.roots.believed):
         del hull  # later stages use one calibration and one attenuation

@@ -58,7 +58,7 @@ def find_roots(
         Tubes and solids, not yet divided into roots; None if there are no roots.
     """
     evidence = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes, carved.maps.window), tops_mm=crown.tops(scene))
-    return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
+    return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation.mu_per_mm, known=known, monitor=monitor)
 
 
 def make_solid(
@@ -115,10 +115,12 @@ def make_solid(
         solid = replace(solid, hidden_mm=hidden.length_mm, hidden_height_mm=hidden.height_mm)
     solid = replace(solid, warnings=(*warnings, *solid.warnings), checks=assessed.checks)
     if system is None:
-        return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
-    attenuation = system.attenuation
-    sigma = None if attenuation.mu_per_mm is None else attenuation.sigma * attenuation.mu_per_mm
-    return replace(solid, roots=roots, nodules=system.nodules(), mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
+        learned_per_mm = coverage.attenuation.mu_per_mm
+        return solid if learned_per_mm == np.inf else replace(solid, mu_per_mm=learned_per_mm)
+    solid, light = replace(solid, roots=roots, nodules=system.nodules()), system.attenuation.light
+    if light.is_opaque:
+        return solid
+    return replace(solid, mu_per_mm=light.mu_per_mm, mu_sigma_per_mm=system.attenuation.sigma * light.mu_per_mm)
 
 
 def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[Root], monitor: Monitor) -> UnitedShape:

@@ -191,7 +191,7 @@ def _calibration(carved: CarvedHull, shape: UnitedShape, budget: Budget, missed:
         views=carved.bank.count,
         px_a_mm=projection.px_a_mm(carved.bank, carved.water.centre_mm),
         missed=missed,
-        translucent=shape.system is not None and shape.system.attenuation.mu_per_mm is not None,
+        translucent=shape.system is not None and not shape.system.attenuation.light.is_opaque,
         width_mm=rsml.mean_diameter_mm(shape.roots) if shape.roots else None,
         hidden=hidden_mm3 / max(budget.volume_mm3, 1e-9),
     )

@@ -37,12 +37,10 @@ around them (`_RIM_PX`) hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
 """Two parameters of the background estimate. The first determines the reference brightness of a pixel, which is
 exceeded in this fraction of the views. The second is a relative tolerance: views that differ less from the reference
-brightness also show the panel, and are averaged. Roots may cover a pixel in four of five views. The tolerance is three
-times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too bright by 0.03 times the noise, or
-by a third of the noise at a quarter of the light (from the moments of a normal distribution)."""
-_COVERED = 0.96
-"""A pixel is treated as covered in every view if its background is less than this fraction of the smooth surface. The
-tolerance of 0.04 is that of the comparison between views (`_ALIKE`)."""
+brightness also show the panel, and are averaged. A pixel whose background is darker than the smooth surface by more is
+treated as covered in every view. Roots may cover a pixel in four of five views. The tolerance is three times the noise
+of a bench's panel (1.3 % with 6000 electrons). The mean is then too bright by 0.03 times the noise, or by a third of
+the noise at a quarter of the light (from the moments of a normal distribution)."""
 _CORE = 0.85
 """Fraction of the canister's width in which the smooth surface is fitted. In pictures simulated without noise, the
 residual of the surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98. There, small camera
@@ -165,20 +163,17 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     ----------
     stack : (V, H, W) float32 array
         Pictures of the views, linear in light, in any unit.
-    inside : (H, W) or (V, H, W) bool array
-        Pixels for which the backlight is estimated, with one mask per view if the canister wobbles. Other pixels are 0
-        in the result.
+    inside : (V, H, W) bool array
+        Pixels of each view that show the water, which differ between the views if the canister wobbles.
     settings : CoverageSettings
         Thresholds for dim pixels and glare.
 
     Returns
     -------
     Panel
-        Empty backlight and reflections. The backlight is also 0 where fewer than `_LEAST_SHARE` of the views show the
-        water.
+        Empty backlight and reflections. The backlight is 0 where fewer than `_LEAST_SHARE` of the views show the water.
     """
-    views = len(stack)
-    often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
+    often = inside.sum(axis=0) >= _LEAST_SHARE * len(stack)
     rows = np.flatnonzero(often.any(axis=1))
     background, agreed = np.zeros(stack.shape[1:], np.float32), np.zeros(stack.shape[1:], bool)
     if not len(rows):
@@ -186,7 +181,7 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
 
     def block(begin: int) -> None:
         part = np.s_[begin : begin + _BLOCK_ROWS]
-        background[part], agreed[part] = _upper_mean(stack[:, part], inside[:, part] if inside.ndim == 3 else None)
+        background[part], agreed[part] = _upper_mean(stack[:, part], inside[:, part])
 
     with ThreadPoolExecutor(max_workers=_THREADS) as pool:
         list(pool.map(block, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
@@ -204,24 +199,22 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     else:
         glare, added = around, np.zeros_like(added)
     # Pixels that are always covered are darker than the surface, away from the flanks, where the surface is steep.
-    covered = often & (background < _COVERED * smooth)
+    covered = often & (background < (1.0 - _ALIKE) * smooth)
     return Panel(np.where(covered, smooth, background).astype(np.float32), added, np.asarray(glare))
 
 
-def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
+def _upper_mean(part: Image, inside: Mask) -> tuple[Image, Mask]:
     """Return the mean (H, W) of those views that show the panel, and a mask of reliable pixels.
 
     A view (V, H, W) shows the panel at a pixel if its brightness is close to the upper quintile of all views. A pixel
     is reliable if most of its views contribute to the mean. ``inside`` (V, H, W) is the mask of pixels that show the
-    water. If it is None, all pixels show the water.
+    water.
     """
-    views = len(part)
-    number = views if inside is None else inside.sum(axis=0)
+    number = inside.sum(axis=0)
     # Excluded pixels are sorted last; the quintile is that of the views that show the water.
-    part = part if inside is None else np.where(inside, part, 0.0)
-    rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
-    ranks = np.unique(rank)
-    upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
+    part = np.where(inside, part, 0.0)
+    rank = len(part) - 1 - np.asarray(_UPPER * number, np.int64)
+    upper = np.take_along_axis(np.partition(part, np.unique(rank), axis=0), rank[None], axis=0)[0]
     near = np.abs(part - upper) <= _ALIKE * upper
     count = near.sum(axis=0)
     return np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1), count >= _AGREED * number
@@ -235,8 +228,7 @@ def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, 
     """
     about = cv2.dilate(spots.astype(np.uint8), np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8))
     rows, columns = np.nonzero((about > 0) & (smooth > 0))
-    visible = inside[:, rows, columns] if inside.ndim == 3 else inside[rows, columns][None]
-    darkest = np.where(visible, stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
+    darkest = np.where(inside[:, rows, columns], stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
     here, beside = ((darkest < _DARK) & part[rows, columns] for part in (spots, added == 0.0))
     if here.sum() < _LEAST_DARK or beside.sum() < _LEAST_DARK:
         return False

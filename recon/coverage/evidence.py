@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.coverage.silhouettes import TRACE, UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, Window, blur_coverage
 from rhizotwin.recon.device import Float, Kernel, UInt32, Vector3f, halves, select_parts, vectors
 from rhizotwin.recon.optics import projection
@@ -39,29 +40,21 @@ hypocotyl or a solid, which is then at least 3.5 px wide."""
 
 @dataclass(frozen=True)
 class Evidence:
-    """Coverage in all views, with the cameras.
-
-    For translucent roots, the coverage may be replaced by the opacity.
-    """
+    """Opacity of all views with its weight, with the cameras."""
 
     bank: ViewBank
     """Views packed for projection; pixel coordinates are relative to the first pixel of ``window``."""
     silhouettes: tuple[Silhouette, ...]
     """Silhouettes of the views, cropped to ``window``, in the order of ``bank``."""
-    coverage: Kernel
-    """mi.Float16, (V, H, W) flattened: coverage, or opacity if the roots are translucent."""
+    opacity: Kernel
+    """mi.Float16, (V, H, W) flattened: light that roots absorb, relative to an opaque root. It includes the noise of
+    the pictures, whereas coverage is zero below the noise level. The opacity of masks is their coverage."""
     usable: Kernel
-    """mi.Float16, (V, H, W) flattened: 1 for usable pixels, 0 for others."""
+    """mi.Float16, (V, H, W) flattened: weight of the pixels, which is 1 for usable pixels, and 0 for others."""
     window: Window
     """Part of the pictures that is stored, the same in all views. No view shows a root outside the window."""
-    mu_per_mm: float | None = None
-    """Attenuation of the roots, 1/mm; None for opaque roots."""
-    hairs: float = 0.0
-    """Strength of the root hairs, as a multiple of `translucent_tube.HAIRS`."""
-    index: float = 1.0
-    """Refractive index of the roots relative to water; used only for translucent roots."""
-    blur_px: float = 0.0
-    """Standard deviation of the pictures' blur, px, in addition to the blur by the square pixel."""
+    light: Light = Light()
+    """Light parameters of the roots."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
     """Attachment points of the plants, which the net pot hides, in the canister frame, mm. The tuple is empty if they
     are unknown."""
@@ -81,32 +74,17 @@ class Evidence:
         """
         window = window or Window.around(silhouettes)
         cut = tuple(silhouette.cut(window) for silhouette in silhouettes)
-        coverage, usable = halves([s.coverage for s in cut]), halves([s.usable for s in cut])
-        return Evidence(bank.crop(window.low_px), cut, coverage, usable, window)
+        opacity = halves([s.coverage if s.opacity is None else s.opacity for s in cut])
+        return Evidence(bank.crop(window.low_px), cut, opacity, halves([s.usable for s in cut]), window)
 
     def with_cameras(self, cameras: Cameras) -> Evidence:
         """Return this evidence with other cameras, which must be in the order of the views."""
         return replace(self, bank=ViewBank.pack(cameras.views, cameras.optics).crop(self.window.low_px))
 
     @property
-    def has_opacity(self) -> bool:
-        """Return whether the opacity of all views is known; it is unknown for masks."""
-        return all(silhouette.opacity is not None for silhouette in self.silhouettes)
-
-    def with_opacity(self) -> Evidence:
-        """Return this evidence with opacity instead of coverage.
-
-        Opacity includes the noise of the pictures, whereas coverage is zero below the noise level.
-
-        Raises
-        ------
-        ValueError
-            If a view is a mask, whose opacity is unknown.
-        """
-        pictures = [s.opacity for s in self.silhouettes if s.opacity is not None]
-        if len(pictures) < len(self.silhouettes):
-            raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have opacity; the others are masks")
-        return replace(self, coverage=halves(pictures))
+    def is_mask(self) -> bool:
+        """Return whether a view is a mask, which has no noise and does not show how much light roots absorb."""
+        return any(silhouette.opacity is None for silhouette in self.silhouettes)
 
     def exclude(self, covered: NDArray[np.bool_]) -> Evidence:
         """Mark pixels (V, H, W) that other objects cover as not usable."""
@@ -118,9 +96,9 @@ class Evidence:
         """Return the evidence of the views with the given indices."""
         if list(which) == list(range(self.bank.count)):
             return self  # without a copy
-        coverage, usable = (select_parts(part, which, self.pixels) for part in (self.coverage, self.usable))
+        opacity, usable = (select_parts(part, which, self.pixels) for part in (self.opacity, self.usable))
         return replace(
-            self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=usable
+            self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), opacity=opacity, usable=usable
         )
 
     @property

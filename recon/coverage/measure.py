@@ -12,9 +12,7 @@ from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.coverage import background, outer_dirt, silhouettes, translucency, wall
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette, Window, find_bounds
 from rhizotwin.recon.coverage.translucency import Attenuation
-from rhizotwin.recon.optics import cameras
-from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.optics.cameras import View, project_inner
 from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes import frames
@@ -46,9 +44,9 @@ class Coverage:
 
     silhouettes: Mapping[int, Silhouette]
     """Silhouettes of the used views, keyed by frame number."""
-    attenuation: Attenuation | None = None
-    """Attenuation and brightness of the roots, estimated from sufficiently wide roots. None if the pictures were
-    masks."""
+    attenuation: Attenuation = Attenuation()
+    """Attenuation and brightness of the roots, estimated from sufficiently wide roots. Without such roots, and in
+    masks, roots are opaque and black."""
     exposures: Exposures | None = None
     """Exposures of the pictures, in the order of the silhouettes; None if not measured."""
     dirt: float | None = None
@@ -181,10 +179,7 @@ def _estimate_backlight(pictures: Pictures, cameras: Cameras, settings: Coverage
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, scene)
         window = _water_window(inside.values(), wh)
         inside = {k: mask[window.part].copy() for k, mask in inside.items()}
-        gain: dict[int, Image | np.float32] = {}
-        for place, k in enumerate(order):
-            light = exposures.light(place, wh)
-            gain[k] = light[window.part] if isinstance(light, np.ndarray) else light
+        gain = {k: np.broadcast_to(exposures.light(place, wh), wh[::-1])[window.part] for place, k in enumerate(order)}
         pictures = replace(pictures, images=tuple(image[window.part] for image in pictures.images))
         lens = cameras.lens.cropped(window.low_px, window.size_px)
         cameras = cameras.with_views([replace(view, camera=lens) for view in cameras.views], cameras.optics)
@@ -225,11 +220,7 @@ def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSetti
         attenuation = translucency.learn([opacity[k] for k in some], [usable[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:
-            dark = opacity.pop(k)
-            # Noise is kept, so that faint roots do not lose their flanks.
-            clear = dark / np.float32(1.0 - attenuation.own)
-            made = replace(_make_silhouette(dark, usable[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
-            return made.paste(window, image_wh)
+            return _make_silhouette(opacity.pop(k), usable[k], attenuation, px_a_mm, settings).paste(window, image_wh)
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
     clear = sum(int(usable[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
@@ -238,7 +229,7 @@ def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSetti
 
 
 def remeasure_coverage(
-    coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
+    coverage: Coverage, cameras: Cameras, mu_per_mm: float, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
 ) -> Coverage:
     """Measure the coverage again, with the attenuation that was estimated from the fitted roots.
 
@@ -251,8 +242,8 @@ def remeasure_coverage(
         Coverage from the previous measurement.
     cameras : Cameras
         Cameras of the views.
-    mu_per_mm : float or None
-        Attenuation of the roots, 1/mm; None for opaque roots.
+    mu_per_mm : float
+        Attenuation of the roots, 1/mm, which is infinite for opaque roots.
     settings : CoverageSettings
         Thresholds for noise.
     monitor : Monitor
@@ -261,19 +252,16 @@ def remeasure_coverage(
     Returns
     -------
     Coverage
-        New coverage. The previous coverage is returned if both attenuations agree, or if the pictures were masks.
+        New coverage. The previous coverage is returned if both attenuations agree, as those of masks do.
     """
-    before = coverage.attenuation
-    if before is None or _attenuations_agree(before.mu_per_mm, mu_per_mm):
+    before_per_mm = coverage.attenuation.mu_per_mm
+    if before_per_mm == mu_per_mm or abs(np.log(before_per_mm) - np.log(mu_per_mm)) < _SAME:
         return coverage
-    attenuation, px_a_mm, drawn = replace(before, mu_per_mm=mu_per_mm), _px_a_mm(cameras), coverage.silhouettes
+    attenuation, px_a_mm, drawn = replace(coverage.attenuation, mu_per_mm=mu_per_mm), _px_a_mm(cameras), coverage.silhouettes
 
     def one(k: int) -> Silhouette:
-        clear = drawn[k].opacity
-        if clear is None:
-            return drawn[k]
-        dark = clear.astype(np.float32) * np.float32(1.0 - attenuation.own)
-        return replace(_make_silhouette(dark, drawn[k].usable, attenuation, px_a_mm, settings), opacity=clear)
+        dark = np.asarray(drawn[k].opacity, np.float32) * np.float32(1.0 - attenuation.own)
+        return _make_silhouette(dark, drawn[k].usable, attenuation, px_a_mm, settings)
 
     with monitor.stage("silhouettes again"):
         return replace(
@@ -283,19 +271,11 @@ def remeasure_coverage(
         )
 
 
-def _attenuations_agree(one: float | None, other: float | None) -> bool:
-    """Return whether two attenuations, 1/mm, are so close that they yield the same coverage."""
-    if one is None or other is None:
-        return one is other
-    return bool(abs(np.log(one / other)) < _SAME)
-
-
 def _make_silhouette(dark: Image, usable: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
     """Compute a silhouette from an opacity picture (H, W)."""
-    if attenuation.mu_per_mm is None:
-        return silhouettes.measure(dark, usable, settings, own=attenuation.own)
-    covered = translucency.translucent_coverage(dark, attenuation, px_a_mm)
-    return silhouettes.suppress_noise(covered, silhouettes.above_noise(dark, usable, settings), usable)
+    drawn = silhouettes.suppress_noise(attenuation.coverage(dark, usable, px_a_mm), dark, usable, settings)
+    # Noise is kept, so that faint roots do not lose their flanks.
+    return replace(drawn, opacity=(dark / np.float32(1.0 - attenuation.own)).astype(np.float16))
 
 
 def _remove_fouling(
@@ -327,24 +307,24 @@ def _remove_fouling(
 
 
 def _px_a_mm(cameras: Cameras) -> float:
-    """Return the scale of the pictures at the canister's axis, px/mm, as the median over some views."""
-    some = cameras.order[:: max(1, len(cameras.order) // _RING_VIEWS)]
-    return float(np.median([_scale(cameras.by_frame[k], cameras.optics) for k in some]))
+    """Return the scale of the pictures at the canister's axis, at half the depth of the water, px/mm.
 
-
-def _scale(view: View, optics: Optics) -> float:
-    """Return the scale of a picture at the canister's axis, at half the depth of the water, px/mm."""
+    It is the median over some views.
+    """
+    optics, scales = cameras.optics, []
     middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
-    x, y, _ = view.centre_mm / view.rho_mm
-    px = cameras.project_inner(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
-    return float(np.linalg.norm(px[0] - px[1]))
+    for view in cameras.views[:: max(1, len(cameras.views) // _RING_VIEWS)]:
+        x, y, _ = view.centre_mm / view.rho_mm
+        px = project_inner(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
+        scales.append(np.linalg.norm(px[0] - px[1]))
+    return float(np.median(scales))
 
 
 def _estimate_backgrounds(
     pictures: Pictures,
     cameras: Cameras,
     inside: dict[int, Mask],
-    gain: Mapping[int, Image | np.float32],
+    gain: Mapping[int, Image],
     settings: CoverageSettings,
     monitor: Monitor,
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
@@ -357,22 +337,23 @@ def _estimate_backgrounds(
     empty: dict[int, Image] = {}
     glare: dict[int, Mask | np.bool_] = dict.fromkeys(views, np.False_)
     added: dict[int, Image | np.float32] = dict.fromkeys(views, np.float32(0.0))
-    walls = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
+    flat = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
         if len(members) >= _RING_VIEWS and _is_static([views[k] for k in members]):
             stack = np.empty((len(members), *images[members[0]].shape), np.float32)
             for view, k in zip(stack, members, strict=True):
-                view[:] = images[k] / (gain[k] * walls[k])
+                flat[k] = gain[k] * flat[k]
+                view[:] = images[k] / flat[k]
             panel = background.estimate(stack, np.stack([inside[k] for k in members]), settings)
             del stack
-            empty.update({k: panel.light * (gain[k] * walls[k]) for k in members})
-            added.update({k: panel.added * (gain[k] * walls[k]) for k in members} if panel.added.any() else {})
+            empty.update({k: panel.light * flat[k] for k in members})
+            added.update({k: panel.added * flat[k] for k in members} if panel.added.any() else {})
             glare.update(dict.fromkeys(members, panel.glare))
         else:
 
             def from_itself(k: int) -> Image:
-                return np.asarray(walls[k] * background.estimate_single((images[k] / walls[k]).astype(np.float32), inside[k], settings))
+                return np.asarray(flat[k] * background.estimate_single((images[k] / flat[k]).astype(np.float32), inside[k], settings))
 
             single = monitor.each(from_itself, "background", members)
             empty.update(dict(zip(members, single, strict=True)))
@@ -382,11 +363,9 @@ def _estimate_backgrounds(
 def _is_static(views: list[View]) -> bool:
     """Return whether a ring's camera was static.
 
-    If it was static, the canister hardly moves between the pictures, because its axis is only a few millimetres away
-    from the table's axis.
+    If it was static, the canister's axis moves by at most 8 mm between the pictures, because it is only a few
+    millimetres away from the table's axis.
     """
-    focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
-    axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])
-    column, row = focal * axis[:, 0] / axis[:, 2], focal * axis[:, 1] / axis[:, 2]
-    few_mm_px = 4.0 * focal / float(np.median(axis[:, 2]))
-    return bool(np.ptp(column) < 2.0 * few_mm_px and np.ptp(row) < 2.0 * few_mm_px and np.ptp(axis[:, 2]) < 8.0)
+    height_mm = np.mean([view.centre_mm[2] for view in views])
+    axis = [frames.apply(view.cam_from_canister, np.array([0.0, 0.0, height_mm])) for view in views]
+    return bool(np.ptp(axis, axis=0).max() < 8.0)

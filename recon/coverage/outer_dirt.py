@@ -54,9 +54,6 @@ noise."""
 _NEVER = 10.0
 """Inverse of the number of texels on the whole wall that may be classified as dirt by chance. The value corresponds to
 an expected number of 0.1 texels."""
-_LEAST_VIEWS = 5
-"""Minimum number of views that must show a texel for it to be classified. A texel at the top or the bottom of the wall
-is only visible in the nearest views, which are a sixth of a ring."""
 
 
 def outer_face(optics: Optics, px_a_mm: float) -> Face:
@@ -108,7 +105,7 @@ def detect_dirt(
                     dark[patch.rows, patch.columns] += patch.dark
                     number[patch.rows, patch.columns] += patch.shown
     inner, outer = (
-        np.where(number >= _LEAST_VIEWS, dark / np.maximum(number, 1.0), 0.0).astype(np.float32)
+        np.where(number >= wall.LEAST_VIEWS, dark / np.maximum(number, 1.0), 0.0).astype(np.float32)
         for dark, number in zip(darks, numbers, strict=True)
     )
     rows, columns = outer.shape
@@ -117,8 +114,7 @@ def detect_dirt(
     label, _ = ndimage.label(likely, structure=np.ones((3, 3), bool))
     sure = np.unique(label[likely & ~_chance_texels(outer, numbers[1])])
     dirty = likely & np.isin(label, sure)  # includes the parts of a seam in front of a cluster
-    ringed = np.concatenate([dirty[:, -1:], dirty, dirty[:, :1]], axis=1)
-    return np.asarray(ndimage.binary_dilation(ringed, np.ones((3, 3), bool))[:, 1:-1])
+    return np.asarray(ndimage.maximum_filter(dirty, 3, mode=("constant", "wrap")))
 
 
 def _chance_texels(share: Image, number: Image) -> Mask:
@@ -130,7 +126,7 @@ def _chance_texels(share: Image, number: Image) -> Mask:
     whole wall.
     """
     about = cv2.medianBlur(np.round(255.0 * share).astype(np.uint8), _ABOUT) / 255.0
-    enough = number >= _LEAST_VIEWS
+    enough = number >= wall.LEAST_VIEWS
     mean = float(share[enough].mean()) if enough.any() else 0.0
     p, q = np.clip(about, max(mean, _LEAST_SHARE), 1.0), np.clip(share, 1e-6, 1.0 - 1e-6)
     rare = number * (q * np.log(q / p) + (1.0 - q) * np.log((1.0 - q) / np.maximum(1.0 - p, 1e-6)))
@@ -187,8 +183,8 @@ def _dark_texels(
     dark = cv2.dilate(small, np.ones((3, 3), np.uint8)) > _DARK
     found = []
     for face in faces:
-        at = wall.crossings(views[k], optics, face)
-        found.append([_Patch.count(*there, seen, dark, face.shape(optics)) for there in zip(at.column, at.row, strict=True)])
+        sides = wall.crossings(views[k], optics, face).sides
+        found.append([_Patch.count(column, row, seen, dark, face.shape(optics)) for column, row in sides])
     return found
 
 

@@ -1,13 +1,12 @@
 """Silhouettes: the fraction of each pixel that roots cover, and the signed distance to the outline in pixels.
 
-There are two methods. `measure` computes the covered fraction of each pixel relative to the empty backlight, so that
-the outline preserves the width of roots thinner than a pixel. `thesis` is the binary segmentation of the thesis
-(T3.4.2).
+The covered fraction of each pixel is computed relative to the empty backlight (`opaque_coverage`), so that the outline
+preserves the width of roots thinner than a pixel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
@@ -16,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf, erfinv
-from skimage import filters
+from skimage.segmentation import clear_border
 
 from rhizotwin.recon.lattice.distances import level_distance
 from rhizotwin.recon.robust import MAD
@@ -45,7 +44,7 @@ is an upper bound."""
 _ROOM_PX = 8
 """Distance from covered pixels within which pictures are evaluated, px. It includes blur and interpolation
 (`_SILENT_PX`), and the background beside a root."""
-_CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
+CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
 """Three parameters of the detection of resolved roots, in this order: the minimum opacity, the side of the square in
 which all pixels must have this opacity, px, and the minimum number of such squares in a picture. The brightness of
 roots is at most 0.3 (`translucency`). With any opacity threshold from 0.5 to 0.8, the median opacity inside resolved
@@ -86,8 +85,7 @@ class Silhouette:
 
     def cut(self, window: Window) -> Silhouette:
         """Crop the silhouette to a window."""
-        part = window.part
-        return Silhouette(self.coverage[part], self.usable[part], None if self.opacity is None else self.opacity[part])
+        return self._change(lambda part: part[window.part])
 
     def paste(self, window: Window, image_wh: tuple[int, int]) -> Silhouette:
         """Return the silhouette in a picture of which it is a window. The pixels outside the window are not usable."""
@@ -97,7 +95,10 @@ class Silhouette:
             whole[window.part] = part
             return whole
 
-        return Silhouette(enlarge(self.coverage), enlarge(self.usable), None if self.opacity is None else enlarge(self.opacity))
+        return self._change(enlarge)
+
+    def _change(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Silhouette:
+        return Silhouette(change(self.coverage), change(self.usable), None if self.opacity is None else change(self.opacity))
 
 
 @dataclass(frozen=True)
@@ -123,11 +124,9 @@ class Window:
         usable = reduce(np.logical_or, [silhouette.usable for silhouette in silhouettes])
         seen = find_bounds(usable)
         inner = np.s_[seen[0][1] : seen[1][1], seen[0][0] : seen[1][0]]
-        parts = [part for silhouette in silhouettes for part in _root_bounds(silhouette.coverage[inner], silhouette.usable[inner])]
-        parts = parts or [(np.zeros(2, np.int64), seen[1] - seen[0])]
-        low = seen[0] + np.min([part[0] for part in parts], axis=0) - _ROOM_PX
-        high = seen[0] + np.max([part[1] for part in parts], axis=0) + _ROOM_PX
-        picture = np.array(usable.shape[::-1])
+        roots = reduce(np.logical_or, [_possible_roots(silhouette.coverage[inner], silhouette.usable[inner]) for silhouette in silhouettes])
+        low, high = find_bounds(roots if roots.any() else ~roots)
+        low, high, picture = seen[0] + low - _ROOM_PX, seen[0] + high + _ROOM_PX, np.array(usable.shape[::-1])
         low = np.where(low <= seen[0], np.maximum(seen[0] - _SILENT_PX, 0), low)
         high = np.where(high >= seen[1], np.minimum(seen[1] + _SILENT_PX, picture), high)
         (left, top), (right, bottom) = np.maximum([low - seen[0], seen[1] - high], 0).tolist()
@@ -159,17 +158,9 @@ def find_bounds(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array([left, top], np.int64), np.array([left + width, top + height], np.int64)
 
 
-def _root_bounds(coverage: Image, usable: Mask) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Return the bounds (`find_bounds`) of covered pixels, and those of unusable pixels enclosed by usable pixels."""
-    covered = (coverage > TRACE) & usable
-    found = [find_bounds(covered)] if covered.any() else []
-    if not usable.all():
-        stats = cv2.connectedComponentsWithStats((~usable).astype(np.uint8))[2][1:].astype(np.int64)
-        low, high = stats[:, :2], stats[:, :2] + stats[:, 2:4]
-        enclosed = (low > 0).all(axis=1) & (high < usable.shape[::-1]).all(axis=1)
-        if enclosed.any():
-            found.append((low[enclosed].min(axis=0), high[enclosed].max(axis=0)))
-    return found
+def _possible_roots(coverage: Image, usable: Mask) -> Mask:
+    """Return the mask (H, W) of covered pixels, and of unusable pixels enclosed by usable pixels."""
+    return np.asarray((coverage > TRACE) & usable | clear_border(~usable))
 
 
 def opacity(image: Image, background: Image, usable: Mask) -> Image:
@@ -187,8 +178,8 @@ def opacity(image: Image, background: Image, usable: Mask) -> Image:
     return np.where(usable, 1.0 - image / np.where(usable, background, 1.0), 0.0).astype(np.float32)
 
 
-def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings(), *, own: float = 0.0) -> Silhouette:
-    """Measure the coverage by opaque roots: 0 for the empty backlight, and 1 for the brightness of resolved roots.
+def opaque_coverage(opacity: Image, usable: Mask, own: float = 0.0) -> Image:
+    """Return the coverage (H, W) by opaque roots: 0 for the empty backlight, 1 for the brightness of resolved roots.
 
     Parameters
     ----------
@@ -196,54 +187,39 @@ def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageS
         Opacity, as returned by the function `opacity`.
     usable : (H, W) bool array
         Mask of pixels whose background is usable.
-    settings : CoverageSettings
-        Thresholds for noise.
     own : float
         Brightness of roots relative to the backlight, used if no root is wide enough for its brightness to be measured.
     """
     # Front light makes roots brighter than black, so the opacity inside resolved roots is that of full coverage nearby.
-    core = cv2.erode((opacity > _CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & usable
+    core = cv2.erode((opacity > CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & usable
     full = np.float32(np.median(opacity[core])) if core.sum() >= _LEAST_CORE else np.float32(1.0 - own)
     weight = cv2.boxFilter(core.astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
     local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
     reference = np.where(weight > _LEAST_NEAR, local / np.maximum(weight, 1e-6), full)
-    return suppress_noise((opacity / reference).astype(np.float32), above_noise(opacity, usable, settings), usable)
+    return (opacity / reference).astype(np.float32)
 
 
-def suppress_noise(coverage: Image, above: Mask, usable: Mask) -> Silhouette:
-    """Create a silhouette from coverage (H, W), after coverage that does not exceed the noise has been set to zero."""
-    return Silhouette(np.clip(np.where(above & usable, coverage, 0.0), 0.0, 1.0).astype(np.float32), usable)
-
-
-def above_noise(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
-    """Return the mask (H, W) of pixels whose opacity exceeds the noise of the empty backlight.
+def suppress_noise(coverage: Image, opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings()) -> Silhouette:
+    """Create a silhouette from coverage, set to zero where the opacity does not exceed the noise of the backlight.
 
     The opacity is first smoothed by a Gaussian with a standard deviation of one pixel. The noise is estimated by the
     median absolute deviation of the smoothed opacity, because most pixels show the background.
+
+    Parameters
+    ----------
+    coverage, opacity : (H, W) float32 array
+        Coverage, and the opacity from which it was computed.
+    usable : (H, W) bool array
+        Mask of usable pixels.
+    settings : CoverageSettings
+        Thresholds for noise.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
-    if not usable.any():
-        return usable
-    values = smooth[usable][::7]
+    values = smooth[usable][::7] if usable.any() else np.zeros(1)
     middle = np.median(values)
     noise = MAD * np.median(np.abs(values - middle))
-    return np.asarray(smooth > middle + settings.noise_sigmas * noise + _LEAST_NOISE)
-
-
-def thesis(image: Image, usable: Mask) -> Silhouette:
-    """Segment roots as in section T3.4.2 of the thesis; return a binary silhouette (H, W).
-
-    The method combines an Otsu threshold with a hysteresis threshold on Sobel edges, followed by morphological opening.
-    """
-    if not usable.any():
-        return Silhouette(np.zeros(image.shape, np.float32), usable)
-    dark = image < filters.threshold_otsu(image[usable])
-    edges = filters.sobel(np.where(usable, image, np.median(image[usable])))
-    high = filters.threshold_otsu(edges[usable])
-    lines = filters.apply_hysteresis_threshold(edges, 0.5 * high, high)
-    joined = ((dark | lines) & usable).astype(np.uint8)
-    opened = cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-    return Silhouette(opened.astype(np.float32), usable)
+    above = usable & (smooth > middle + settings.noise_sigmas * noise + _LEAST_NOISE)
+    return Silhouette(np.clip(np.where(above, coverage, 0.0), 0.0, 1.0).astype(np.float32), usable)
 
 
 def outline_level(peak: NDArray[np.floating]) -> Image:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from rhizotwin.recon.coverage.silhouettes import Image, Mask
+from rhizotwin.recon.coverage.silhouettes import CORE, Image, Mask, opaque_coverage
 
 Array = NDArray[np.float64]
 
@@ -70,9 +70,6 @@ camera."""
 _DARK, _STRAIGHT = 0.3, 0.8
 """Two limits for the positions at which profiles are sampled: the minimum blurred opacity, and the minimum coherence of
 the structure tensor. Positions that satisfy both limits lie on the axes of roots, away from crossings."""
-_CORE = 0.6
-"""Minimum opacity of pixels inside roots at which the brightness of the root itself is measured. The brightness of
-these pixels is therefore below 0.4 of the backlight."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
 """Two parameters of the brightness of the roots themselves. The brightness is estimated as a quantile of the brightness
 inside wide roots, whose level is the first value. The second value is the upper limit of the estimate. The minimum,
@@ -112,14 +109,26 @@ class Hairs:
 
 @dataclass(frozen=True)
 class Attenuation:
-    """Optical properties of roots in front of the backlight."""
+    """Optical properties of roots in front of the backlight, which determine the coverage from the opacity."""
 
-    own: float
+    own: float = 0.0
     """Brightness of the roots themselves due to front light, relative to the backlight."""
-    mu_per_mm: float | None
-    """Attenuation of the roots, 1/mm; None for opaque roots."""
-    profiles: int
-    """Number of profiles used in the estimate."""
+    mu_per_mm: float = np.inf
+    """Attenuation of the roots, 1/mm. It is infinite for opaque roots."""
+
+    def coverage(self, opacity: Image, usable: Mask, px_a_mm: float) -> Image:
+        """Convert the opacity of a picture to the coverage by roots, both (H, W).
+
+        The opacity of translucent roots is multiplied by the gain of a straight round root. This root is chosen such
+        that the peak of its blurred opacity equals the peak of the picture's blurred opacity near the pixel. The gain
+        is chosen such that the coverage of this root, which is at most 1, sums to its diameter.
+        """
+        if self.mu_per_mm == np.inf:
+            return opaque_coverage(opacity, usable, self.own)
+        peaks, gains = _tabulate_gains(self.mu_per_mm, px_a_mm)
+        clear = np.clip(opacity / np.float32(1.0 - self.own), 0.0, 1.0).astype(np.float32)
+        peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
+        return np.minimum(clear * np.interp(peak, peaks, gains), 1.0).astype(np.float32)
 
 
 def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenuation:
@@ -137,7 +146,7 @@ def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenua
     own, found = [np.zeros(0)], []
     for opacity, here in zip(opacities, usable, strict=True):
         large = _large_objects(opacity, here)
-        core = cv2.erode(((opacity > _CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        core = cv2.erode(((opacity > CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         own.append(1.0 - opacity[core])
         found.append(_sample_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
     cores = np.concatenate(own)
@@ -176,14 +185,12 @@ def _sample_profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     middle = len(_OFFSETS) // 2
     half = 0.5 * profile[:, middle - 1 : middle + 2].mean(axis=1)
     right, left = _find_fall(profile[:, middle:], half), _find_fall(profile[:, middle::-1], half)
-    bounded = np.isfinite(right) & np.isfinite(left)
-    right, left = np.where(bounded, right, 0.0), np.where(bounded, left, 0.0)
     width, shift = right + left, 0.5 * (right - left)
     near = np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX
     same = np.where(near, sections.std(axis=0), 0.0).max(axis=1) < _SAME
     use = (np.abs(shift) < 0.5) & (width > _WIDTH_PX[0]) & (width < _WIDTH_PX[1]) & same
-    centred = np.array([np.interp(_OFFSETS + s, _OFFSETS, p) for s, p in zip(shift[use], profile[use], strict=True)])
-    centred = centred.reshape(-1, len(_OFFSETS))
+    moved = [np.interp(_OFFSETS + s, _OFFSETS, p) for s, p in zip(shift[use], profile[use], strict=True)]
+    centred = np.reshape(moved, (-1, len(_OFFSETS)))
     beside = np.abs(np.abs(_OFFSETS) - (0.5 * width[use] + _FLANK_PX)[:, None] - _STEP_PX) <= _STEP_PX
     lone = np.where(beside, centred, 0.0).max(axis=1, initial=0.0) < _EMPTY
     return centred[lone], width[use][lone]
@@ -192,15 +199,15 @@ def _sample_profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
 def _find_fall(profile: Array, level: Array) -> Array:
     """Return the distance (N,) from the start of each profile to the point where it falls below a level, px.
 
-    The profiles have the shape (N, M), and the levels have the shape (N,). The distance is infinite if a profile does
-    not fall below its level.
+    The profiles have the shape (N, M), and the levels have the shape (N,). The distance is 0 if a profile does not fall
+    below its level.
     """
     below = profile < level[:, None]
     first = np.maximum(np.argmax(below, axis=1), 1)
     row = np.arange(len(profile))
     above, under = profile[row, first - 1], profile[row, first]
     share = (above - level) / np.maximum(above - under, 1e-6)
-    return np.where(below.any(axis=1) & ~below[:, 0], (first - 1 + share) * _STEP_PX, np.inf)
+    return np.where(below.any(axis=1) & ~below[:, 0], (first - 1 + share) * _STEP_PX, 0.0)
 
 
 def _balance_widths(width: Array) -> NDArray[np.int64]:
@@ -226,7 +233,7 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
 
     The roots are classified as opaque if there are too few profiles.
     """
-    opaque = Attenuation(bright, None, len(profiles))
+    opaque = Attenuation(bright)
     if len(profiles) < _LEAST:
         return opaque
     window = (np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX).astype(np.float64)
@@ -248,7 +255,7 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
     i, k = divmod(int(np.argmin(typical)), len(own))
     mu = _parabola_minimum(_MU_PER_MM, typical.min(axis=1), i)
     is_translucent = typical[-1].min() > CLEARLY * typical.min()
-    return Attenuation(float(own[k]), mu, int(good.sum())) if is_translucent else Attenuation(bright, None, int(good.sum()))
+    return Attenuation(float(own[k]), mu) if is_translucent else opaque
 
 
 def _parabola_minimum(at: Array, cost: Array, best: int) -> float:
@@ -258,24 +265,8 @@ def _parabola_minimum(at: Array, cost: Array, best: int) -> float:
     """
     if best in (0, len(at) - 1):
         return float(at[best])
-    a, b, c = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)
-    del c
+    a, b, _ = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)
     return float(at[best] * np.exp(-b / (2.0 * a))) if a > 0.0 else float(at[best])
-
-
-def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
-    """Convert the opacity of translucent roots to coverage, both (H, W).
-
-    The opacity of each pixel is multiplied by the gain of a straight round root. This root is chosen such that the peak
-    of its blurred opacity equals the peak of the picture's blurred opacity near the pixel. The gain is chosen such that
-    the coverage of this root, which is at most 1, sums to its diameter.
-    """
-    if attenuation.mu_per_mm is None:
-        raise ValueError(f"{attenuation=} must be that of translucent roots")
-    peaks, gains = _tabulate_gains(attenuation.mu_per_mm, px_a_mm)
-    clear = np.clip(opacity / np.float32(1.0 - attenuation.own), 0.0, 1.0).astype(np.float32)
-    peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
-    return np.minimum(clear * np.interp(peak, peaks, gains), 1.0).astype(np.float32)
 
 
 def _tabulate_gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:

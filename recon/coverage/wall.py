@@ -36,8 +36,10 @@ pixels per texel. The rows are sampled with the same spacing."""
 _QUANTILE = 0.35
 """Quantile of the optical depths of a texel in all views that is used as the optical depth of the wall. Roots cover a
 texel in less than half of the views."""
-_LEAST_VIEWS = 5
-"""Minimum number of views of a texel. With three views or fewer, the quantile is the minimum."""
+LEAST_VIEWS = 5
+"""Minimum number of views that must show a texel for it to be classified. With three views or fewer, the quantile is
+the minimum. A texel at the top or the bottom of the wall is only visible in the nearest views, which are a sixth of a
+ring."""
 _NARROWEST_TEXELS = 4
 """Minimum width of a film, in texels. Roots on the wall are thinner."""
 _WIDEST_BUBBLE_MM = 5.0
@@ -67,18 +69,9 @@ class Crossings:
     """Width and height of the reduced picture, px (`Face.shrink`)."""
 
     @property
-    def column(self) -> tuple[Image, Image]:
-        """Return the texel columns (H, W) of every pixel on the near and the far wall."""
-        return self._upsample(0)
-
-    @property
-    def row(self) -> tuple[Image, Image]:
-        """Return the texel rows (H, W) of every pixel on the near and the far wall."""
-        return self._upsample(1)
-
-    def _upsample(self, axis: int) -> tuple[Image, Image]:
-        near, far = (upsample(side[axis], self.step, self.image_wh) for side in self.coarse)
-        return near, far
+    def sides(self) -> list[list[Image]]:
+        """Return the texel column and the texel row (H, W) of every pixel, on the near and on the far wall."""
+        return [[upsample(part, self.step, self.image_wh) for part in side] for side in self.coarse]
 
 
 @dataclass(frozen=True)
@@ -162,7 +155,7 @@ def look_up(panorama: Image, column: Image, row: Image) -> Image:
 
 def sum_crossings(panorama: Image, where: Crossings) -> Image:
     """Return the sum of an unrolled wall's values (rows, columns) at the two crossings of each pixel (H, W)."""
-    near, far = (look_up(panorama, *at) for at in zip(where.column, where.row, strict=True))
+    near, far = (look_up(panorama, column, row) for column, row in where.sides)
     return np.asarray(near + far)
 
 
@@ -216,8 +209,8 @@ def _texels(where: Crossings, usable: Mask, sampled: tuple[slice, slice], size: 
     """
     rows, columns = size
     sides = []
-    for near_or_far in zip(where.row, where.column, strict=True):
-        row, column = (np.rint(at[sampled]).astype(np.int32) for at in near_or_far)
+    for side in where.sides:
+        column, row = (np.rint(at[sampled]).astype(np.int32) for at in side)
         here = usable[sampled] & (row >= 0) & (row < rows)
         sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
     return np.stack(sides)
@@ -244,7 +237,7 @@ def _quantile(observed: Image) -> Image:
     ordered = np.sort(observed, axis=0)  # NaN last
     number = np.isfinite(ordered).sum(axis=0)
     rank = (_QUANTILE * np.maximum(number - 1, 0)).astype(np.int64)
-    return np.where(number >= _LEAST_VIEWS, np.take_along_axis(ordered, rank[None], axis=0)[0], 0.0).astype(np.float32)
+    return np.where(number >= LEAST_VIEWS, np.take_along_axis(ordered, rank[None], axis=0)[0], 0.0).astype(np.float32)
 
 
 def _bubbles(dark: Image, views: Image, least: float) -> Mask:

@@ -117,8 +117,8 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     if not len(number):
         return replace(cells, tops_mm=evidence.tops_mm), number
     footprints, area_mm2 = Footprints.project(evidence, cells.centre_mm), cells.grid.size_mm**2
-    (width, height), views = evidence.image_wh, evidence.bank.count
-    coverage = evidence.coverage.numpy().reshape(views, height, width)
+    views = evidence.bank.count
+    coverage = np.stack([one.coverage for one in evidence.silhouettes], dtype=np.float16)
     covered = _solid_shadows(evidence, solid)
     passes = [_subsets(views, count) for count in schedule(views)]
     measured = ((part, coverage[part.start : part.stop].astype(np.float32)) for part in passes[0])

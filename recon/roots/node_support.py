@@ -61,7 +61,7 @@ def compute_support(drawn: Rendering) -> Support:
     cut = Sections.cut(evidence, drawn.tubes, at)
     if cut is None:
         return Support(*[np.zeros(at.shape[1])] * 3)
-    per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(evidence.blur_px, PIXEL_SIGMA)) * 2.0**0.5))
+    per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(evidence.light.blur_px, PIXEL_SIGMA)) * 2.0**0.5))
     explained, left, alone = (dr.zeros(mi.Float, cut.count) for _ in range(3))
     reach_px = cut.half_px + _FLANK_PX
     for k in range(_SAMPLES):

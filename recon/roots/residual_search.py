@@ -68,7 +68,7 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> tupl
     free : Float
         Transmittance of the tubes in all views (`recon.tubes.tube_picture.transmittance`).
     """
-    left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.usable)
+    left = mi.Float16((evidence.opacity - (1.0 - free)) * evidence.usable)
     dr.eval(left)
     (width, height), point = evidence.size, points(points_mm)
 
@@ -129,7 +129,7 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
     paths, radii, parents = [], [], []
     for way in lines:
         opaque = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        wide = equivalent_radius(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
+        wide = equivalent_radius(opaque, evidence.light)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(wide[1:]))))
         begin = way[0]

@@ -41,8 +41,9 @@ class RootTree:
     """Whether the first branch is an artificial one, to which plants or roots are attached (`roots.crown`)."""
     attenuation: TubeAttenuation
     """Attenuation of light by the roots."""
-    learned_per_mm: float | None = None
-    """Attenuation estimated from the widest roots, 1/mm, or None if there is no estimate."""
+    learned_per_mm: float = np.inf
+    """Attenuation estimated from the widest roots, 1/mm. It is infinite if they are opaque, or if there is no
+    estimate."""
     evidence: Evidence
     """Measured coverage of all views, to which the tubes were fitted."""
     cameras: Cameras

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
-from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import projection
@@ -19,7 +18,7 @@ from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.organs import Core
 from rhizotwin.recon.roots.refinement import TreeRefinement
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
-from rhizotwin.recon.tubes import root_calibration, root_light, root_sway, tube_attenuation, tube_fit, tubes
+from rhizotwin.recon.tubes import root_calibration, root_sway, tube_attenuation, tube_fit, tubes
 from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -48,7 +47,7 @@ def find_tree(
     evidence: Evidence,
     cameras: Cameras,
     water: Water,
-    learned: Attenuation | None,
+    learned_per_mm: float,
     *,
     known: TubeAttenuation | None = None,
     monitor: Monitor,
@@ -59,12 +58,12 @@ def find_tree(
     ----------
     evidence, cameras : Evidence, Cameras
         Measured coverage, and the cameras of its views in the same order.
-    learned : Attenuation or None
-        Attenuation used to convert opacity to coverage, or None if the pictures are silhouettes.
+    learned_per_mm : float
+        Attenuation with which opacity was converted to coverage, 1/mm. It is infinite for opaque roots, and for masks.
     known : TubeAttenuation, optional
         Attenuation of the same roots, estimated with other cameras.
     """
-    px_a_mm, learned_per_mm = projection.px_a_mm(evidence.bank, water.centre_mm), None if learned is None else learned.mu_per_mm
+    px_a_mm = projection.px_a_mm(evidence.bank, water.centre_mm)
     margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
     if (found := _trace(evidence, water, px_a_mm, margin_mm, monitor=monitor)) is None:
         return None
@@ -137,27 +136,22 @@ def _separate_solids(evidence: Evidence, start: Tubes, core: Core, px_a_mm: floa
 
 
 def _fit_light(
-    evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation | None
+    evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float, known: TubeAttenuation | None
 ) -> tuple[TubeAttenuation, Evidence, Tubes]:
     """Fit attenuation, blur and root hairs, to some of the views if these contain enough profiles.
 
-    Return the attenuation, the evidence with the fitted parameters, and the tubes. The evidence is opacity for
-    translucent roots, and coverage for opaque roots. Coverage includes the light that opaque roots reflect, unless it
-    was corrected for translucent roots.
+    Return the attenuation, the evidence with the fitted parameters, and the tubes.
     """
-    opacity = evidence.with_opacity() if evidence.has_opacity else evidence
-    views = min(max(_LIGHT_VIEWS, ceil(_LIGHT_PROFILES / len(fitted.radius_mm))), opacity.bank.count)
-    for count in sorted({views, opacity.bank.count}):
-        some = opacity.select_views(range(count))  # successive views have very different directions
+    views = min(max(_LIGHT_VIEWS, ceil(_LIGHT_PROFILES / len(fitted.radius_mm))), evidence.bank.count)
+    for count in sorted({views, evidence.bank.count}):
+        some = evidence.select_views(range(count))  # successive views have very different directions
         if known is None:
             attenuation, fit = tube_attenuation.find(some, fitted, thick, learned_per_mm)
         else:
             attenuation, fit = known, tube_attenuation.follow(some, fitted, thick, learned_per_mm, known)
         if not fit.few:
             break
-    chosen = opacity if attenuation.mu_per_mm is not None or learned_per_mm is not None else evidence
-    lit = root_light.with_light(replace(chosen, mu_per_mm=fit.evidence.mu_per_mm), root_light.light_vector(fit.evidence))
-    return attenuation, lit, fit.tubes
+    return attenuation, replace(evidence, light=fit.evidence.light), fit.tubes
 
 
 def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
@@ -199,7 +193,7 @@ def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
     """Fit the tubes a last time, remove ghosts, and mark branch ends that are probably not root tips."""
     with monitor.stage("last tubes"):
         light = Prior.from_evidence(tree.evidence, tree.learned_per_mm)
-        steps = _LAST_STEPS if tree.evidence.mu_per_mm is None else _TRANSLUCENT_STEPS
+        steps = _LAST_STEPS if tree.evidence.light.is_opaque else _TRANSLUCENT_STEPS
         fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, steps=steps, light=light)
         proved = node_support.compute_support(fit.rendering)
         gone = ghosts.find_ghosts(fit.tubes, proved, tree.thick, tree.px_a_mm)

@@ -96,7 +96,7 @@ def _measure_offsets(evidence: Evidence, explained_there: Kernel, tip_mm: Array,
     start = wholes(np.repeat(np.arange(views), at.shape[1]) * evidence.pixels)
     measured, explained, usable = (
         np.array(bilinear(picture, start, evidence.size[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
-        for picture in (evidence.coverage, explained_there, evidence.usable)
+        for picture in (evidence.opacity, explained_there, evidence.usable)
     )
     clear = (at.visible.reshape(usable.shape) & (usable > 0.99)).all(axis=2)
     clear &= np.where(way > (radius + 0.5 * _REACH_PX / px_a_mm)[:, None], explained, 0.0).max(axis=2) < _OTHERS

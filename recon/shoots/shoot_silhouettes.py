@@ -152,7 +152,8 @@ def _measure_silhouette(image: Image, panel: Image, before_panel: Mask, before_p
     green = np.float32(np.median(image[wide])) if wide.any() else np.float32(0.0)
     told = before_pot & (green > 2.0 * felt)  # plants as dark as the pot cannot be distinguished from it
     inside = _interior_mask(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
-    before_light = np.where(inside, np.float32(1.0), silhouettes.measure(dark, before_panel).coverage)
+    before_light = silhouettes.suppress_noise(silhouettes.opaque_coverage(dark, before_panel), dark, before_panel).coverage
+    before_light[inside] = 1.0
     coverage = np.maximum(before_light, _felt_coverage(image, felt, green, told))
     away_px, (row, column) = ndimage.distance_transform_edt(~(before_panel | told), return_indices=True)
     coverage = np.where(away_px <= _EDGE_PX + 0.5, coverage[row, column], 0.0)

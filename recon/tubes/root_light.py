@@ -1,6 +1,6 @@
 """Estimation of the optical parameters that all roots share: attenuation, blur, root hairs and refractive index.
 
-The tubes x (positions and radii of the nodes) and the light parameters q (`tube_profiles.LIGHT`) are fitted together. A
+The tubes x (positions and radii of the nodes) and the light parameters q (`light.LIGHT`) are fitted together. A
 Gauss-Newton step solves
 
     (H + P) dx + B dq = g - P x        every node, from all of its profiles; P is the prior of smooth branches
@@ -27,11 +27,12 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import LIGHT, Light
 from rhizotwin.recon.coverage.translucency import FAINTEST_LEARNED
 from rhizotwin.recon.robust import inverse, scatter
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.tube_picture import Rendering
-from rhizotwin.recon.tubes.tube_profiles import LIGHT, Changes, LightEquations, Profiles
+from rhizotwin.recon.tubes.tube_profiles import Changes, LightEquations, Profiles
 from rhizotwin.recon.tubes.tubes import Tubes, with_geometry
 
 Array = NDArray[np.float64]
@@ -110,18 +111,18 @@ class Prior:
     """Mask of the light parameters that are fitted, shape (L,)."""
 
     @staticmethod
-    def from_evidence(evidence: Evidence, learned_per_mm: float | None = None) -> Prior:
+    def from_evidence(evidence: Evidence, learned_per_mm: float = np.inf) -> Prior:
         """Return the prior for given pictures.
 
-        If ``learned_per_mm`` is not None, it is the attenuation of the widest roots (`translucency.learn`). Silhouettes
+        If ``learned_per_mm`` is finite, it is the attenuation of the widest roots (`translucency.learn`). Silhouettes
         constrain only the blur. For opaque roots, hairs are evaluated but not fitted.
         """
         mean, sigma = np.array([0.0, 0.0, HAIRY[0], BENDING[0]]), np.full(len(LIGHT), np.inf)
-        if evidence.has_opacity:
+        if not evidence.is_mask:
             sigma[HAIRS], sigma[INDEX] = HAIRY[1], BENDING[1]
-        if learned_per_mm is not None and learned_per_mm > FAINTEST_LEARNED:
+        if FAINTEST_LEARNED < learned_per_mm < np.inf:
             mean[MU], sigma[MU] = np.log(learned_per_mm), LEARNED_SIGMA
-        translucent = evidence.has_opacity and evidence.mu_per_mm is not None
+        translucent = not (evidence.is_mask or evidence.light.is_opaque)
         return Prior(mean, sigma, translucent | (np.arange(len(LIGHT)) == BLUR))
 
     @property
@@ -137,35 +138,19 @@ class Prior:
         return replace(self, free=self.free & (np.arange(len(LIGHT)) == BLUR))
 
 
-def light_vector(evidence: Evidence) -> Array:
-    """Return the light parameters (L,) of the evidence as a vector."""
-    return np.array([np.log(evidence.mu_per_mm or DARKEST), evidence.blur_px**2, evidence.hairs, evidence.index - 1.0])
-
-
-def with_light(evidence: Evidence, light: Array) -> Evidence:
-    """Return the evidence with new light parameters (L,).
-
-    Opaque roots remain opaque whatever the new attenuation.
-    """
-    mu_per_mm = None if evidence.mu_per_mm is None else float(np.exp(light[MU]))
-    blur_px, hairs, index = float(np.sqrt(max(light[BLUR], 0.0))), float(light[HAIRS]), 1.0 + float(light[INDEX])
-    return replace(evidence, mu_per_mm=mu_per_mm, blur_px=blur_px, hairs=hairs, index=index)
-
-
-def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
-    """Adjust the radii of tubes to a change of attenuation and hairs, so that they absorb as much light as before.
+def match_absorption(fitted: Tubes, thick: Mask, before: Light, after: Light) -> Tubes:
+    """Adjust the radii of tubes to a change of the light parameters, so that they absorb as much light as before.
 
     The absorption is that of roots viewed from the side.
 
     Parameters
     ----------
     fitted : Tubes
-        Tubes with radii that match the light parameters of ``before``.
+        Tubes with radii that match the light parameters ``before``.
     thick : (N,) bool array
         Mask of nodes whose radius is not changed.
     """
-    light = translucent_tube.opaque_radius(fitted.radius_mm, before.mu_per_mm, before.hairs, before.index)
-    radius_mm = translucent_tube.equivalent_radius(light, after.mu_per_mm, after.hairs, after.index)
+    radius_mm = translucent_tube.equivalent_radius(translucent_tube.opaque_radius(fitted.radius_mm, before), after)
     return with_geometry(fitted, fitted.centre_mm, np.where(thick, fitted.radius_mm, radius_mm))
 
 
@@ -175,9 +160,9 @@ def changes(drawn: Rendering, free: Mask, steps: Sequence[float] = CHANGES) -> C
     They are computed with respect to the logarithm of the radii, and to the light parameters marked in ``free`` (L,),
     as difference quotients over given steps (L,) of the light parameters.
     """
-    evidence, tubes, now = drawn.evidence, drawn.tubes, light_vector(drawn.evidence)
+    evidence, tubes, now = drawn.evidence, drawn.tubes, drawn.evidence.light.vector
     wider = with_geometry(tubes, tubes.centre_mm, (1.0 + _WIDER) * tubes.radius_mm)
-    more = {k: with_light(evidence, now + steps[k] * np.eye(len(now))[k]) for k in np.flatnonzero(free).tolist()}
+    more = {k: replace(evidence, light=Light.from_vector(now + steps[k] * np.eye(len(now))[k])) for k in np.flatnonzero(free).tolist()}
     return Changes(drawn.change(evidence, wider, _WIDER), {k: drawn.change(other, tubes, steps[k]) for k, other in more.items()})
 
 
@@ -228,7 +213,7 @@ class LightSystem:
 
         The step is 0 for parameters that are not fitted.
         """
-        return np.asarray(np.clip(light + self._solve(light, prior)[0], *_BOUNDS) - light)
+        return np.where(prior.free, np.clip(light + self._solve(light, prior)[0], *_BOUNDS) - light, 0.0)
 
     def covariance(self, light: Array, prior: Prior) -> Array:
         """Return the covariance (L, L) of the light parameters.

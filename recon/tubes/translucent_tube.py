@@ -31,6 +31,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.coverage.translucency import Hairs
 from rhizotwin.recon.device import TO_LAST, Bool, Float, numbers
 
@@ -78,31 +79,27 @@ class Layer:
     """Derivative of the strip's opacity with respect to the root's half-width, 1/px."""
 
 
-def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float, *, index: float = 1.0) -> list[Layer]:
+def layers(light: Light, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
     """Return the strips that represent roots in a picture.
 
-    Without attenuation, a root is represented by a single opaque strip.
+    Without hairs, an opaque root is represented by a single strip.
 
     Parameters
     ----------
-    mu_per_mm : float or None
-        Attenuation, 1/mm, or None for opaque roots.
-    hairs : float
-        Strength of the root hairs, relative to `HAIRS`.
+    light : Light
+        Light parameters of the roots.
     radius_mm, half_px : Float
         Radius of the roots, mm, and half-width in the picture, px (mi.Float).
     sine : Float
         Sine of the angle between root axis and line of sight (mi.Float).
-    index : float
-        Refractive index of the tissue, relative to water.
     """
     sine = dr.maximum(sine, LEAST_SINE)
-    if mu_per_mm is None:
+    if light.is_opaque:
         own = [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
     else:
-        less_per_mm = max(mu_per_mm - hairs * HAIRS.mu_per_mm, _FAINTEST * mu_per_mm)
-        own = _translucent_strips(less_per_mm, index, radius_mm, sine, half_px)
-    return _add_hairs(own, hairs, radius_mm, sine, half_px) if hairs else own
+        less_per_mm = max(light.mu_per_mm - light.hairs * HAIRS.mu_per_mm, _FAINTEST * light.mu_per_mm)
+        own = _translucent_strips(less_per_mm, light.index, radius_mm, sine, half_px)
+    return _add_hairs(own, light.hairs, radius_mm, sine, half_px) if light.hairs else own
 
 
 def _translucent_strips(mu_per_mm: float, index: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
@@ -162,7 +159,7 @@ _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
 """Radii at which the absorbed light is tabulated, mm, at relative intervals of 0.3 %."""
 
 
-def equivalent_radius(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
+def equivalent_radius(opaque_mm: Array, light: Light) -> Array:
     """Return the radii (N,) of roots that absorb as much light as given opaque roots without hairs, mm.
 
     All roots are viewed from the side.
@@ -171,16 +168,16 @@ def equivalent_radius(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 
     ----------
     opaque_mm : (N,) float64 array
         Radii of the opaque roots, mm.
-    mu_per_mm, hairs, index : float or None, float, float
-        Same as in `layers`.
+    light : Light
+        Light parameters of the roots.
     """
-    if mu_per_mm is None and not hairs:
+    if light.is_opaque and not light.hairs:
         return opaque_mm
-    area = np.log(opaque_radius(_RADII_MM, mu_per_mm, hairs, index))
+    area = np.log(opaque_radius(_RADII_MM, light))
     return np.asarray(np.exp(np.interp(np.log(opaque_mm), area, np.log(_RADII_MM))))
 
 
-def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
+def opaque_radius(radius_mm: Array, light: Light) -> Array:
     """Return the radii (N,) of opaque roots without hairs that absorb as much light as given roots, mm.
 
     All roots are viewed from the side.
@@ -189,12 +186,12 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
     ----------
     radius_mm : (N,) float64 array
         Radii of the given roots, mm.
-    mu_per_mm, hairs, index : float or None, float, float
-        Same as in `layers`.
+    light : Light
+        Light parameters of the roots.
     """
     width = numbers(radius_mm)
     found = mi.Float(0.0)
-    for layer in layers(mu_per_mm, hairs, width, mi.Float(1.0), width, index=index):
+    for layer in layers(light, width, mi.Float(1.0), width):
         found += layer.half_px * layer.height
     return np.array(found, np.float64)
 

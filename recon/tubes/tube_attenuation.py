@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import LIGHT, Light
 from rhizotwin.recon.coverage.translucency import CLEARLY, FAINTEST_LEARNED
 from rhizotwin.recon.tubes import root_light, translucent_tube, tube_fit, tube_profiles
 from rhizotwin.recon.tubes.root_light import (
@@ -67,12 +68,11 @@ between the smallest attenuation and the bound, about its upper end."""
 class TubeAttenuation:
     """Attenuation of light by the roots, with the other light parameters that they share."""
 
-    mu_per_mm: float | None
-    """Attenuation of the roots, 1/mm. It is None for opaque roots."""
-    light: Array
-    """Fitted light parameters, shape (L,), in the order of `tube_profiles.LIGHT`."""
+    light: Light
+    """Fitted light parameters."""
     covariance: Array
-    """Covariance of the light parameters, shape (L, L). It is 0 for parameters that were not fitted."""
+    """Covariance of the light parameters, shape (L, L), in the order of `LIGHT`. It is 0 for parameters that were not
+    fitted."""
     against_opaque: float
     """Residual of the opaque model divided by the residual of the translucent model, for roots that no other root hides
     or overlaps. Values below 1 favour the opaque model. The value is 0 if the models were not compared."""
@@ -89,8 +89,7 @@ class TubeAttenuation:
     @staticmethod
     def opaque() -> TubeAttenuation:
         """Return the attenuation of opaque roots if models were not compared."""
-        many = len(tube_profiles.LIGHT)
-        return TubeAttenuation(None, np.zeros(many), np.zeros((many, many)), 0.0, 0)
+        return TubeAttenuation(Light(), np.zeros((len(LIGHT), len(LIGHT))), 0.0, 0)
 
     @property
     def sigma(self) -> float:
@@ -115,7 +114,7 @@ class TubeAttenuation:
         ]
 
 
-def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
+def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float = np.inf) -> tuple[TubeAttenuation, Fit]:
     """Fit tubes as opaque and as translucent roots, and return the better fit.
 
     The translucent fit is returned only if it is clearly better.
@@ -128,14 +127,16 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
         Tubes to be fitted.
     thick : (N,) bool array
         Mask of the nodes of thick roots, whose radii are not adapted to the attenuation.
-    learned_per_mm : float or None
-        Attenuation estimated from the widest roots, 1/mm (`translucency.learn`).
+    learned_per_mm : float
+        Attenuation estimated from the widest roots, 1/mm (`translucency.learn`). It is infinite if they are opaque, or
+        if there is no estimate.
     """
     opaque = tube_fit.fit(evidence, fitted, thick, steps=_STEPS, light=Prior.from_evidence(evidence))
-    if not evidence.has_opacity or (opaque.few and learned_per_mm is None):
+    if evidence.is_mask or (opaque.few and learned_per_mm == np.inf):
         return update_attenuation(TubeAttenuation.opaque(), opaque), opaque
-    glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
-    tubes = root_light.match_absorption(opaque.tubes, thick, evidence, glassy)
+    start_per_mm = _START_PER_MM if learned_per_mm == np.inf else min(learned_per_mm, DARKEST)
+    glassy = replace(opaque.evidence, light=replace(opaque.evidence.light, mu_per_mm=start_per_mm, hairs=HAIRY[0]))
+    tubes = root_light.match_absorption(opaque.tubes, thick, evidence.light, glassy.light)
     prior = Prior.from_evidence(glassy, learned_per_mm)
     # With a free index, some combination of parameters would match any edge.
     prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))
@@ -145,29 +146,29 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
         opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.from_evidence(opaque.evidence))
         losses, lone = _losses(opaque, translucent, thick)
     against, profiles = float(losses[0].sum() / max(losses[1].sum(), 1e-12)), int(lone.sum())
-    mu_per_mm = translucent.evidence.mu_per_mm or DARKEST
+    mu_per_mm = translucent.evidence.light.mu_per_mm
     is_sufficient = profiles >= LEAST_LONE
     below = np.log(DARKEST / mu_per_mm) > _TELLING * update_attenuation(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
     perhaps = is_sufficient and against > _PERHAPS and bool(below)
     clearly = perhaps and (against > CLEARLY or significance(losses[0] - losses[1], opaque.tubes.owner) > _TELLING)
-    is_translucent = clearly or (not is_sufficient and learned_per_mm is not None)
+    is_translucent = clearly or (not is_sufficient and learned_per_mm < np.inf)
     fit = translucent if is_translucent else opaque
     found = replace(TubeAttenuation.opaque(), against_opaque=against, profiles=profiles)
     return update_attenuation(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit
 
 
-def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation) -> Fit:
+def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float, known: TubeAttenuation) -> Fit:
     """Fit tubes and light parameters, starting from the light parameters of an earlier fit.
 
     Parameters
     ----------
-    evidence, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float or None
+    evidence, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float
         Same as in `find`.
     known : TubeAttenuation
         Known attenuation of the same roots.
     """
-    lit = root_light.with_light(replace(evidence, mu_per_mm=known.mu_per_mm), known.light)
-    tubes = root_light.match_absorption(fitted, thick, evidence, lit)
+    lit = replace(evidence, light=known.light)
+    tubes = root_light.match_absorption(fitted, thick, evidence.light, lit.light)
     return tube_fit.fit(lit, tubes, thick, steps=_STEPS, light=Prior.from_evidence(lit, learned_per_mm))
 
 
@@ -176,20 +177,20 @@ def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuatio
 
     These are the light parameters, their covariance, and the presence of hairs.
     """
-    light, system, prior = root_light.light_vector(fit.evidence), fit.light, fit.prior
+    light, system, prior = fit.evidence.light, fit.light, fit.prior
     if system is None or prior is None:
         return attenuation
-    covariance = system.covariance(light, prior)
-    if fit.few and fit.evidence.mu_per_mm is not None:
-        sigma = LEARNED_SIGMA if fit.evidence.mu_per_mm > FAINTEST_LEARNED else _BOUND_SIGMA
+    covariance = system.covariance(light.vector, prior)
+    if fit.few and not light.is_opaque:
+        sigma = LEARNED_SIGMA if light.mu_per_mm > FAINTEST_LEARNED else _BOUND_SIGMA
         covariance[MU, MU], covariance[INDEX, INDEX] = sigma**2, BENDING[1] ** 2
     hairs: Literal["none", "maybe", "there"] = "none"
-    if fit.evidence.has_opacity and not fit.few:
-        change, sigma = system.estimate_without_prior(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)
-        strength = light[HAIRS] + change[HAIRS]
+    if not (fit.evidence.is_mask or fit.few):
+        change, sigma = system.estimate_without_prior(np.isin(np.arange(len(LIGHT)), (BLUR, HAIRS)) | prior.free)
+        strength = light.hairs + change[HAIRS]
         if strength + _EXCLUDED * sigma[HAIRS] > 0.5:
-            hairs = "there" if fit.evidence.mu_per_mm is not None and strength > _TELLING * sigma[HAIRS] else "maybe"
-    return replace(attenuation, mu_per_mm=fit.evidence.mu_per_mm, light=light, covariance=covariance, hairs=hairs)
+            hairs = "there" if not light.is_opaque and strength > _TELLING * sigma[HAIRS] else "maybe"
+    return replace(attenuation, light=light, covariance=covariance, hairs=hairs)
 
 
 def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:

@@ -7,7 +7,7 @@ the iterations converge to a common solution.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.sparse.linalg import splu
 
 from rhizotwin.recon import passes
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.device import release
 from rhizotwin.recon.tubes import root_light, tube_profiles
 from rhizotwin.recon.tubes.root_light import LEAST_LONE, LightSystem, Prior
@@ -115,9 +116,9 @@ def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, li
             if not few and system.lone < LEAST_LONE:
                 few, light = True, light.blur_only()
             else:
-                now = root_light.light_vector(evidence)
+                now = evidence.light.vector
                 step = system.step(now, light)
-                evidence, change = root_light.with_light(evidence, now + step), equations.by_light @ step
+                evidence, change = replace(evidence, light=Light.from_vector(now + step)), equations.by_light @ step
         tubes = _step(tubes, residual, smooth, change)
         tubes = with_geometry(tubes, tubes.centre_mm, _limit_radii(tubes, thick))
     release()  # kernels of other trees have other sizes

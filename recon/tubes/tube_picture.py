@@ -109,9 +109,9 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     dr.eval(depth)
     if strips is None:
         return dr.exp(mi.Float(depth) * (-1.0 / _UNITS))
-    size, (x, y), (t_x, t_y) = evidence.size, strips.begin, strips.way
+    size, (x, y), (t_x, t_y), blur_px = evidence.size, strips.begin, strips.way, evidence.light.blur_px
     width, height = (mi.Float(edge) for edge in size)
-    sigma, spread = dr.opaque(mi.Float, float(np.hypot(evidence.blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * evidence.blur_px**2)
+    sigma, spread = (dr.opaque(mi.Float, value) for value in (float(np.hypot(blur_px, PIXEL_SIGMA)), 6.0 * blur_px**2))
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
@@ -232,8 +232,8 @@ class _Strips:
             du, dv = (dr.gather(mi.Vector3f, part, end) for part in (p.du, p.dv))
             radius_mm = dr.gather(mi.Float, numbers(radii), segment)
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
-            sine, mu_per_mm = sine_to_sight(du, dv, along), evidence.mu_per_mm
-            layers.append(translucent_tube.layers(mu_per_mm, evidence.hairs, radius_mm, sine, half_px[-1], index=evidence.index))
+            sine = sine_to_sight(du, dv, along)
+            layers.append(translucent_tube.layers(evidence.light, radius_mm, sine, half_px[-1]))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         # the water magnifies sideways: the picture of a sphere is an ellipse
         is_tip = dr.gather(mi.Float, numbers(tubes.segment_neighbours[:, 1] == segments[:, 1]), segment)
@@ -285,7 +285,7 @@ class Rendering:
         """Render tubes in all views."""
         at = project_axes(evidence, tubes)
         passing = transmittance(evidence, tubes, at)
-        difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.usable)
+        difference = mi.Float16((evidence.opacity - (1 - passing)) * evidence.usable)
         dr.eval(passing, difference)
         return Rendering(evidence, tubes, at, passing, difference)
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import LIGHT
 from rhizotwin.recon.device import Float, Kernel, UInt32, Vector3f, wholes
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA, Rendering
 from rhizotwin.recon.tubes.tube_sections import SAMPLES, Sections
@@ -27,9 +28,6 @@ Array = NDArray[np.float64]
 
 _INTERPOLATION_VARIANCE = 0.1
 """Variance of the blur caused by bilinear interpolation, px2."""
-LIGHT = ("log mu", "blur variance", "hairs", "index")
-"""Names of the light parameters that all roots share: logarithm of the attenuation, variance of the blur of the
-pictures (px2), strength of the root hairs, and relative excess of the roots' refractive index over that of water."""
 _ALONE = 0.95
 """Minimum transmittance of the other tubes beside a root for it to be considered a lone root, which no other root hides
 or overlaps.
@@ -295,7 +293,7 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
     cut = Sections.cut(evidence, drawn.tubes, at)
     if cut is None:
         return _assemble(at.shape, [dr.zeros(mi.Float, at.shape[0] * at.shape[1])] * _size(changes), changes)
-    sigma = float(np.sqrt(evidence.blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
+    sigma = float(np.sqrt(evidence.light.blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
 
     def body(k: UInt32, *sums: Float) -> tuple[Kernel, ...]:

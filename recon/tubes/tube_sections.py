@@ -74,7 +74,7 @@ class Sections:
         across = normal.x * du + normal.y * dv
         scale = dr.norm(across)
         half_px, sine = radius_mm * scale, sine_to_sight(du, dv, t)
-        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine, half_px, index=evidence.index)
+        layers = translucent_tube.layers(evidence.light, radius_mm, sine, half_px)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         return Sections(at.shape, place, start, *evidence.size, px, normal, across, scale, half_px, sine, layers)
 

@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import root_light, tube_fit, tube_profiles
@@ -109,7 +110,7 @@ def _light_changes(system: RootSystem) -> Changes:
     its 90 % range below the estimate.
     """
     attenuation, steps = system.attenuation, np.array(root_light.CHANGES)
-    below = min(float(attenuation.light[INDEX]), NINETY * float(np.sqrt(attenuation.covariance[INDEX, INDEX])))
+    below = min(attenuation.light.index - 1.0, NINETY * float(np.sqrt(attenuation.covariance[INDEX, INDEX])))
     if below > steps[INDEX]:
         steps[INDEX] = -below
     return root_light.changes(system.rendering, np.diag(attenuation.covariance) > 0.0, steps.tolist())
@@ -121,32 +122,32 @@ def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
     ``by_light`` (L,) is the derivative of the volume with respect to the light parameters. It includes the change of
     the radii that keeps the absorbed light constant.
     """
-    attenuation, evidence = system.attenuation, system.evidence
+    attenuation, light = system.attenuation, system.evidence.light
     half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
-    if evidence.mu_per_mm is None:
+    if light.is_opaque:
         terms = [Term.symmetric("radii, blur", half, "radii depend on the pictures' blur")]
         if attenuation.rival_per_mm is not None:
-            more = _volume_change(system, replace(evidence, mu_per_mm=attenuation.rival_per_mm))
+            more = _volume_change(system, replace(light, mu_per_mm=attenuation.rival_per_mm))
             why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque roots explain the pictures almost as well"
             terms.append(Term(name="translucency", less_mm3=0.0, more_mm3=more, why=why))
         if attenuation.hairs == "maybe":
-            change = _volume_change(system, replace(evidence, hairs=1.0))
+            change = _volume_change(system, replace(light, hairs=1.0))
             terms.append(_one_sided("hairs", change, "the pictures do not show whether the roots have hairs"))
         return tuple(terms)
     why = f"the roots are translucent, and their attenuation is only known to {100.0 * attenuation.sigma:.0f} %"
     terms = [Term.symmetric("translucency", half, why)]
     if attenuation.hairs != "none":
         why = "the roots have hairs, whose absorption depends on their length, which is only known to 50 %"
-        terms.append(Term.symmetric("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * evidence.hairs), why))
+        terms.append(Term.symmetric("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * light.hairs), why))
     return tuple(terms)
 
 
-def _volume_change(system: RootSystem, other: Evidence) -> float:
+def _volume_change(system: RootSystem, other: Light) -> float:
     """Return the change of the volume if the light parameters change, mm3.
 
     The radii change with them, so that the roots absorb the same light.
     """
-    tubes = root_light.match_absorption(system.tubes, system.solid, system.evidence, other)
+    tubes = root_light.match_absorption(system.tubes, system.solid, system.evidence.light, other)
     return float(np.pi * (np.square(tubes.radius_mm) - np.square(system.tubes.radius_mm)) @ _lengths(tubes))
 
 
@@ -310,8 +311,7 @@ class _ViewResidual:
         drawn = drawn * known
         near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         far = left * ~near
-        if evidence.has_opacity:  # ignore values at the noise level
-            far *= picture.coverage > 0.0
+        far *= picture.coverage > 0.0  # ignore values at the noise level
         rest = _ViewResidual(
             area=float(drawn.sum(dtype=np.float64)),
             hidden=float((picture.coverage * picture.usable * ~known).sum(dtype=np.float64)),
@@ -328,9 +328,8 @@ class _ViewResidual:
         zone = np.s_[top : bottom + 1, first : last + 1]
         inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
         width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
-        depth_px = 0.25 * np.pi * width_px
-        if evidence.mu_per_mm is not None:  # absorption of faint roots is proportional to their volume
-            depth_px = np.maximum(depth_px, px_a_mm / evidence.mu_per_mm)
+        # absorption of faint roots is proportional to their volume
+        depth_px = np.maximum(0.25 * np.pi * width_px, px_a_mm / evidence.light.mu_per_mm)
         volume = float((far * depth_px).sum(dtype=np.float64))
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
         thin = np.where(known, picture.coverage, 0.0)[zone][~thick[zone]]

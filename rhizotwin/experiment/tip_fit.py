@@ -183,8 +183,8 @@ def fit_tips(evidence: Evidence, tree: Tubes) -> tuple[Tubes, NDArray[np.bool_]]
     """
     width, height = evidence.image_wh
     shape = evidence.bank.count, height, width
-    measured, usable = (np.array(picture, np.float32).reshape(shape) for picture in (evidence.coverage, evidence.usable))
-    evidence = replace(evidence, blur_px=float(np.hypot(evidence.blur_px, BLUR_PX)))
+    measured, usable = (np.array(picture, np.float32).reshape(shape) for picture in (evidence.opacity, evidence.usable))
+    evidence = replace(evidence, light=replace(evidence.light, blur_px=float(np.hypot(evidence.light.blur_px, BLUR_PX))))
     for _ in range(TIP_STEPS):
         windows = _Windows.around(evidence, tree, usable)
         drawn = _render(evidence, tree)

@@ -11,13 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import cv2
 import numpy as np
+from skimage import filters
 
 from rhizotwin.recon import carved_hull, shaping
 from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
-from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, Outline, measure_coverage
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.hull.leaves import Hull, Leaves
 from rhizotwin.recon.read_pictures import Pictures, read_pictures
 from rhizotwin.recon.reconstruct import gather
@@ -69,6 +71,26 @@ def reconstruct_baseline(
     return _result(method, _METHODS[method](loaded, settings, watch), settings=settings, monitor=watch)
 
 
+def thesis_silhouette(image: Image, usable: Mask) -> Silhouette:
+    """Segment roots as in section T3.4.2 of the thesis; return a binary silhouette (H, W).
+
+    The method combines an Otsu threshold with a hysteresis threshold on Sobel edges, followed by morphological opening.
+    """
+    if not usable.any():
+        return Silhouette(np.zeros(image.shape, np.float32), usable)
+    dark = image < filters.threshold_otsu(image[usable])
+    joined = ((dark | thesis_edges(image, usable)) & usable).astype(np.uint8)
+    opened = cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    return Silhouette(opened.astype(np.float32), usable)
+
+
+def thesis_edges(image: Image, usable: Mask) -> Mask:
+    """Return the Sobel edges (H, W) of a picture by hysteresis, as in section T3.4.2 of the thesis."""
+    steep = filters.sobel(np.where(usable, image, np.median(image[usable])))
+    high = filters.threshold_otsu(steep[usable])
+    return np.asarray(filters.apply_hysteresis_threshold(steep, 0.5 * high, high) & usable)
+
+
 class _Shape(NamedTuple):
     """Hull and intermediate results of a baseline method."""
 
@@ -88,7 +110,7 @@ def _thesis(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
     of the pictures are excluded, as the masks of the thesis do.
     """
     pictures, carved, coverage = _carve_strictly(
-        dataset, settings, watch, slack_px=0.0, outline=lambda image, _, seen: silhouettes.thesis(image, seen)
+        dataset, settings, watch, slack_px=0.0, outline=lambda image, _, seen: thesis_silhouette(image, seen)
     )
     return _Shape(pictures, carved, coverage, _counted_mm3(carved.hull.leaves))
 

@@ -29,7 +29,7 @@ _MOST_USED = 8
 they double the number of pictures of a small scan. If no picture was held out, they are compared as well."""
 _SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian that is applied to opacities before they are compared with the noise, px, as in
-`recon.coverage.silhouettes.above_noise`."""
+`recon.coverage.silhouettes.suppress_noise`."""
 _FAR_PX = 5
 """Distance from all rendered roots beyond which a pixel shows the noise of the background, px."""
 

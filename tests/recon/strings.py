@@ -8,6 +8,7 @@ import numpy as np
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
@@ -91,7 +92,7 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, blur_px: float = 0.0, seen: E
         margin_mm=0.6,
         px_a_mm=px_a_mm,
         attenuation=TubeAttenuation.opaque(),
-        evidence=replace(nothing() if seen is None else seen, blur_px=blur_px),
+        evidence=replace(nothing() if seen is None else seen, light=Light(blur_px=blur_px)),
         cameras=standing(),
         uncertain=no_nodes,
         nodule=no_nodes,

@@ -33,7 +33,7 @@ def turned(always_px: int, noise: float, *, views: int = 20, light: float = 0.05
 )
 def test_the_panel_behind_what_always_hides_it_is_estimated(always_px: int, noise: float, light: float) -> None:
     stack, empty = turned(always_px, noise, light=light)
-    found, _, glare = background.estimate(stack, np.broadcast_to(np.arange(len(empty))[:, None] >= 5, empty.shape))
+    found, _, glare = background.estimate(stack, np.broadcast_to(np.arange(len(empty))[:, None] >= 5, stack.shape))
     off = (found / empty - 1)[5:]
     assert np.abs(off).mean() < 0.003 + 0.6 * noise
     assert abs(off.mean()) < 0.002 + 0.5 * noise
@@ -46,7 +46,7 @@ def test_a_reflection_is_taken_off_and_a_bright_panel_is_not() -> None:
     """A soft streak a tenth as bright as the panel: reflected by the wall, nothing is hidden by it; the panel's own, roots hide it."""
     stack, empty = turned(0, 0.003, views=30)
     streak = (5000.0 * np.exp(-0.5 * (((U - 70) / 2.0) ** 2 + ((V - 60) / 25.0) ** 4))).astype(np.float32)
-    strong, inside = streak > 0.07 * empty, np.ones(empty.shape, bool)
+    strong, inside = streak > 0.07 * empty, np.ones(stack.shape, bool)
     found = background.estimate(stack + streak, inside)
     assert not found.glare.any()
     assert np.abs(found.added - streak)[strong].max() < 0.02 * empty.mean()
@@ -65,7 +65,7 @@ def test_a_crowd_that_mostly_hides_the_panel_bends_nothing() -> None:
     hidden = rng.random(stack.shape) < 0.9
     stack[:, 15:105, 30:130] *= np.where(hidden, rng.uniform(0.05, 0.9, hidden.shape), 1.0)[:, 15:105, 30:130].astype(np.float32)
     stack[:, 60:100, 70:90] *= 0.05  # and always before some
-    found, _, glare = background.estimate(stack, np.ones(empty.shape, bool))
+    found, _, glare = background.estimate(stack, np.ones(stack.shape, bool))
     assert not glare.any()
     assert np.abs(found / empty - 1).max() < 0.04
 

@@ -1,5 +1,7 @@
 """Silhouettes: outlines to a fraction of a pixel, coverage against a known background, and of translucent roots."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scoring.baselines import thesis_silhouette
 from tests.recon.hull.exact_pictures import cameras_of, ring_of, views_of
 
 
@@ -78,15 +81,15 @@ def test_measured_coverage_is_the_fraction_whatever_the_light() -> None:
     background = (40000 * np.linspace(0.6, 1.0, truth.shape[1]) * np.ones_like(truth)).astype(np.float32)
     image = (background * (1 - truth) + 3000.0 * truth).astype(np.float32)
     seen = np.ones(truth.shape, bool)
-    found = silhouettes.measure(silhouettes.opacity(image, background, seen), seen)
-    assert np.abs(found.coverage - np.clip(truth, 0, 1)).max() < 0.03
+    found = silhouettes.opaque_coverage(silhouettes.opacity(image, background, seen), seen)
+    assert np.abs(np.clip(found, 0, 1) - np.clip(truth, 0, 1)).max() < 0.03
 
 
 def test_thesis_silhouette_joins_thick_and_thin() -> None:
     rng = np.random.default_rng(0)
     truth = np.maximum(strip(20.0, 0.2, -20.0), 0.5 * strip(2.0, 0.2, 30.0))
     image = (40000 * (1 - truth) + rng.normal(0, 200, truth.shape)).astype(np.float32)
-    found = silhouettes.thesis(image, np.ones(truth.shape, bool)).coverage
+    found = thesis_silhouette(image, np.ones(truth.shape, bool)).coverage
     assert set(np.unique(found)) == {0.0, 1.0}
     assert found[truth > 0.9].mean() > 0.99, "the inside of the thick root is filled"
     assert found[48, 70:110].any(), "the thin, bright root is kept"
@@ -116,14 +119,14 @@ def test_resolved_roots_tell_their_attenuation_or_own_brightness() -> None:
 
     assert learned(picture(2.0, WIDE, noise=0.01)[0]).mu_per_mm == pytest.approx(2.0, rel=0.1)
     opaque = learned(picture(1e4, WIDE, own=0.05)[0])
-    assert opaque.mu_per_mm is None
+    assert opaque.mu_per_mm == np.inf
     assert opaque.own == pytest.approx(0.05, abs=1e-3)
 
 
 def test_translucent_roots_get_the_width_they_have() -> None:
     diameters = (0.2, 0.3, 0.45, 0.8, 1.5, 2.2)
     opacity, coverage = picture(2.0, diameters)
-    found = translucency.translucent_coverage(opacity, translucency.Attenuation(0.0, 2.0, 100), PX_A_MM)
+    found = translucency.Attenuation(0.0, 2.0).coverage(opacity, np.ones(opacity.shape, bool), PX_A_MM)
     widths, true = ([one[30, int(36.4 * k) : int(36.4 * k) + 40].sum() for k in range(len(diameters))] for one in (found, coverage))
     assert widths == pytest.approx(true, rel=0.1)
 
@@ -134,12 +137,12 @@ def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
     opacity, coverage = picture(2.0, (0.3, 0.45, 0.8, 1.5))
     mu_per_mm = 2.0 * measure._px_a_mm(cameras) / PX_A_MM  # the same picture at the camera's scale
     seen = np.ones(opacity.shape, bool)
-    drawn = silhouettes.measure(opacity, seen)
-    drawn = silhouettes.Silhouette(drawn.coverage, seen, opacity.astype(np.float16))
-    before = Coverage(silhouettes={0: drawn}, attenuation=translucency.Attenuation(0.0, None, 0))
+    drawn = silhouettes.suppress_noise(silhouettes.opaque_coverage(opacity, seen), opacity, seen)
+    drawn = replace(drawn, opacity=opacity.astype(np.float16))
+    before = Coverage(silhouettes={0: drawn}, attenuation=translucency.Attenuation())
     found = measure.remeasure_coverage(before, cameras, mu_per_mm, monitor=Monitor())
     assert drawn.coverage.sum() < 0.8 * coverage.sum()
     assert found.silhouettes[0].coverage.sum() == pytest.approx(coverage.sum(), rel=0.1)
     assert measure.remeasure_coverage(found, cameras, 1.1 * mu_per_mm, monitor=Monitor()) is found
-    again = measure.remeasure_coverage(found, cameras, None, monitor=Monitor())
+    again = measure.remeasure_coverage(found, cameras, np.inf, monitor=Monitor())
     np.testing.assert_allclose(again.silhouettes[0].coverage, drawn.coverage, atol=2e-3)

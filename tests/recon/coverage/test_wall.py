@@ -26,7 +26,7 @@ def turn() -> Turn:
 
 def through(paint: np.ndarray, where: wall.Crossings) -> np.ndarray:
     """Return the optical depth of what is painted on the wall, which each line of sight crosses twice."""
-    return wall.look_up(paint, where.column[0], where.row[0]) + wall.look_up(paint, where.column[1], where.row[1])
+    return sum(wall.look_up(paint, column, row) for column, row in where.sides)
 
 
 def test_films_are_given_back_bubbles_hidden_and_roots_stay(turn: Turn) -> None:
@@ -54,14 +54,14 @@ def test_lines_cross_the_wall_where_its_points_are_projected(turn: Turn, side: i
     views, optics, _ = turn
     rows, columns = wall.INSIDE.shape(optics)
     view = views[3]
-    where, (x, y, _), radius_mm = wall.crossings(view, optics), view.centre_mm, optics.inner_radius_mm * (1.0 - 1e-9)
+    where, (x, y, _), radius_mm = wall.crossings(view, optics).sides[side], view.centre_mm, optics.inner_radius_mm * (1.0 - 1e-9)
     azimuth = np.arctan2(y, x) + ahead
     px, count = cameras.project(view, optics, np.array([[radius_mm * np.cos(azimuth), radius_mm * np.sin(azimuth), -60.0]]))
     assert count[0] == 1
     u, v = np.rint(px[0, 0]).astype(int)
-    column = np.mod(azimuth * columns / (2 * np.pi) - 0.5 - where.column[side][v, u] + columns / 2, columns) - columns / 2
+    column = np.mod(azimuth * columns / (2 * np.pi) - 0.5 - where[0][v, u] + columns / 2, columns) - columns / 2
     assert abs(column) < 1.5, "within the pixel"
-    assert where.row[side][v, u] == pytest.approx((optics.water_z_mm + 60.0) * rows / (optics.water_z_mm - optics.floor_z_mm), abs=1.5)
+    assert where[1][v, u] == pytest.approx((optics.water_z_mm + 60.0) * rows / (optics.water_z_mm - optics.floor_z_mm), abs=1.5)
 
 
 PX_A_MM = 1.8

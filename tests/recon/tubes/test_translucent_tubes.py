@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.tubes import root_light, translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
 from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.translucent_tube import HAIRS
@@ -32,9 +33,9 @@ def straight(*ends: tuple[tuple[float, float, float], tuple[float, float, float]
     return tubes.place_nodes([np.linspace(a, b, 100) for a, b, _ in ends], [np.full(100, radius) for *_, radius in ends])
 
 
-def pictured(system: tubes.Tubes, mu_per_mm: float | None) -> Evidence:
+def pictured(system: tubes.Tubes, mu_per_mm: float) -> Evidence:
     """Return what the pictures of tubes tell, as opacity, with a little noise."""
-    return drawn(system, replace(dark(), mu_per_mm=mu_per_mm), noise=0.005, opacity=True)
+    return drawn(system, replace(dark(), light=Light(mu_per_mm)), noise=0.005, opacity=True)
 
 
 STAR = straight(
@@ -49,9 +50,9 @@ ORGAN = np.zeros(len(STAR.radius_mm), bool)
 
 
 @cache
-def strips(mu: float | None, hairs: float, radius_mm: float, sine: float, half_px: float, index: float = 1.0) -> np.ndarray:
+def strips(light: Light, radius_mm: float, sine: float, half_px: float) -> np.ndarray:
     """Return half-width and height of each strip."""
-    layers = translucent_tube.layers(mu, hairs, mi.Float(radius_mm), mi.Float(sine), mi.Float(half_px), index=index)
+    layers = translucent_tube.layers(light, mi.Float(radius_mm), mi.Float(sine), mi.Float(half_px))
     return np.array([[layer.half_px[0], layer.height[0]] for layer in layers], np.float64).T
 
 
@@ -68,14 +69,14 @@ def test_strips_have_the_moments_of_a_round_root(power: int, tau: float, index: 
         chord = np.sqrt(1.0 - (np.cos(angle) / index) ** 2)
         return float((1.0 - np.exp(-2.0 * tau * chord)) * np.sin(angle) * np.cos(angle) ** power)
 
-    found = strips(tau / 0.5, 0.0, 0.5, 1.0, 1.0, index)
+    found = strips(Light(tau / 0.5, index=index), 0.5, 1.0, 1.0)
     assert moment(found, power) == pytest.approx(quad(slab, 0.0, np.pi, limit=200)[0], rel=3e-5 if index == 1.0 else 2e-4)
 
 
 def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
     """Beer and Lambert: the optical depth over a picture's area is mu times the volume, from wherever it is seen."""
     mu, radius = 0.5, 0.1
-    system, seen = straight((*SLANTED, radius)), replace(dark(), mu_per_mm=mu)
+    system, seen = straight((*SLANTED, radius)), replace(dark(), light=Light(mu))
     at = seen.project(system.centre_mm)
     light = 1.0 - np.array(tube_picture.transmittance(seen, system, at)).reshape(seen.bank.count, -1)
     px2_a_mm2 = np.linalg.norm(np.cross(at.du, at.dv), axis=-1).mean(axis=1)
@@ -83,11 +84,12 @@ def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
     np.testing.assert_allclose(light.sum(axis=1) / px2_a_mm2, mu * volume, rtol=0.09)  # less than 2 mu r / sin = 0.1 to 0.16 of saturation
 
 
-@pytest.mark.parametrize("mu", [None, 2.0])
-def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -> None:
+@pytest.mark.parametrize("mu", [np.inf, 2.0])
+def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float) -> None:
     system = straight((*SLANTED, 0.25))
     thicker = tubes.with_geometry(system, system.centre_mm, system.radius_mm + 0.01)
-    seen = replace(drawn(thicker, replace(dark(), mu_per_mm=mu), opacity=True).with_opacity(), mu_per_mm=mu)
+    lit = replace(dark(), light=Light(mu))
+    seen = replace(drawn(thicker, lit, opacity=True), light=lit.light)
     found = tube_profiles.profiles(Rendering.draw(seen, system)).host()
     inside = np.s_[:, 3:-3]
     ratio = found.width[inside].sum() / (found.width_2 * found.scale)[inside].sum()
@@ -100,19 +102,19 @@ CROWD = straight(
 
 
 @pytest.mark.parametrize(("radius", "sine"), [(0.05, 1.0), (2.0, 0.5)])
-@pytest.mark.parametrize("mu", [None, 1.0])
+@pytest.mark.parametrize("mu", [np.inf, 1.0])
 @pytest.mark.parametrize("power", [0, 2])
-def test_strips_with_hairs_have_the_moments_of_root_and_sleeve(radius: float, sine: float, mu: float | None, power: int) -> None:
+def test_strips_with_hairs_have_the_moments_of_root_and_sleeve(radius: float, sine: float, mu: float, power: int) -> None:
     outer = radius + HAIRS.length_mm
 
     def dark(x: float) -> float:
         inside = np.sqrt(max(radius**2 - x**2, 0.0))
         sleeve = HAIRS.mu_per_mm * (np.sqrt(outer**2 - x**2) - inside)
-        root = 0.0 if x >= radius else np.inf if mu is None else mu * inside
+        root = 0.0 if x >= radius else mu * inside
         return float(x**power * (1.0 - np.exp(-2.0 * (root + sleeve) / sine)))
 
     expected = 2.0 * quad(dark, 0.0, outer, points=[radius], limit=200)[0]
-    assert moment(strips(mu, 1.0, radius, sine, 4.0 * radius), power, scale=4.0) == pytest.approx(expected, rel=0.02)
+    assert moment(strips(Light(mu, hairs=1.0), radius, sine, 4.0 * radius), power, scale=4.0) == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.0])
@@ -120,12 +122,12 @@ def test_pictures_tell_whether_roots_have_hairs(strength: float) -> None:
     """In pictures that are fine enough to show hairs: 0.2 mm a pixel."""
     lens = replace(Camera().resized((1200, 900)), image_wh=(400, 300), principal_px=(199.5, 149.5))  # the middle of the picture
     sharp = blank_of(replace(ring_of(6), camera=lens))
-    true = replace(sharp, mu_per_mm=1.0, hairs=strength, index=1.0 + root_light.BENDING[0])
-    seen = replace(drawn(CROWD, true, noise=0.003, opacity=True).with_opacity(), mu_per_mm=1.0, hairs=0.5)
+    true = Light(1.0, hairs=strength, index=1.0 + root_light.BENDING[0])
+    seen = replace(drawn(CROWD, replace(sharp, light=true), noise=0.003, opacity=True), light=Light(1.0, hairs=0.5))
     fixed = np.zeros(len(CROWD.radius_mm), bool)
-    fit = tube_fit.fit(seen, root_light.match_absorption(CROWD, fixed, true, seen), fixed, steps=10, light=Prior.from_evidence(seen))
+    fit = tube_fit.fit(seen, root_light.match_absorption(CROWD, fixed, true, seen.light), fixed, steps=10, light=Prior.from_evidence(seen))
     found = tube_attenuation.update_attenuation(TubeAttenuation.opaque(), fit)
     assert found.hairs == ("there" if strength else "none")
-    assert fit.evidence.hairs == pytest.approx(strength, abs=0.1)
+    assert fit.evidence.light.hairs == pytest.approx(strength, abs=0.1)
     assert np.median(fit.tubes.radius_mm / CROWD.radius_mm) == pytest.approx(1.0, abs=0.02)
     assert ("hairs" in " ".join(found.warnings())) == (strength > 0.0)
