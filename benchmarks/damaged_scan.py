@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from benchmarks.projection import all_images
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
@@ -112,7 +113,7 @@ class Scan:
         pose, camera = self.views[k].cam_from_canister, self.dataset.scene.camera
         near = at(self.optics.outer_radius_mm).reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
         px = (near @ cameras.matrix(camera).T)[:, :2] / near[:, 2:]
-        far, _ = cameras.project(self.views[k], self.optics, at(self.optics.inner_radius_mm - 0.1).reshape(-1, 3))
+        far, _ = all_images(self.views[k], self.optics, at(self.optics.inner_radius_mm - 0.1).reshape(-1, 3))
         shown = np.where((facing > _FACES_CAMERA)[..., None], px.reshape(*around.shape, 2), np.nan)
         through = np.where((facing < -_FACES_CAMERA)[..., None], far[:, 0].reshape(*around.shape, 2), np.nan)
         return np.maximum(self._quads(shown), self._quads(through))

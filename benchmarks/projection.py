@@ -14,6 +14,8 @@ from rhizotwin.scenes.model import Camera, Scene
 Array = NDArray[np.float64]
 
 RAYS = 4000
+STARTS = 5
+"""Number of initial rays from which the images of a point are searched, over the canister's width."""
 _LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
 
 
@@ -123,6 +125,42 @@ def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random
     return px, entry + water * (rng.uniform(0.01, 0.99, len(entry)) * leave)[:, None]
 
 
+def all_images(view: cameras.View, optics: refraction.Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Project points in the water into a view, and find all images of each point.
+
+    The images are found by Newton's method from several initial rays.
+
+    Parameters
+    ----------
+    view : cameras.View
+        Camera and pose.
+    optics : refraction.Optics
+        Canister and water, without a tank.
+    points_mm : (N, 3) array
+        Points, canister frame.
+
+    Returns
+    -------
+    px : (N, 3, 2) array
+        Pixels of up to three images; NaN for missing images.
+    count : (N,) int array
+        Number of images; 0 where the view is blind.
+    """
+    points = cameras.apply_sway(view, optics, points_mm)
+    straight = cameras.straight_rays(view, optics, points)
+    b_mm = np.sin(np.linspace(-np.pi / 2, np.pi / 2, STARTS)) * optics.w_limit * optics.outer_radius_mm
+    starts = [np.column_stack([b / view.rho_mm * np.sqrt(1.0 - straight[:, 1] ** 2), straight[:, 1]]) for b in 0.9999 * b_mm]
+    q = np.stack([cameras.find_rays(view, optics, points, start)[0] for start in starts], axis=1)
+    q = np.take_along_axis(q, np.argsort(q[..., :1], axis=1), axis=1)  # NaN last
+    new = np.isfinite(q[..., 0])
+    new[:, 1:] &= ~(np.diff(q[..., 0], axis=1) < 1e-7)
+    px = np.stack([cameras.cam_pixels(view.camera, cameras.ray_directions(view, optics, part)) for part in q.transpose(1, 0, 2)], axis=1)
+    px[~new] = np.nan
+    first = np.argsort(~new, axis=1, kind="stable")[:, :3, None]
+    px = np.take_along_axis(px, first, axis=1)
+    return px, np.asarray(np.isfinite(px[..., 0]).sum(axis=1), np.int64)
+
+
 def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, rays: int = 40001) -> NDArray[np.int64]:
     """Count the images (N,) of points at the camera's own height.
 
@@ -169,7 +207,7 @@ def measure() -> list[Metric]:
     for _ in range(6):
         view = random_view(rng)
         px, points = points_on_rays(view, optics, rng, RAYS)
-        found, count = cameras.project(view, optics, points)
+        found, count = all_images(view, optics, points)
         error = np.linalg.norm(found - px[:, None], axis=-1)
         nearest = np.where(np.isnan(error), np.inf, error).min(axis=1)
         lost += int((nearest > 1e-3).sum())
@@ -187,7 +225,7 @@ def measure() -> list[Metric]:
         )
         angle, radius = rng.uniform(-np.pi, np.pi, 100), optics.inner_radius_mm * np.sqrt(rng.uniform(0.3, 0.999, 100))
         flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(100, float(level.centre_mm[2]))], axis=1)
-        swept_wrong += int((cameras.project(level, optics, flat)[1] != images_swept(level, optics, flat)).sum())
+        swept_wrong += int((all_images(level, optics, flat)[1] != images_swept(level, optics, flat)).sum())
         swept += len(flat)
     rows = [
         ("max_px", worst, "px", 1e-6),

@@ -117,7 +117,7 @@ def ray_path(optics: Optics, rho_mm: float, w: float) -> Array:
     (4, 2) array
         Coordinates x and y, mm.
     """
-    line = refraction.trace(optics, rho_mm, 0.0, np.array([w]), np.array([0.0]))
+    line = refraction.follow(optics, refraction.from_point(rho_mm, 0.0, np.array([w * optics.outer_radius_mm]), np.array([0.0])))
     along, half = line.t[0], float(np.sqrt(optics.inner_radius_mm**2 - line.b_mm[0] ** 2))
     foot = line.b_mm[0] * line.nu[0]
     entry, leave = foot - half * along, foot + half * along

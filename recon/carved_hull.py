@@ -1,7 +1,7 @@
 """Carving of the visual hull from the silhouettes of all views."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def carve_hull(
     """
     numbers = sorted(cameras.order)
     order = [numbers[place] for place in carve.spread(len(numbers))]
-    cameras = cameras.reorder(order)
+    cameras = replace(cameras, order=tuple(order))
     with monitor.stage("outlines"):
         drawn = tuple(coverage.silhouettes[k] for k in order)
         maps = DistanceMaps.compute(drawn, "outlines", monitor)

@@ -71,9 +71,6 @@ class BareCanister:
     """Angle of the optical axis below the horizon, degrees."""
     floor_z_mm: float | None
     """Height of the canister's floor in the pictures, mm; None if the floor is not visible."""
-    inner_radius_mm: float
-    """Inner radius of the canister as it appears in the pictures, mm. It is half the width over which the backlight
-    panel is visible through the canister."""
     uncertainty: BareUncertainty
     """Standard deviations of the estimated cameras."""
 
@@ -136,17 +133,16 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     towards = tilt_x * np.cos(azimuth) + tilt_y * np.sin(azimuth)
     level_row = edges.rows[0] - 0.5
     zero_row = level_row + scene.water.level_mm / mm_per_px
-    poses = tuple(
-        _pose(scene, mm_per_px, float(alpha), elevation + float(lean_to), edges.axis_px[k], edges.middle, zero_row + float(shift[k]))
-        for k, (alpha, lean_to) in enumerate(zip(azimuth, towards, strict=True))
-    )
+    rows, (column, slant) = zero_row + shift, edges.axis_px.T
+    columns = column + slant * (rows - edges.middle)
+    views = zip(azimuth, elevation + towards, np.arctan(slant), zip(columns, rows, strict=True), strict=True)
+    poses = tuple(_pose(scene, mm_per_px, *view) for view in views)
     return BareCanister(
         cam_from_canister=poses,
         mm_per_px=mm_per_px,
         azimuth_deg=np.rad2deg(azimuth),
         elevation_deg=float(np.rad2deg(elevation)),
         floor_z_mm=-(edges.rows[1] - 0.5 - zero_row) * mm_per_px if edges.floor_seen else None,
-        inner_radius_mm=0.5 * edges.inner_px * mm_per_px,
         uncertainty=BareUncertainty(
             scale=float(np.hypot(width_sigma_px / edges.width_px, CALLIPER_MM / (2.0 * scene.canister.outer_radius_mm))),
             azimuth_rad=float(np.sqrt(np.mean(azimuth_sigma**2))),
@@ -156,19 +152,13 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     )
 
 
-def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, axis_px: Array, middle: float, zero_row: float) -> Array:
-    """Return the pose (4, 4) of a camera that points at the canister's axis, computed from its azimuth and elevation.
+def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, lean: float, origin_px: tuple[float, float]) -> Array:
+    """Return the pose (4, 4) of a camera, computed from its azimuth and elevation, rad.
 
-    The roll and the lateral shift are determined by the canister's edges.
+    The roll ``lean``, rad, and the lateral shift, given as the pixel of the canister's origin, are determined by the
+    canister's edges.
     """
-    away, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    forward = -np.cos(elevation) * away - np.sin(elevation) * up
-    turned = np.eye(4)
-    turned[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    lean = np.arctan(axis_px[1])
-    pose = frames.rotation_z(-float(lean)) @ turned
-    cx, cy = scene.camera.principal_px
-    column = axis_px[0] + axis_px[1] * (zero_row - middle)
-    pose[:3, 3] = mm_per_px * (column - cx), mm_per_px * (zero_row - cy), scene.plan.rings[0].distance_mm
+    level = frames.level_camera(distance_mm=0.0, height_mm=0.0, tilt_deg=float(np.rad2deg(elevation)))
+    pose = frames.rotation_z(-lean) @ level @ frames.rotation_z(-azimuth)
+    pose[:2, 3], pose[2, 3] = mm_per_px * (np.array(origin_px) - scene.camera.principal_px), scene.plan.rings[0].distance_mm
     return np.asarray(pose)

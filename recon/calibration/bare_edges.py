@@ -41,8 +41,6 @@ class Edges:
     column per row."""
     width_px: float
     """Median width between the outer edges of the canister, px."""
-    inner_px: float
-    """Width over which the backlight panel is visible through the canister, px."""
     middle: float
     """Row at which the columns in ``axis_px`` are given."""
     rows: tuple[int, int]
@@ -113,7 +111,6 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     found = Edges(
         axis_px=0.5 * (from_left + from_right),
         width_px=float(np.median(widths)),
-        inner_px=float(inside[1] - inside[0]),
         middle=middle,
         rows=water,
         columns=inside,

@@ -95,14 +95,13 @@ class _Moment:
     def basis(self, azimuth: Array) -> tuple[Array, Array]:
         """Return the basis functions (V, order + 1) of the moment at each azimuth, and their derivatives.
 
-        The basis functions are the terms of (-X sin + Y cos)^order. The derivatives are with respect to the azimuth.
+        The moment is (-X sin + Y cos)^order of the azimuth, which is a sum of the sine, the cosine and, for the second
+        order, the constant. The derivatives are with respect to the azimuth.
         """
-        s, c = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
-        power = np.arange(self.order + 1)[None, :]
-        shape = (-s) ** (self.order - power) * c**power
-        by_s = -(self.order - power) * (-s) ** np.maximum(self.order - power - 1, 0) * c**power
-        by_c = power * (-s) ** (self.order - power) * c ** np.maximum(power - 1, 0)
-        return shape, by_s * c - by_c * s
+        angle = self.order * azimuth[:, None]
+        shape = np.hstack([-np.sin(angle), np.cos(angle), np.ones_like(angle)])
+        by_angle = self.order * np.hstack([-np.cos(angle), -np.sin(angle), np.zeros_like(angle)])
+        return shape[:, : self.order + 1], by_angle[:, : self.order + 1]
 
     def improve(self, azimuth: Array) -> tuple[Array, Array, Array]:
         """Fit the coefficients of each row, and update the weights.
@@ -176,21 +175,18 @@ def find_lift(mass: Array, nearer: Array) -> tuple[Array, Array, float]:
     views, rows = mass.shape
     typical = np.median(mass, axis=0)
     slope, row = np.gradient(typical), np.arange(rows, dtype=np.float64)
+    lower = np.gradient(typical * nearer, axis=1)
     unknown, left = np.zeros(views + 1), np.zeros(views)
     sigma_px = SHIFT_SIGMA_PX
     for _ in range(10):
-        prior = np.diag(np.concatenate([np.full(views, sigma_px**-2.0), [1e-6]]))
-        normal, right = prior.copy(), -prior @ unknown
-        for k in range(views):
-            by = np.stack([slope, np.gradient(typical * nearer[k])])
-            off = np.interp(row + unknown[k], row, mass[k]) - typical + unknown[-1] * by[1]
-            scatter = MAD * float(np.median(np.abs(off))) + 1e-9
-            weight = 1.0 / (1.0 + (off / (2.0 * scatter)) ** 2) / (ROWS_TOGETHER * scatter**2)
-            block = (by * weight) @ by.T
-            at = np.ix_([k, views], [k, views])
-            normal[at] += block
-            right[[k, views]] -= (by * weight) @ off
-        unknown += np.linalg.solve(normal, right)
+        prior = np.append(np.full(views, sigma_px**-2.0), 1e-6)
+        off = np.array([np.interp(row + shift, row, own) for shift, own in zip(unknown[:-1], mass, strict=True)]) - typical
+        off += unknown[-1] * lower
+        scatter = MAD * np.median(np.abs(off), axis=1, keepdims=True) + 1e-9
+        weight = 1.0 / (1.0 + (off / (2.0 * scatter)) ** 2) / (ROWS_TOGETHER * scatter**2)
+        normal = np.diag(np.append((weight * slope**2).sum(axis=1), (weight * lower**2).sum()) + prior)
+        normal[:-1, -1] = normal[-1, :-1] = (weight * slope * lower).sum(axis=1)
+        unknown -= np.linalg.solve(normal, np.append((weight * slope * off).sum(axis=1), (weight * lower * off).sum()) + prior * unknown)
         left = np.diag(np.linalg.inv(normal))[:-1]
         sigma_px = max(float(np.sqrt(np.mean(unknown[:-1] ** 2 + left))), LEAST_SHIFT_PX)
     return unknown[:-1], np.sqrt(left), float(unknown[-1])

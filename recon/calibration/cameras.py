@@ -45,13 +45,8 @@ class Camera:
     """Displacement of the roots in this picture, estimated from the reconstructed roots."""
     reprojection_px: float | None = None
     """Root mean square reprojection error of the measured marker corners, px, with outliers down-weighted."""
-    single_view_px: float | None = None
-    """Root mean square reprojection error of the pose estimated from this picture alone, px, with outliers
-    down-weighted."""
     markers: int = 0
     """Number of markers measured in the picture."""
-    outliers: int = 0
-    """Number of markers with negligible weight due to large residuals."""
     table_deg: float | None = None
     """Table angle estimated from the pictures, degrees; None if unknown."""
     covariance: Array | None = None
@@ -257,10 +252,6 @@ class Cameras:
             raise ValueError(f"{self.all[frame].file} has no camera pose")
         return pose
 
-    def reorder(self, order: Sequence[int]) -> Cameras:
-        """Return the cameras with another processing order of the frame numbers (V,)."""
-        return replace(self, order=tuple(order))
-
     def leave_out(self, reasons: Mapping[int, str], *, unread: Sequence[LeftOut] = ()) -> Cameras:
         """Exclude the frames in ``reasons``, and append unread frames.
 
@@ -287,14 +278,13 @@ class Cameras:
                 "without markers, the cameras are estimated from the roots of all pictures, so that none can be held out; "
                 "remove --hold-out, and compare the result with another scan by 'rhizotwin score --pictures'"
             )
-        held = frozenset(sorted(self.order)[every - 1 :: every])
+        held = sorted(self.order)[every - 1 :: every]
         if len(self.order) - len(held) < LEAST_VIEWS:
             raise UserError(
                 f"--hold-out {every} leaves {len(self.order) - len(held)} of {len(self.order)} pictures, but at least {LEAST_VIEWS} are "
                 "required; use a larger number"
             )
-        cameras = tuple(replace(camera, used=False, reason=HELD_OUT) if k in held else camera for k, camera in enumerate(self.all))
-        return replace(self, all=cameras, order=tuple(k for k in self.order if k not in held))
+        return replace(self.leave_out(dict.fromkeys(held, HELD_OUT)), warnings=self.warnings)
 
     @property
     def held_out(self) -> dict[int, Camera]:

@@ -118,7 +118,7 @@ class CanisterPose:
 
 def _sigmas(covariance: Array, by_cameras: Array, errors: PoseErrors | None) -> Array:
     """Return the standard deviations (N,) of the estimates, including the propagated errors that all cameras share."""
-    shared = np.zeros((1, 1)) if errors is None else errors.shared
+    shared = np.zeros((6, 6)) if errors is None else errors.shared
     return np.asarray(np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T)))
 
 
@@ -169,7 +169,7 @@ def find_canister(
     sigma = _sigmas(covariance, by_cameras, errors)
     straight = edges.off(np.zeros(len(prior)))[near]
     return CanisterPose(
-        canister_from_strip=frames.from_rotvec(np.array([fit.x[0], fit.x[1], 0.0]), np.array([fit.x[2], fit.x[3], 0.0])),
+        canister_from_strip=_canister_from_strip(fit.x),
         covariance=covariance[:4, :4],
         by_cameras=by_cameras[:4],
         sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:4]]),
@@ -244,7 +244,7 @@ class _Edges:
         The elements of ``unknown`` are the tilt (2 values), the offset (2 values), the excess of the radius, the
         ovality (2 values), and the rotation of the tank.
         """
-        canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
+        canister_from_strip = _canister_from_strip(unknown)
         origin, direction = self.lines(float(unknown[_OPEN]) if len(unknown) > _OPEN else 0.0)
         start, along = frames.apply(canister_from_strip, origin), direction @ canister_from_strip[:3, :3].T
         away_mm, azimuth = _distance_from_axis(start, along)
@@ -256,12 +256,10 @@ class _Edges:
         rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "ray")}
         return replace(self, **rows)
 
-    def displace(self, step: Array) -> _Edges:
-        """Return the lines through the same pixels after a small motion of all cameras.
 
-        The motion is a twist (6,) that multiplies every ``cam_from_canister`` from the left.
-        """
-        return replace(self, views=[view.move_camera(twist(step)) for view in self.views])
+def _canister_from_strip(unknown: Array) -> Array:
+    """Return the pose (4, 4) of the strip in the canister, given its tilt and offset."""
+    return frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
 
 
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
@@ -286,8 +284,12 @@ def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, setting
     bread = inverse(normal)
     covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(chosen, chosen)]
     if errors is None:
-        return covariance, np.zeros((len(chosen), 1))
-    by_pose = _slopes(lambda step: edges.displace(step).off(found), np.zeros(6), _POSE_SCALE)
+        return covariance, np.zeros((len(chosen), 6))
+
+    def displaced(step: Array) -> Array:
+        return replace(edges, views=[view.move_camera(twist(step)) for view in edges.views]).off(found)
+
+    by_pose = _slopes(displaced, np.zeros(6), _POSE_SCALE)
     follow = np.zeros((len(edges.views), len(found), 6))
     np.add.at(follow, edges.view, -stiff * jacobian[:, :, None] * by_pose[:, None, :])
     follow = (bread @ follow)[:, chosen]

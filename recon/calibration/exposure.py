@@ -104,8 +104,12 @@ class Exposures:
     def light(self, k: int, image_wh: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the exposure of picture k, either one number, or an array (H, W) if it varies over the picture."""
         sides = self.beside[k] if self.beside else None
-        gain = np.float32(self.gain[k])
-        return gain if sides is None else gain * sides.over(image_wh)
+        gain, (width, height) = np.float32(self.gain[k]), image_wh
+        return (
+            gain
+            if sides is None
+            else gain * sides.at(np.arange(height, dtype=np.float64)[:, None], np.arange(width, dtype=np.float64)).astype(np.float32)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,16 +124,14 @@ class Sides:
     """(2, R) brightness of the panel on the left and on the right, relative to the same pixels in the station's median
     picture, and divided by the picture's median over all pixels."""
 
-    def over(self, image_wh: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the relative brightness (H, W) of all pixels.
+    def at(self, row: Array, column: Array) -> Array:
+        """Return the relative brightness (...) of pixels.
 
         In each row, the brightness is interpolated linearly between the left and the right side, and extrapolated
         beyond.
         """
-        width, height = image_wh
-        left, right = (np.interp(np.arange(height), self.rows, side)[:, None] for side in self.share)
-        across = (np.arange(width)[None] - self.columns[0]) / (self.columns[1] - self.columns[0])
-        return np.asarray(left + (right - left) * across, np.float32)
+        left, right = (np.interp(row, self.rows, side) for side in self.share)
+        return np.asarray(left + (right - left) * ((column - self.columns[0]) / (self.columns[1] - self.columns[0])))
 
 
 def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tuple[int, int]], optics: Optics, scene: Scene) -> Exposures:
@@ -200,14 +202,12 @@ def _measure_unevenness(ratio: Array, row: Array, column: Array, width: int) -> 
     if found is not None and np.std(found.share) < UNEVEN:
         found = None
     if found is not None:
-        at = (column - found.columns[0]) / (found.columns[1] - found.columns[0])
-        first, last = (np.interp(row, found.rows, side) for side in found.share)
-        ratio = ratio / (first + (last - first) * at)
+        ratio = ratio / found.at(row, column)
     middle = np.where(left, np.median(column[left]) if left.any() else 0.0, np.median(column[~left]) if (~left).any() else 0.0)
     patch = np.floor(row / (4.0 * _ROWS * _STEP)) * 4.0 + 2.0 * left + (column > middle)
-    _, inverse, count = np.unique(patch, return_inverse=True, return_counts=True)
-    means = np.bincount(inverse, weights=ratio) / count
-    noise = np.bincount(inverse, weights=(ratio - means[inverse]) ** 2) / np.maximum(count - 1, 1) / count
+    patches, count = np.unique(patch, return_counts=True)
+    means = ndimage.mean(ratio, patch, patches)
+    noise = ndimage.variance(ratio, patch, patches) / np.maximum(count - 1, 1)
     whole = count >= _LEAST_PATCH
     more = np.var(means[whole]) - np.mean(noise[whole]) if whole.sum() > 1 else 0.0
     return found, float(np.sqrt(max(0.0, more)))
@@ -223,9 +223,8 @@ def _measure_sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides
     rows = np.unique(row)
     share = []
     for side in (left, ~left):
-        side_rows, inverse = np.unique(row[side], return_inverse=True)
-        order = np.argsort(inverse, kind="stable")
-        medians = [float(np.median(part)) for part in np.split(ratio[side][order], np.flatnonzero(np.diff(inverse[order])) + 1)]
+        side_rows = np.unique(row[side])
+        medians = ndimage.median(ratio[side], row[side], side_rows)
         share.append(ndimage.gaussian_filter1d(np.interp(rows, side_rows, medians), _ROWS, mode="nearest"))
     columns = float(np.mean(column[left])), float(np.mean(column[~left]))
     return Sides(rows=rows, columns=columns, share=np.maximum(share, _DARKEST))

@@ -8,12 +8,11 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.calibration import bare_canister, markers, poses, view_fit
+from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import LEAST_VIEWS, Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
 from rhizotwin.recon.calibration.vessel_shape import refuse_corners
-from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
@@ -21,7 +20,6 @@ from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.plan import LEAST_MARKERS
 
 FOCUS_GIVEN = 1e-4
 """Relative standard deviation of the focal length of a calibrated lens. A calibration reached 0.009 %
@@ -66,11 +64,11 @@ def find_cameras(
         return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
         return _require_views(pictures, _calibrate_bare(pictures, monitor))
-    _require_round_vessel(pictures)
     detected = _detect_markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)
+    _require_round_vessel(pictures, solved, lens)
     left_out = tuple(f"{view.file} is excluded: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
         canister = None if single_view else _find_canister(pictures, solved, lens, settings)
@@ -106,15 +104,12 @@ def _require_markers(pictures: Pictures, single_view: bool) -> None:
     )
 
 
-def _require_round_vessel(pictures: Pictures) -> None:
-    """Raise a UserError if the vessel is not round in the pictures whose markers were already measured."""
-    scene = pictures.dataset.scene
-    if scene.tank is not None:
-        return
-    read = {k: view_fit.sightings(found, scene) for k, found in pictures.measured.items() if len(found.ids) >= LEAST_MARKERS}
-    poses_found = {k: view_fit.single_view(found) for k, found in read.items()}
-    views = {k: View(camera=scene.camera, cam_from_canister=pose) for k, pose in poses_found.items() if pose is not None}
-    refuse_corners(list(views.values()), [pictures.images[k] for k in views], scene)
+def _require_round_vessel(pictures: Pictures, solved: poses.Poses, lens: model.Camera) -> None:
+    """Raise a UserError if the vessel is not round in the pictures from which the transfer curve was determined."""
+    keys = tuple(k for k in pictures.measured if solved.views[k].used)
+    if pictures.dataset.scene.tank is None:
+        views = Cameras(lens=lens, optics=Optics.from_scene(pictures.dataset.scene), all=solved.views, order=keys).views
+        refuse_corners(views, [pictures.images[k] for k in keys], pictures.dataset.scene)
 
 
 def _calibrate_bare(pictures: Pictures, monitor: Monitor) -> Cameras:
@@ -200,7 +195,7 @@ def _find_canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, 
         return None
     poses_found = Cameras(lens=lens, optics=Optics.from_scene(pictures.dataset.scene), all=solved.views, order=tuple(keys))
     views = poses_found.views
-    errors = None if solved.errors is None else solved.errors.reorder(keys, [None] * len(keys))
+    errors = solved.errors.reorder(keys, [None] * len(keys)) if solved.rings else None  # single views are treated as exact
     return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 

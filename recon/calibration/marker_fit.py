@@ -58,6 +58,9 @@ FULL: Final = 0.985
 """Brightness above which a pixel is saturated, as a fraction of full scale."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """(4, 2) coordinates (s, t) of a marker's corners: top left, top right, bottom right, bottom left."""
+_HOMOGRAPHY, _BULGE, _BLUR = [0, 1, 2, 4, 5, 6, 8, 9], [3, 7, 11], 10
+"""Indices of the parameters of the warp. Its 12 parameters are the elements of the matrix M (3, 4), row by row, with
+``W = M (s, t, 1, 1 - s^2)`` in homogeneous coordinates. The blur takes the place of the element that is always 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +131,17 @@ def fit_marker(
     fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px, scratch or Scratch())
     if window is None or fitted is None:
         return None
-    warp, blur, covariance, correlation, bend = fitted
-    corners = _project(_matrix(warp), CORNERS)
+    warp, covariance, correlation, bend = fitted
+    corners = _corners(warp)
     shift_px = float(np.max(np.linalg.norm(corners - window.start, axis=1))) * window.scale_px
-    if shift_px > max(MOST_SHIFT_PX, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > MOST_BULGE:
+    if shift_px > max(MOST_SHIFT_PX, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[_BULGE]).max() > MOST_BULGE:
         return None
-    corners_from_h = _corner_derivatives(warp)
+    depth = np.repeat((_matrix(warp) @ _basis(*CORNERS.T))[2], 2)
+    corners_from_h = _corner_rows(corners) / depth[:, None]  # corners do not depend on the bulge
     return MarkerFit(
         corners_px=corners * window.scale_px + window.centre_px,
-        covariance_px2=corners_from_h @ covariance[:8, :8] @ corners_from_h.T * window.scale_px**2,
-        blur_px=blur * window.scale_px,
+        covariance_px2=corners_from_h @ covariance[np.ix_(_HOMOGRAPHY, _HOMOGRAPHY)] @ corners_from_h.T * window.scale_px**2,
+        blur_px=float(warp[_BLUR]) * window.scale_px,
         bend=bend,
     )
 
@@ -188,29 +192,29 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
     return _Window(light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px)
 
 
-def _gauss_newton(
-    window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
-) -> tuple[Array, float, Array, float, float] | None:
+def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch) -> tuple[Array, Array, float, float] | None:
     """Fit the marker model to the cropped pixels by Gauss-Newton.
 
-    Return, in this order, the parameters H and b (11,), the blur, the covariance (18, 18) of all parameters, the
-    correlation between the model and the picture, and the bend (`MarkerFit.bend`). Return None if the fit diverges.
-    Long sums use `_products`, because a multi-threaded BLAS would compete with threads that measure other pictures.
+    Return the parameters of the warp (12,), the covariance (18, 18) of all parameters, the correlation between model
+    and picture, and the bend (`MarkerFit.bend`), or None if the fit diverges. Long sums use `_products`, because a
+    multi-threaded BLAS would compete with threads that measure other pictures.
     """
-    warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
+    warp, xy, light = np.zeros(12), window.xy, window.light
+    warp[_HOMOGRAPHY], warp[_BLUR] = np.linalg.solve(_corner_rows(window.start), window.start.ravel()), blur
     table, tabled, rows, zero = scratch.table, np.zeros(2), np.empty((19, 0)), np.zeros(1)
-    s, t = _start_st(warp, xy)
+    back = np.linalg.inv(_matrix(warp)[:, :3])
+    s, t = (back[:2, :2] @ xy + back[:2, 2:]) / (back[2, :2] @ xy + back[2, 2])
     for iteration in range(MOST_STEPS):
         if iteration < 2:
             inside = np.maximum(np.abs(s), np.abs(t)) < 1.0 + MARGIN
             if np.count_nonzero(inside) < LEAST_PIXELS:
                 return None
             xy, light, s, t = xy[:, inside], light[inside], s[inside], t[inside]
-        sigma = blur / np.linalg.norm(np.reshape(_slope(warp, zero, _warp(warp, zero, zero)), (2, 2)), axis=1)
+        sigma = warp[_BLUR] / np.linalg.norm(_warp(warp, zero, zero)[1:], axis=1)[:, 0]
         if np.any(np.abs(sigma - tabled) > RETABLE * tabled):
             table, tabled = _pattern(white, float(sigma[0]), float(sigma[1]), scratch), sigma
         with np.errstate(all="ignore"):  # a diverging fit may fold the marker
-            s, t, to_h = _invert(warp, xy, s, t)
+            s, t, s_xy, t_xy = _invert(warp, xy, s, t)
         if not (np.isfinite(s).all() and np.isfinite(t).all()):
             return None
         at = [np.clip((c - GRID[0]) / (GRID[1] - GRID[0]), -1e6, 1e6).astype(np.float32) for c in (s, t)]
@@ -224,20 +228,21 @@ def _gauss_newton(
             amounts = np.linalg.solve(products[:6, :6] + 1e-12 * np.eye(6), products[:6, 6])
         except np.linalg.LinAlgError:
             return None
-        contrast = amounts[3] + amounts[4] * s + amounts[5] * t
-        _fill_warp_derivatives(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
-        rows[11] = contrast * by_log_blur / blur
-        products = _products(rows)
+        contrast = amounts[3:] @ rows[12:15]
+        basis = _basis(s, t)
+        change = -contrast * (by_s * s_xy + by_t * t_xy) / (_matrix(warp)[2] @ basis)
+        change = np.vstack([change, -(change * xy).sum(axis=0)])
+        np.multiply(change[:, None], basis, out=rows[:12].reshape(3, 4, -1))
+        rows[_BLUR] = contrast * by_log_blur / warp[_BLUR]
+        products, left = _products(rows), np.concatenate([np.zeros(12), -amounts, [1.0]])
         normal = products[:18, :18]
-        left = np.concatenate([np.zeros(12), -amounts, [1.0]])
         try:
             step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), products[:18] @ left)[:12]
         except np.linalg.LinAlgError:
             return None
-        moved = float(np.abs(_project(_matrix(warp + step[:11]), CORNERS) - _project(_matrix(warp), CORNERS)).max())
-        step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
-        warp = warp + step[:11]
-        blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
+        moved = float(np.abs(_corners(warp + step) - _corners(warp)).max())
+        warp = warp + step * min(1.0, MOST_MOVE / max(moved, 1e-12))
+        warp[_BLUR] = np.clip(warp[_BLUR], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel)
         if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # diverged: corners are near 1
             return None
         if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
@@ -246,7 +251,7 @@ def _gauss_newton(
     correlation = float(np.sqrt(max(0.0, 1.0 - variance / spread))) if spread > 0.0 else 0.0
     inverse = np.linalg.pinv(normal)
     bend = _bend(rows, left, np.asarray(inverse, np.float64), 4.0 * contrast * pattern * (1.0 - pattern))
-    return warp, blur, np.asarray(inverse * variance, np.float64), correlation, bend
+    return warp, np.asarray(inverse * variance, np.float64), correlation, bend
 
 
 def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
@@ -265,39 +270,12 @@ def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
     """
     common = rows @ between  # projections on the model's columns and on the picture
     alone = float(between @ between - common[:18] @ inverse @ common[:18])
-    return float(left @ np.append(common[:18], common[18])) / alone if alone > 0.0 else 0.0
+    return float(left @ common) / alone if alone > 0.0 else 0.0
 
 
 def _products(rows: Array) -> Array:
     """Return ``rows @ rows.T``, computed in a single thread."""
     return np.asarray(cv2.mulTransposed(rows, aTa=False), np.float64)
-
-
-def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
-    """Return initial pattern coordinates s (P,) and t (P,) of pixels (2, P).
-
-    They are computed with the inverse homography, and neglect the curvature of the strip.
-    """
-    back = np.linalg.inv(_matrix(warp))
-    s, t, _ = _warp(np.append(back.ravel()[:8] / back[2, 2], np.zeros(3)), xy[0], xy[1])
-    return s, t
-
-
-def _fill_warp_derivatives(
-    rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]
-) -> None:
-    """Write the derivatives of the model with respect to H and b, at fixed pixels, to rows 0 to 10 of ``rows``."""
-    s_x, s_y, t_x, t_y = to_h
-    bulge = 1.0 - s * s
-    depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
-    rows[2] = -(by_s * s_x + by_t * t_x) / depth
-    rows[5] = -(by_s * s_y + by_t * t_y) / depth
-    by_depth = -(rows[2] * xy[0] + rows[5] * xy[1])
-    for first, change in ((0, rows[2]), (3, rows[5]), (6, by_depth)):
-        np.multiply(change, s, out=rows[first])
-        np.multiply(change, t, out=rows[first + 1])
-    for row, change in ((8, rows[2]), (9, rows[5]), (10, by_depth)):
-        np.multiply(change, bulge, out=rows[row])
 
 
 def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: Scratch) -> NDArray[np.float32]:
@@ -329,61 +307,47 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: 
 
 
 def _matrix(warp: Array) -> Array:
-    return np.append(warp[:8], 1.0).reshape(3, 3)
+    """Return the matrix M (3, 4) of a warp."""
+    matrix = warp.reshape(3, 4).copy()
+    matrix[2, 2] = 1.0
+    return matrix
 
 
-def _project(matrix: Array, points: Array) -> Array:
-    """Apply a homography to points (P, 2)."""
-    mapped = points @ matrix[:, :2].T + matrix[:, 2]
-    return mapped[:, :2] / mapped[:, 2:]
+def _basis(s: Array, t: Array) -> Array:
+    return np.stack([s, t, np.ones_like(s), 1.0 - s * s])
 
 
-def _homography_through(corners: Array) -> Array:
-    """Return the parameters h (8,) of the homography that maps `CORNERS` to the given corners (4, 2)."""
-    (s, t), (x, y) = CORNERS.T, corners.T
-    one, zero = np.ones(4), np.zeros(4)
-    rows_x = np.stack([s, t, one, zero, zero, zero, -s * x, -t * x], axis=1)
-    rows_y = np.stack([zero, zero, zero, s, t, one, -s * y, -t * y], axis=1)
-    return np.linalg.solve(np.concatenate([rows_x, rows_y]), np.concatenate([x, y]))
+def _corners(warp: Array) -> Array:
+    """Return the corners (4, 2) of a warped marker."""
+    return _warp(warp, *CORNERS.T)[0].T
 
 
-def _corner_derivatives(warp: Array) -> Array:
-    """Return the derivatives (8, 8) of the corners' x and y with respect to the homography parameters h.
+def _corner_rows(corners: Array) -> Array:
+    """Return the matrix (8, 8) of the equations that a homography maps `CORNERS` to the given corners (4, 2).
 
-    The corners do not depend on the curvature parameters b.
+    The unknowns are the first 8 elements h of the homography. The derivatives of the corners with respect to h are the
+    rows of this matrix, divided by the homogeneous coordinates of the corners.
     """
-    found = np.zeros((4, 2, 8))
-    for k, ((s, t), (x, y)) in enumerate(zip(CORNERS, _project(_matrix(warp), CORNERS), strict=True)):
-        depth = warp[6] * s + warp[7] * t + 1.0
-        found[k, 0] = np.array([s, t, 1.0, 0.0, 0.0, 0.0, -s * x, -t * x]) / depth
-        found[k, 1] = np.array([0.0, 0.0, 0.0, s, t, 1.0, -s * y, -t * y]) / depth
-    return found.reshape(8, 8)
+    rows = np.zeros((4, 2, 8))
+    rows[:, 0, :3] = rows[:, 1, 3:6] = np.column_stack([CORNERS, np.ones(4)])
+    rows[:, :, 6:] = -corners[:, :, None] * CORNERS[:, None, :]
+    return rows.reshape(8, 8)
 
 
 def _warp(warp: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Return x (P,), y (P,) and the homogeneous coordinate (P,) of W(s, t)."""
-    bulge = 1.0 - s * s
-    depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
-    x = (warp[0] * s + warp[1] * t + warp[2] + warp[8] * bulge) / depth
-    return x, (warp[3] * s + warp[4] * t + warp[5] + warp[9] * bulge) / depth, depth
+    """Return W(s, t) (2, P), and its derivatives (2, P) with respect to s and t."""
+    matrix = _matrix(warp)
+    mapped, by_s = matrix @ _basis(s, t), matrix[:, :1] - 2.0 * s * matrix[:, 3:]
+    at = mapped[:2] / mapped[2]
+    return at, (by_s[:2] - at * by_s[2]) / mapped[2], (matrix[:2, 1:2] - at * matrix[2, 1]) / mapped[2]
 
 
-def _slope(warp: Array, s: Array, at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return the derivatives (dx/ds, dy/ds) and (dx/dt, dy/dt) of W(s, t) = ``at``, each of shape (P,)."""
-    x, y, depth = at
-    depth_s = warp[6] - 2.0 * warp[10] * s
-    by_s = (warp[0] - 2.0 * warp[8] * s - x * depth_s) / depth, (warp[3] - 2.0 * warp[9] * s - y * depth_s) / depth
-    return by_s, ((warp[1] - x * warp[7]) / depth, (warp[4] - y * warp[7]) / depth)
-
-
-def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
+def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     """Solve W(s, t) = xy with a Newton step from initial values near the solution.
 
-    Return s, t and the derivatives (ds/dx, ds/dy, dt/dx, dt/dy), each of shape (P,).
+    Return s (P,), t (P,), and their derivatives (2, P) with respect to x and y.
     """
-    x, y, _ = at = _warp(warp, s, t)
-    (x_s, y_s), (x_t, y_t) = _slope(warp, s, at)
-    area = x_s * y_t - y_s * x_t
+    at, (x_s, y_s), (x_t, y_t) = _warp(warp, s, t)
+    area, (off_x, off_y) = x_s * y_t - y_s * x_t, xy - at
     s_x, s_y, t_x, t_y = y_t / area, -x_t / area, -y_s / area, x_s / area
-    off_x, off_y = xy[0] - x, xy[1] - y
-    return s + s_x * off_x + s_y * off_y, t + t_x * off_x + t_y * off_y, (s_x, s_y, t_x, t_y)
+    return s + s_x * off_x + s_y * off_y, t + t_x * off_x + t_y * off_y, np.stack([s_x, s_y]), np.stack([t_x, t_y])

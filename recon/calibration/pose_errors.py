@@ -28,6 +28,12 @@ class PoseErrors:
     own: Array
     """(V, 6, 6) covariance of the error e of each view, which is independent of the other views."""
 
+    @staticmethod
+    def independent(covariances: Sequence[Array | None]) -> PoseErrors:
+        """Return the errors of views that were calibrated independently, given their covariances (6, 6)."""
+        none = PoseErrors(shared=np.zeros((6, 6)), carry=np.zeros((0, 6, 6)), own=np.zeros((0, 6, 6)))
+        return none.reorder([None] * len(covariances), covariances)
+
     def covariance(self) -> Array:
         """Return the total covariance (V, 6, 6) of each view's pose."""
         return np.asarray(self.carry @ self.shared @ self.carry.transpose(0, 2, 1) + self.own)

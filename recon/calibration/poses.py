@@ -31,8 +31,6 @@ LOOSE = np.array([np.deg2rad(3.0), 10.0])
 views scatter more, they were not taken by a static camera, and are calibrated independently."""
 LEAST_RING = 5
 """Minimum number of views of a ring in which single views with a moved camera are searched for."""
-OUTLIER_WEIGHT = 0.1
-"""Cauchy weight below which a marker counts as an outlier. A residual of nine standard deviations has this weight."""
 AS_CALIBRATED = 1e-7
 """Prior standard deviation of the relative focal length in fits that keep the calibrated focal length. It is so small
 that the focal length does not change."""
@@ -47,9 +45,9 @@ class Poses(StripCalibration):
 
     views: tuple[Camera, ...]
     """(F,) cameras of the views, in the order of the frames."""
-    errors: PoseErrors | None = None
-    """Errors of all camera poses; None if the views were calibrated independently."""
-    turn_sigma_rad: Array | None = None
+    errors: PoseErrors
+    """Errors of all camera poses."""
+    turn_sigma_rad: Array
     """(F,) standard deviations of the table angles, rad. They are 0 for views that are not part of the rig's fit."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
@@ -112,8 +110,14 @@ def find_poses(
                 del sightings[k]
     if single_view:
         _require_camera(views, captured)
-        return Poses(views=tuple(views), after_px=median_px)
+        return _independent(views, median_px)
     return _fit_all_views(views, sightings, scene, captured, settings)
+
+
+def _independent(views: Sequence[Camera], after_px: float) -> Poses:
+    """Return the cameras of views that were calibrated independently."""
+    errors = PoseErrors.independent([view.covariance for view in views])
+    return Poses(views=tuple(views), errors=errors, turn_sigma_rad=np.zeros(len(views)), after_px=after_px)
 
 
 def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
@@ -155,8 +159,7 @@ def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bo
         )
         return replace(nothing, reason=reason), None
     local = view_fit.linearise(sightings, pose)
-    view = _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
-    return replace(view, single_view_px=local.rms_px), sightings
+    return _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64)), sightings
 
 
 def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
@@ -169,8 +172,7 @@ def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
 
 
 def _add_pose(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
-    outliers = int(np.count_nonzero(local.weight < OUTLIER_WEIGHT))
-    return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
+    return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px)
 
 
 def _misfit_reason(error_px: float | None, median_px: float, settings: CalibrationSettings, *, of: str = "all pictures") -> str | None:
@@ -203,7 +205,7 @@ def _fit_all_views(
     """
     keys = _rig_keys(views, sorted(sightings), scene, captured)
     if not keys:
-        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in sightings])))
+        return _independent(views, float(np.median([views[k].reprojection_px for k in sightings])))
     while True:
         first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
         sights = [sightings[k] for k in keys]
@@ -231,7 +233,6 @@ def _fit_all_views(
             view,
             used=reason is None,
             reason=reason,
-            single_view_px=views[k].single_view_px,
             table_deg=float(turn) if first.known[i] else None,
             cam_from_tank=_tank_pose(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
         )

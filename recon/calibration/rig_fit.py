@@ -5,6 +5,7 @@ The unknowns are the camera of each ring, the table angles, and the pose of the 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,8 +94,6 @@ class RigFit:
     """Errors of the views' camera poses."""
     turn_sigma_rad: Array
     """(V,) standard deviations of the table angles, rad."""
-    scale: float
-    """Ratio of the corner residuals to their standard deviations."""
 
     @property
     def focal_sigma(self) -> float:
@@ -151,7 +150,7 @@ def fit_rig(
     views = _linearise_views(sightings, rig, scale)
     system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
     rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(sightings)]
-    return system.report(sightings, weight, views, scale, np.array(rig_px))
+    return system.report(sightings, weight, np.array(rig_px))
 
 
 def _linearise_views(sightings: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
@@ -188,27 +187,26 @@ class _System:
     """Normal equations of the rig fit, linearised at the current parameters of the rig.
 
     The S shared unknowns are the inset, the focus (focal scale), 6 components of the camera pose of each ring, and 4
-    components of the canister's pose. The local unknowns of each view are the table angle and 6 components of the
-    camera's movement.
+    components of the canister's pose. The 7 local unknowns of each view are the table angle and 6 components of the
+    camera's movement. They determine the 8 parameters of a view: 6 of the pose twist, the inset of the markers' edges,
+    and the factor on the focal length.
     """
 
     rig: Rig
+    views: Sequence[Linearised]
     by_shared: Array
-    """(V, 8, S) derivatives of (twist, inset, focus) of each view with respect to the shared unknowns."""
+    """(V, 8, S) derivatives of the parameters of each view with respect to the shared unknowns."""
     by_local: Array
-    """Derivatives of the 8 parameters of each view (6 of the pose twist, the inset of the markers' edges, and the
-    factor on the focal length) with respect to its 7 local unknowns, shape (V, 8, 7)."""
-    normal: Array
-    """(V, 8, 8) normal matrix of each view with respect to (twist, inset, focus)."""
-    gradient: Array
-    """(V, 8) gradient of each view with respect to (twist, inset, focus)."""
-    own: Array
-    """(V, 6) movement of the camera in each view, as a rotation vector, rad, and a shift, mm."""
-    angle_off: Array
-    """(V,) estimated minus commanded table angle, rad."""
+    """(V, 8, 7) derivatives of the parameters of each view with respect to its local unknowns."""
+    shared_value: Array
+    """(S,) values of the shared unknowns, minus their prior means."""
+    shared_prior: Array
+    """(S,) prior precision of the shared unknowns."""
+    local_value: Array
+    """(V, 7) values of the local unknowns, minus their prior means: table angle, rad, rotation vector of the camera's
+    movement, rad, and its shift, mm."""
     angle_sigma: Array
     """(V,) prior standard deviation of the table angles, rad."""
-    settings: CalibrationSettings
 
     @classmethod
     def build(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, settings: CalibrationSettings) -> "_System":
@@ -222,22 +220,31 @@ class _System:
             cam_from_rig = rig.own[k] @ rig.cam_from_rig[ring]
             by_local[k, :6, 0] = adjoint(cam_from_rig)[:, 2]
             by_shared[k, :6, -4:] = adjoint(cam_from_rig @ frames.rotation_z(float(rig.angle_rad[k])))[:, CANISTER]
-        own = np.array([np.concatenate([frames.to_rotvec(pose), pose[:3, 3]]) for pose in rig.own])
-        normal = np.array([view.normal for view in views])
-        gradient = np.array([view.gradient for view in views])
-        return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, settings)
+        canister, free = _to_twist(rig.table_from_canister)[CANISTER], np.zeros(6 * rings)
+        known = np.array([settings.inset_prior_px, settings.focus_prior]) ** -2.0, np.full(6 * rings, 1e-9), CANISTER_PRIOR**-2.0
+        return cls(
+            rig=rig,
+            views=views,
+            by_shared=by_shared,
+            by_local=by_local,
+            shared_value=np.concatenate([[rig.inset_px, rig.focal_scale - 1.0], free, canister]),
+            shared_prior=np.concatenate(known),
+            local_value=np.column_stack([angle_off, [_to_twist(pose) for pose in rig.own]]),
+            angle_sigma=angle_sigma,
+        )
 
     def _prior(self, spread: Array, weight: Array) -> Array:
         """Return the prior precision (V, 7) of the local unknowns."""
         precision = np.repeat(spread[self.rig.ring] ** -2.0, 3, axis=1) * weight[:, None]
         return np.concatenate([self.angle_sigma[:, None] ** -2.0, precision], axis=1)
 
-    def _shared_prior(self) -> Array:
-        """Return the prior precision (S,) of the shared unknowns."""
-        prior = np.full(self.by_shared.shape[2], 1e-9)
-        prior[0], prior[1] = self.settings.inset_prior_px**-2.0, self.settings.focus_prior**-2.0
-        prior[-4:] = CANISTER_PRIOR**-2.0
-        return prior
+    @cached_property
+    def _products(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the products of the views' normal equations with the derivatives by local and by shared unknowns."""
+        normal, gradient = np.array([view.normal for view in self.views]), np.array([view.gradient for view in self.views])
+        local, shared = (np.einsum("vij,vik->vjk", by, normal) for by in (self.by_local, self.by_shared))
+        by_gradient = np.einsum("vij,vi->vj", self.by_local, gradient), np.einsum("vij,vi->j", self.by_shared, gradient)
+        return local @ self.by_local, local @ self.by_shared, shared @ self.by_shared, *by_gradient
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return the next step of all unknowns, with covariances.
@@ -247,24 +254,14 @@ class _System:
         unknowns, and the gain (V, 7, S). The covariances are valid for independent residuals. The gain is minus the
         derivative of the local unknowns with respect to the shared unknowns.
         """
+        local_normal, cross, shared_normal, local_right, shared_right = self._products
         prior = self._prior(spread, weight)
-        local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)
-        shared_from = np.einsum("vij,vik->vjk", self.by_shared, self.normal)
-        local_normal = local_from @ self.by_local + prior[:, :, None] * np.eye(7)
-        cross = local_from @ self.by_shared
-        right = np.einsum("vij,vi->vj", self.by_local, self.gradient)
-        right -= prior * np.concatenate([self.angle_off[:, None], self.own], axis=1)
-        canister = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
-        shared_prior = self._shared_prior()
-        shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
-        shared_right[0] -= shared_prior[0] * self.rig.inset_px
-        shared_right[1] -= shared_prior[1] * (self.rig.focal_scale - 1.0)
-        shared_right[-4:] -= shared_prior[-4:] * canister
-        given = inverse(local_normal)
+        right = local_right - prior * self.local_value
+        given = inverse(local_normal + prior[:, :, None] * np.eye(7))
         gain = given @ cross
-        reduced = np.sum(shared_from @ self.by_shared - cross.transpose(0, 2, 1) @ gain, axis=0) + np.diag(shared_prior)
+        reduced = np.sum(shared_normal - cross.transpose(0, 2, 1) @ gain, axis=0) + np.diag(self.shared_prior)
         covariance = inverse(reduced)
-        shared = covariance @ (shared_right - np.einsum("vij,vi->j", gain, right))
+        shared = covariance @ (shared_right - self.shared_prior * self.shared_value - np.einsum("vij,vi->j", gain, right))
         local = np.einsum("vij,vj->vi", given, right) - gain @ shared
         return shared, local, covariance, given, gain
 
@@ -273,7 +270,7 @@ class _System:
         for _ in range(SPREAD_STEPS):
             _, local, shared, given, gain = self.solve(spread, weight)
             covariance = given + gain @ shared @ gain.transpose(0, 2, 1)
-            movement = (self.own + local[:, 1:]) ** 2 + np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
+            movement = (self.local_value + local)[:, 1:] ** 2 + np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
             square = movement.reshape(-1, 2, 3).sum(axis=2)
             weight = (TAIL + 6.0) / (TAIL + np.sum(square / spread[self.rig.ring] ** 2, axis=1))
             found = np.array([np.sqrt(np.mean(weight[members, None] * square[members], axis=0) / 3.0) for members in self._members()])
@@ -283,26 +280,30 @@ class _System:
     def _members(self) -> list[NDArray[np.bool_]]:
         return [self.rig.ring == ring for ring in range(len(self.rig.cam_from_rig))]
 
-    def report(self, sightings: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
+    def report(self, sightings: Sequence[Sightings], weight: Array, rig_px: Array) -> RigFit:
         """Compute the errors of the camera poses, and return the result of the fit."""
         shared, given, gain = self.solve(self.rig.spread, weight)[2:]
         scores, curvatures, view = [], [], []
-        for k, local in enumerate(views):
+        for k, local in enumerate(self.views):
             carry, share = self.by_shared[k] - self.by_local[k] @ gain[k], 1.0 / len(local.chi2)
             held = self._prior(self.rig.spread, weight)[k]
-            off = held * np.append(self.angle_off[k], self.own[k])
-            scores.append(local.gradients @ carry + share * off @ gain[k])
+            scores.append(local.gradients @ carry + share * held * self.local_value[k] @ gain[k])
             curvatures.append(carry.T @ local.normals @ carry + share * (gain[k].T * held) @ gain[k])
             view.append(np.full(len(local.chi2), k))
         rows, parts = np.concatenate(scores), np.concatenate(curvatures)
-        known = np.diag(self._shared_prior())
+        known = np.diag(self.shared_prior)
         normal = parts.sum(axis=0) + known
         meat = scatter(rows, np.concatenate(view), _picture_squares(sightings, self.rig), curvatures=parts, normal=normal)
         carry = self.by_shared[:, :6] - self.by_local[:, :6] @ gain
         own = self.by_local[:, :6] @ given @ self.by_local[:, :6].transpose(0, 2, 1)
         errors = PoseErrors(shared=sandwich(normal, meat + known, shared), carry=carry, own=own)
         turn = given[:, 0, 0] + np.einsum("vs,st,vt->v", gain[:, 0], errors.shared, gain[:, 0])
-        return RigFit(rig=self.rig, views=views, rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn), scale=scale)
+        return RigFit(rig=self.rig, views=tuple(self.views), rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn))
+
+
+def _to_twist(pose: Array) -> Array:
+    """Return the rotation vector, rad, and the shift, mm, of a transform (4, 4) as one array (6,)."""
+    return np.concatenate([frames.to_rotvec(pose), pose[:3, 3]])
 
 
 def _picture_squares(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:

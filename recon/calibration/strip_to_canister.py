@@ -37,8 +37,6 @@ class StripToCanister:
 
     solved: Poses
     """Cameras in the frame of the strip, from the markers."""
-    errors: PoseErrors
-    """Errors of the camera poses in the frame of the strip."""
     canister_from_strip: Array
     """(4, 4) transform from the frame of the strip to the canister frame, mm."""
     covariance: Array
@@ -52,23 +50,20 @@ class StripToCanister:
 
         Without edges, the canister is assumed to be aligned with the strip, within `UNSEEN`.
         """
-        errors = solved.errors
-        if errors is None:
-            empty = PoseErrors(shared=np.zeros((6, 6)), carry=np.zeros((0, 6, 6)), own=np.zeros((0, 6, 6)))
-            errors = empty.reorder([None] * len(solved.views), [view.covariance for view in solved.views])
         if canister is None:
-            nothing = np.zeros((4, len(errors.shared)))
-            return StripToCanister(
-                solved=solved, errors=errors, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing
-            )
-        by_cameras = canister.by_cameras if solved.errors is not None else np.zeros((4, 6))
+            nothing = np.zeros((4, len(solved.errors.shared)))
+            return StripToCanister(solved=solved, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing)
         return StripToCanister(
             solved=solved,
-            errors=errors,
             canister_from_strip=canister.canister_from_strip,
             covariance=canister.covariance,
-            by_cameras=by_cameras,
+            by_cameras=canister.by_cameras,
         )
+
+    @property
+    def errors(self) -> PoseErrors:
+        """Errors of the camera poses in the frame of the strip."""
+        return self.solved.errors
 
     def camera(self, k: int, view: Camera) -> Camera:
         """Convert a view's camera from the strip's frame to the canister frame, with its uncertainty."""
@@ -144,5 +139,4 @@ class StripToCanister:
         for place, k in enumerate(alone):
             at = slice(5 + count + 6 * place, 11 + count + 6 * place)
             by_shared[at], own[at, at] = self.errors.carry[k], self.errors.own[k]
-        turn = np.zeros(len(captured)) if solved.turn_sigma_rad is None else solved.turn_sigma_rad
-        return RigUncertainty(number, by_shared @ shared @ by_shared.T + own, turn)
+        return RigUncertainty(number, by_shared @ shared @ by_shared.T + own, solved.turn_sigma_rad)

@@ -64,8 +64,6 @@ class Linearised:
     """(M, 8) contribution of each marker to the gradient."""
     chi2: Array
     """(M,) squared norm of each marker's whitened residuals, before weighting."""
-    weight: Array
-    """(M,) Cauchy weight of each marker."""
     rms_px: float
     """Weighted root mean square distance of the corners from their projections, px."""
 
@@ -133,7 +131,6 @@ def linearise(
         normals=normals,
         gradients=gradients,
         chi2=chi2,
-        weight=weight,
         rms_px=float(np.sqrt(2.0 * np.sum(weight * square) / np.sum(weight))),
     )
 
@@ -180,9 +177,6 @@ def twist(step: Array) -> Array:
 
 def adjoint(a_from_b: Array) -> Array:
     """Return the matrix (6, 6) that maps a small left-hand twist in frame b to the same twist in frame a."""
-    rotation, shift = a_from_b[:3, :3], a_from_b[:3, 3]
-    cross = np.array([[0.0, -shift[2], shift[1]], [shift[2], 0.0, -shift[0]], [-shift[1], shift[0], 0.0]])
-    found = np.zeros((6, 6))
-    found[:3, :3] = found[3:, 3:] = rotation
-    found[3:, :3] = cross @ rotation
+    found = np.asarray(np.kron(np.eye(2), a_from_b[:3, :3]), np.float64)
+    found[3:, :3] = np.cross(a_from_b[:3, 3], a_from_b[:3, :3], axisb=0, axisc=0)
     return found

@@ -3,13 +3,15 @@
 This module is the float64 reference of the kernels in `recon.optics.projection`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.optics import point_images, refraction, tank
+from rhizotwin.recon.optics import refraction, tank
 from rhizotwin.recon.optics.refraction import Approach, Array, Optics
 from rhizotwin.recon.optics.tank import TankView
 from rhizotwin.scenes import frames, lens
@@ -20,6 +22,15 @@ Sway = tuple[float, float, float]
 the shifts in x and y per depth, mm/mm, and the rotation about z per depth, rad/mm, in the canister frame."""
 STILL: Sway = (0.0, 0.0, 0.0)
 """Sway of static roots."""
+_SINGLE = 0.97
+"""Maximum distance from the axis of points that `project_inner` projects without a tank, in units of R_o / n_water.
+These points have exactly one image."""
+_STEPS = 30
+"""Maximum number of Newton steps. Damped steps near the wall converge slowly."""
+_CLOSE_MM = 1e-8
+"""Distance of a ray from the point below which the ray has converged, mm."""
+_DIFFERENCE = 1e-7
+"""Step of central differences in the components of rays. The step keeps half of the digits of double precision."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,17 +55,17 @@ class View:
         tank = None if self.cam_from_tank is None else motion @ self.cam_from_tank
         return replace(self, cam_from_canister=motion @ self.cam_from_canister, cam_from_tank=tank)
 
-    @property
+    @cached_property
     def centre_mm(self) -> Array:
         """Return the camera centre (3,) in the canister frame, mm."""
         return frames.invert(self.cam_from_canister)[:3, 3]
 
-    @property
+    @cached_property
     def rho_mm(self) -> float:
         """Return the horizontal distance of the camera from the canister's axis, mm."""
         return float(np.hypot(*self.centre_mm[:2]))
 
-    @property
+    @cached_property
     def azimuth_from_canister(self) -> Array:
         """Return the rotation (4, 4) about z that moves the camera centre to (rho, 0, z)."""
         x, y, _ = self.centre_mm
@@ -69,16 +80,6 @@ def apply_sway(view: View, optics: Optics, points_mm: Array) -> Array:
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
-
-
-def sway_jacobian(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return the derivatives (N, 3, 3) of `apply_sway` with respect to the points (N, 3)."""
-    x, y, z = points_mm.T
-    aside, along, turned = view.sway
-    found = np.tile(np.eye(3), (len(points_mm), 1, 1))
-    found[:, 0, 1], found[:, 1, 0] = -turned * (optics.water_z_mm - z), turned * (optics.water_z_mm - z)
-    found[:, 0, 2], found[:, 1, 2] = turned * y - aside, -along - turned * x
-    return found
 
 
 def matrix(camera: Camera) -> Array:
@@ -103,12 +104,6 @@ def to_azimuth(view: View, directions: Array) -> Array:
     """Rotate directions (N, 3) from the camera's frame to the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)
     return np.asarray(directions @ azimuth_from_cam[:3, :3].T)
-
-
-def direction_pixels(view: View, directions: Array) -> Array:
-    """Project directions (..., 3) in the azimuth frame to pixels (..., 2); NaN where `cam_pixels` is."""
-    cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
-    return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
 
 
 def cam_pixels(camera: Camera, cam: Array) -> Array:
@@ -168,9 +163,9 @@ def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, N
         at = tank_view(view, optics)
         along = directions @ tank_pose(view)[:3, :3]
         return tank.approach(at, along[:, 1], along[:, 2])
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, to_azimuth(view, directions))
+    _, d_y, p_z = to_azimuth(view, directions).T
     with np.errstate(invalid="ignore"):
-        line = refraction.from_point(view.rho_mm, float(view.centre_mm[2]), w * optics.outer_radius_mm, p_z)
+        line = refraction.from_point(view.rho_mm, float(view.centre_mm[2]), view.rho_mm * d_y / np.sqrt(1.0 - p_z**2), p_z)
     return line, np.ones(len(directions), bool)
 
 
@@ -215,88 +210,111 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
     return line, inside & refraction.enters(optics, line)
 
 
-def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Project points in the water into a view, and find all images of each point.
+def ray_frame(view: View, optics: Optics) -> Array:
+    """Return the pose (4, 4), relative to a view's camera, of the frame in which rays have two components.
 
-    Through a tank, and if nothing obstructs rays, only the image of `project_inner` is found.
+    This is the frame of the tank or, without a tank, the azimuth frame. In both frames, a camera looks in the direction
+    of -x. The components q (N, 2) of a ray are those of its unit direction along y and z.
+    """
+    return view.cam_from_canister @ frames.invert(view.azimuth_from_canister) if optics.tank is None else tank_pose(view)
+
+
+def ray_directions(view: View, optics: Optics, q: Array) -> Array:
+    """Return the unit directions (N, 3), in the camera's frame, of rays with the components q (N, 2)."""
+    with np.errstate(invalid="ignore"):
+        direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
+    return np.asarray(direction @ ray_frame(view, optics)[:3, :3].T)
+
+
+def straight_rays(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Return the components (N, 2) of straight rays to points (N, 3), at their apparent depth behind a tank's front."""
+    frame_from_cam = frames.invert(ray_frame(view, optics))
+    x, y, z = frame_from_cam[:3, 3]
+    points = frames.apply(frame_from_cam @ view.cam_from_canister, points_mm)
+    depth, aside = x - points[:, 0], points[:, 1:] - [y, z]
+    if optics.tank is not None:
+        box = optics.tank
+        depth = x - box.front_mm + box.wall_mm / box.n_wall + (box.front_mm - box.wall_mm - points[:, 0]) / box.n_liquid
+    return np.asarray(aside / np.sqrt(depth**2 + np.sum(aside**2, axis=1))[:, None])
+
+
+def find_rays(view: View, optics: Optics, points_mm: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Find camera rays to points in the water by Newton's method.
+
+    The two distances by which a ray misses its point (`refraction.miss_distances`) are solved for the two components of
+    the ray. A step that would lead to a ray that misses the water, or farther from the point, is halved.
 
     Parameters
     ----------
-    points_mm : (N, 3) float64 array
+    points_mm : (N, 3) float64
         Points in the canister frame, mm, within the radius of the water.
+    start : (N, 2) float64
+        Components of the initial rays (`ray_frame`). If they miss the water, they are first moved towards the axis.
 
     Returns
     -------
-    px : (N, 3, 2) float64 array
-        Pixels of up to three images; NaN for missing images.
-    count : (N,) int64 array
-        Number of images; 0 where the view is blind.
+    q : (N, 2) float64
+        Components of the rays; NaN if no ray reaches the point.
+    visible : (N,) bool
+        Whether a ray that enters the water through the wall was found.
     """
-    if optics.tank is not None or optics.unobstructed:
-        px = project_inner(view, optics, points_mm)
-        missing = np.full_like(px, np.nan)
-        return np.stack([px, missing, missing], axis=1), np.isfinite(px[:, 0]).astype(np.int64)
-    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    w, p_z = point_images.find_images(optics, view.rho_mm, float(view.centre_mm[2]), points)
-    px = direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
-    return px, np.asarray(np.isfinite(px[..., 0]).sum(axis=1), np.int64)
+    points = frames.apply(view.azimuth_from_canister, points_mm)
+
+    def miss(q: Array, some: NDArray[np.int64]) -> Array:
+        return refraction.miss_distances(optics, approach(view, optics, ray_directions(view, optics, q))[0], points[some])
+
+    left = np.arange(len(points))  # not converged yet
+    q = _pull_inside(start, straight_rays(view, optics, np.array([[0.0, 0.0, optics.floor_z_mm]]))[0, 0], lambda q: miss(q, left))
+    for _ in range(_STEPS):
+        f = miss(q[left], left)
+        size = np.linalg.norm(f, axis=1)
+        going = size > _CLOSE_MM  # excludes rays that miss the water
+        if not going.any():
+            break
+        left, f, size = left[going], f[going], size[going]
+        rise = [miss(q[left] + aside, left) - miss(q[left] - aside, left) for aside in _DIFFERENCE * np.eye(2)]
+        slope = np.stack(rise, axis=-1) / (2.0 * _DIFFERENCE)
+        good = np.asarray(np.isfinite(slope).all(axis=(1, 2)))
+        good[good] &= np.abs(np.linalg.det(slope[good])) > 1e-9
+        step = np.zeros_like(f)
+        step[good] = np.linalg.solve(slope[good], f[good][..., None])[..., 0]
+        share = np.ones(len(left))
+        for _ in range(8):
+            trial = q[left] - share[:, None] * step
+            worse = ~(np.linalg.norm(miss(trial, left), axis=1) <= size)
+            if not (worse & good).any():
+                break
+            share[worse] *= 0.5
+        q[left[~worse]] = trial[~worse]
+    near, through = approach(view, optics, ray_directions(view, optics, q))
+    visible = through & refraction.enters(optics, refraction.follow(optics, near))
+    visible &= np.linalg.norm(refraction.miss_distances(optics, near, points), axis=1) < 1e2 * _CLOSE_MM
+    return np.where(visible[:, None], q, np.nan), visible
+
+
+def _pull_inside(start: Array, axis: float, miss: Callable[[Array], Array]) -> Array:
+    """Move rays that miss the water towards the axis, given by its first component, until they reach the water."""
+    q = start.copy()
+    for _ in range(40):
+        out = ~np.isfinite(miss(q)).all(axis=1)
+        if not out.any():
+            break
+        q[out, 0] = axis + 0.95 * (q[out, 0] - axis)  # 40 steps leave an eighth of the distance
+    return q
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
     """Project points (N, 3) in the water to pixels (N, 2), for points that have exactly one image in a view.
 
-    This function is faster than `project`. The pixels are NaN for points far from the axis, and for invisible points.
+    The points are in the canister frame, mm, within the radius of the water. The pixels are NaN for invisible points
+    and, without a tank, for points far from the axis. Through a tank whose liquid and water have different refractive
+    indices, a point may have several images, of which that nearest to the straight line to the point is found.
     """
-    if optics.tank is not None:
-        return project_through_tank(view, optics, points_mm)[0]
-    if optics.unobstructed:
-        return cam_pixels(view.camera, frames.apply(view.cam_from_canister, apply_sway(view, optics, points_mm)))
-    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    w, p_z = point_images.find_single_image(optics, view.rho_mm, float(view.centre_mm[2]), points)
-    return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
-
-
-def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Project points in the water through a tank's front and the canister's wall, with derivatives.
-
-    Parameters
-    ----------
-    points_mm : (N, 3) float64 array
-        Points in the canister frame, mm, within the radius of the water.
-
-    Returns
-    -------
-    px : (N, 2) float64 array
-        Pixels; NaN for invisible points.
-    visible : (N,) bool array
-        Whether each point is visible.
-    jacobian : (N, 2, 3) float64 array
-        Derivatives of the pixels with respect to the points, px/mm, from the implicit function theorem: ``dq =
-        -(df/dq)^-1 df/dP``.
-    """
-    at = tank_view(view, optics)
-    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    q, visible = tank.find_rays(at, points)
-    px = _pixels(view, q)
-    visible &= np.isfinite(px).all(axis=1)
-    by_ray = np.stack(
-        [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
-    )
-    slopes = tank.slopes(lambda trial: tank.miss(at, points, trial), q)
-    line, _ = tank.trace(at, q[:, 0], q[:, 1])
-    # f1 = P . nu - b and f2 = entry + slope (P . t + ...) - P_z, with their derivatives with respect to P
-    by_point = np.zeros((len(q), 2, 3))
-    by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
-    jacobian = np.full((len(q), 2, 3), np.nan)
-    jacobian[visible] = -by_ray[visible] @ np.linalg.solve(slopes[visible], by_point[visible])
-    return px, visible, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
-
-
-def _pixels(view: View, q: Array) -> Array:
-    """Return the pixels (N, 2) of rays.
-
-    The rays are given by the components q (N, 2) of their unit directions along the tank's front.
-    """
-    with np.errstate(invalid="ignore"):
-        direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
-    return cam_pixels(view.camera, direction @ tank_pose(view)[:3, :3].T)
+    points = apply_sway(view, optics, points_mm)
+    if optics.tank is None and optics.unobstructed:
+        return cam_pixels(view.camera, frames.apply(view.cam_from_canister, points))
+    single_mm = _SINGLE * optics.outer_radius_mm / optics.n_water if optics.tank is None else np.inf
+    near, px = np.hypot(points[:, 0], points[:, 1]) < single_mm, np.full((len(points), 2), np.nan)
+    q, _ = find_rays(view, optics, points[near], straight_rays(view, optics, points[near]))
+    px[near] = cam_pixels(view.camera, ray_directions(view, optics, q))
+    return px

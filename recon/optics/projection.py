@@ -36,12 +36,9 @@ _PRINCIPAL = slice(15, 17)
 _IN_OPEN, _SWAY = 24, 40
 """Two positions in a view's parameters. The first is the number of leading parameters that are used without a tank. The
 second is the index of the first sway parameter."""
-NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
-"""Three constants of the solver: the number of Newton steps without a tank, the number of Newton steps through a tank,
-and the tolerance of the rays, mm. Rays through a tank have no symmetry from which an initial value could be computed,
-and need more steps. A point is invisible if its ray does not reach it within the tolerance, which is a thousandth of a
-bench's pixel (0.23 mm), and ten times the spacing of single-precision numbers at the camera's distance (3e-5 mm from
-256 to 512 mm)."""
+NEWTON_STEPS, TANK_STEPS = 3, 4
+"""Number of Newton steps without a tank, and through a tank. Rays through a tank have no symmetry from which an initial
+value could be computed, and need more steps."""
 _FLANK, _STEEPEST = 0.9995, 0.98
 """Upper limits of a ray's impact parameter and of its vertical component in Newton's method, as fractions of the
 largest possible values. At the largest values, the derivatives are infinite."""
@@ -216,33 +213,22 @@ def _project_straight(parameter: list[Float], at: tuple[Float, Float, Float], ac
 
     The gradients are with respect to the point in the azimuth frame.
     """
-    away = at[0] - parameter[9], at[1], at[2] - parameter[10]
-    x_by, y_by, depth_by = (parameter[3 * row : 3 * row + 3] for row in range(3))  # gradients of x, y and depth
-    x, y, depth = (by[0] * away[0] + by[1] * away[1] + by[2] * away[2] for by in (x_by, y_by, depth_by))
-    iz = 1 / depth
-    xn, yn = x * iz, y * iz
-    (u, v), (u_x, u_y, v_y), valid = ray_kernel.distort(parameter, xn, yn)
-    xn_by = [(part - xn * ahead) * iz for part, ahead in zip(x_by, depth_by, strict=True)]
-    yn_by = [(part - yn * ahead) * iz for part, ahead in zip(y_by, depth_by, strict=True)]
-    fx, fy, px0, py0 = parameter[13:17]
-    du = mi.Vector3f(*(fx * (u_x * a + u_y * b) for a, b in zip(xn_by, yn_by, strict=True)))
-    dv = mi.Vector3f(*(fy * (u_y * a + v_y * b) for a, b in zip(xn_by, yn_by, strict=True)))
-    return Projected(mi.Vector2f(fx * u + px0, fy * v + py0), active & (depth > 0) & valid, mi.Float(ALL_CLEAR_MM), du, dv)
+    away, axes = (at[0] - parameter[9], at[1], at[2] - parameter[10]), [mi.Vector3f(*axis) for axis in np.eye(3).tolist()]
+    u, v, in_view, du, dv = ray_kernel.through_lens(parameter, away, (axes[0], axes[1], axes[2]))
+    return Projected(mi.Vector2f(u, v), active & in_view, mi.Float(ALL_CLEAR_MM), du, dv)
 
 
 def _from_ray(ray: ray_kernel.Ray, visible: Bool, clear_mm: Float, pixel: ray_kernel.Pixel) -> Projected:
     """Return the projections of points, given the rays that reach them.
 
-    The derivatives of ray and pixel are with respect to (b, p) or, through a tank, (q_y, q_z). The gradients of the
+    The gradients of ray and pixel are with respect to (b, p) or, through a tank, (q_y, q_z). The gradients of the
     result are with respect to the point in the azimuth frame.
     """
-    u, v, in_view, (u_b, u_p, v_b, v_p) = pixel
-    # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
-    f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
-    by = (f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)
-    b_by = [-ray.inv * (ray.f2_p * g1 - ray.f1_p * g2) for g1, g2 in by]
-    p_by = [-ray.inv * (ray.f1_b * g2 - ray.f2_b * g1) for g1, g2 in by]
-    du, dv = (mi.Vector3f(*(by_b * b + by_p * p for b, p in zip(b_by, p_by, strict=True))) for by_b, by_p in ((u_b, u_p), (v_b, v_p)))
+    u, v, in_view, *by_unknown = pixel
+    # implicit function theorem: dq = -J^-1 df with df1 = nu . dP and df2 = m_w t . dP - dP_z
+    by_point = (-ray.sin_d, -ray.m_w * ray.cos_d), (ray.cos_d, -ray.m_w * ray.sin_d), (0.0, -1.0)
+    steps = [ray.solve(*by) for by in by_point]
+    du, dv = (-mi.Vector3f(*(by.x * step.x + by.y * step.y for step in steps)) for by in by_unknown)
     return Projected(mi.Vector2f(u, v), visible & in_view, clear_mm, du, dv)
 
 
@@ -253,13 +239,12 @@ def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
     visible, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
     limit, per_radii = _FLANK * o.w_limit * o.outer_radius_mm, 1 / (rho * (o.outer_radius_mm * o.inner_radius_mm) ** 2)
     for step in range(NEWTON_STEPS + 1):
-        ray = ray_kernel.follow(o, n_w, ray_kernel.from_camera(o, (rho, z_cam, per_radii), b, p), at, b, p)
+        near = ray_kernel.from_camera(o, (rho, z_cam, per_radii), b, p)
+        ray = ray_kernel.follow(o, n_w, near, at)
         if step < NEWTON_STEPS:
-            b = dr.clip(b - ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2), -limit, limit)
-            p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
-    visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
-    visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
-    return _from_ray(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
+            change = ray.solve(ray.f1, ray.f2)
+            b, p = dr.clip(b - change.x, -limit, limit), dr.clip(p - change.y, -_STEEPEST, _STEEPEST)
+    return _from_ray(ray, visible & ray.arrives(o), clear_mm, ray_kernel.direct_pixel(parameter, near, ray))
 
 
 def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> Projected:
@@ -270,26 +255,25 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
     n_w = parameter[22]
     place = Place(centre=[parameter[9], parameter[10], parameter[36]], turn=parameter[24:33], shift=parameter[33:36])
     start = _start(bank, view, at, at[1], active)
-    clear_mm, q_y, q_z = start.y, start.x, window.straight(tank, place, mi.Point3f(*at))[1]
+    clear_mm, q_y, q_z = start.y, start.x, window.straight(tank, place, mi.Point3f(*at))
     for step in range(TANK_STEPS + 1):
         line = window.line(tank, place, q_y, q_z, bottom_z_mm=o.bottom_z_mm)
         p2 = line.p * line.p
         least = dr.minimum(n_w * n_w, o.n_wall**2) - p2
         limit = _FLANK * dr.minimum(o.inner_radius_mm * dr.sqrt(least) * dr.rsqrt(o.n_around**2 - p2), o.outer_radius_mm)
         b = dr.clip(line.b, -limit, limit)
-        ray = ray_kernel.to_tank_derivatives(ray_kernel.follow(o, n_w, ray_kernel.from_line(o, line, b), at, b, line.p), line, at)
+        ray = ray_kernel.follow(o, n_w, ray_kernel.from_line(o, line, b), at)
         if step < TANK_STEPS:
             # b is almost proportional to q_y: undo the clipping, and add Newton's step.
-            q_y -= (line.b - b) / line.b_q[0] + ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2)
-            q_z = dr.clip(q_z - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
+            change = ray.solve(ray.f1, ray.f2)
+            q_y -= (line.b - b) / line.b_q.x + change.x
+            q_z = dr.clip(q_z - change.y, -_STEEPEST, _STEEPEST)
             q_y = dr.clip(q_y, -_STEEPEST, _STEEPEST) * dr.minimum(1.0, _STEEPEST * dr.rsqrt(q_y * q_y + q_z * q_z))
     visible = active & (clear_mm > 0.5 * CELL_MM) & line.through & (dr.abs(line.b) < limit)
-    visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM) & (ray.outer_z < tank.level_mm)
-    visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
+    visible &= ray.arrives(o) & (ray.outer_z < tank.level_mm)
     ahead = dr.sqrt(1 - q_y * q_y - q_z * q_z)
-    zero, one = mi.Float(0.0), mi.Float(1.0)
-    pixel = ray_kernel.through_lens(parameter, (-ahead, q_y, q_z), (q_y / ahead, one, zero), (q_z / ahead, zero, one))
-    return _from_ray(ray, visible, clear_mm, pixel)
+    by = mi.Vector2f(q_y, q_z) / ahead, mi.Vector2f(1, 0), mi.Vector2f(0, 1)
+    return _from_ray(ray, visible, clear_mm, ray_kernel.through_lens(parameter, (-ahead, q_y, q_z), by))
 
 
 def _first_ray(

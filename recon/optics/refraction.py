@@ -8,9 +8,9 @@ radii r1 > r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) -
 
 All functions use the camera's azimuth frame, which is the canister frame rotated about z such that the camera centre is
 at (rho, 0, z_cam). A camera without a tank is then defined by (rho, z_cam). The unknowns of a projection are ``p_z``
-and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the canister. `recon.optics.point_images` solves
-for them. Through the flat wall of a tank, lines of sight do not originate from one point. `recon.optics.tank` computes
-these lines in the liquid (`Approach`), and from there on the equations are the same.
+and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the canister. Through the flat wall of a tank,
+lines of sight do not originate from one point. `recon.optics.tank` computes these lines in the liquid (`Approach`), and
+from there on the equations are the same. `recon.optics.cameras` solves for the ray through a point.
 
 `recon.optics.projection` implements the same mathematics as a Dr.Jit kernel. A test compares both implementations.
 """
@@ -176,21 +176,6 @@ class WaterLine(_HeadedLines):
     """(...) height at which the ray meets the outer wall, mm."""
 
 
-def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Array, p_z: Array) -> WaterLine:
-    """Trace rays from a camera without a tank into the water.
-
-    Parameters
-    ----------
-    rho_mm, z_cam_mm : float64 array or float
-        Horizontal distance of the camera from the axis, and height of the camera in the canister frame, mm.
-    w : (...) float64 array
-        Impact parameter in air relative to the outer radius, in (-1, 1).
-    p_z : (...) float64 array
-        Vertical component of the unit direction in air.
-    """
-    return follow(optics, from_point(rho_mm, z_cam_mm, w * optics.outer_radius_mm, p_z))
-
-
 def follow(optics: Optics, approach: Approach) -> WaterLine:
     """Trace lines of sight through the canister's wall into the water; NaN for lines that do not reach it."""
     r_o, r_i, p_z, b_a = optics.outer_radius_mm, optics.inner_radius_mm, approach.p_z, approach.b_mm
@@ -238,32 +223,12 @@ def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
     return line.entry_z_mm + line.slope * (along + np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2))
 
 
-def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array) -> Array:
-    """Return the unit directions (..., 3) of camera rays in the azimuth frame, computed from their invariants.
+def miss_distances(optics: Optics, approach: Approach, points_mm: Array) -> Array:
+    """Return the horizontal distances f1 and the vertical distances f2 (N, 2) by which lines miss points, mm.
 
-    Parameters
-    ----------
-    rho_mm : float
-        Horizontal distance of the camera from the axis, mm.
-    outer_radius_mm : float
-        Outer radius of the canister, mm.
-    w, p_z : (...) array
-        Impact parameter relative to the outer radius, and vertical component.
-
-    Returns
-    -------
-    (..., 3) array
-        Unit directions.
+    The distances are NaN if a line does not reach the water. The points (N, 3) are in the azimuth frame, mm.
     """
-    h_a = np.sqrt(1.0 - p_z**2)
-    d_y = w * outer_radius_mm * h_a / rho_mm
-    return np.stack([-np.sqrt(h_a**2 - d_y**2), d_y, p_z], axis=-1)
-
-
-def invariants(rho_mm: float, outer_radius_mm: float, directions: Array) -> tuple[Array, Array]:
-    """Return the invariants (w, p_z) of unit directions (..., 3) in air from the camera, in the azimuth frame.
-
-    Rays with |w| >= 1 miss the canister.
-    """
-    p_z = directions[..., 2]
-    return rho_mm * directions[..., 1] / np.sqrt(1.0 - p_z**2) / outer_radius_mm, p_z
+    with np.errstate(invalid="ignore"):
+        line = follow(optics, approach)
+        beside = np.sum(points_mm[:, :2] * line.nu, axis=-1) - line.b_mm
+        return np.stack([beside, height_at(optics, line, points_mm[:, :2]) - points_mm[:, 2]], axis=-1)

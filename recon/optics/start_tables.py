@@ -97,9 +97,9 @@ def _round_fan(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]
 
     The tables cover positions (x, y) with y >= -1 mm.
     """
-    w = _SINES * optics.w_limit
-    line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
-    return _sweep(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
+    b_mm = _SINES * optics.w_limit * optics.outer_radius_mm
+    line = refraction.follow(optics, refraction.from_point(rho_mm, 0.0, b_mm, np.full_like(b_mm, p_z)))
+    return _sweep(_positions(optics, low_mm=-1.0), line, b_mm)
 
 
 def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:

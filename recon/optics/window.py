@@ -6,15 +6,18 @@ The mathematics and symbols are those of `recon.optics.tank`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from rhizotwin.recon.device import Bool, Float, Point3f, Vector3f
+from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f
 from rhizotwin.scenes.model import Tank
 
-Pair = tuple[Float, Float]
-"""Two numbers that refer to q_y and q_z, such as derivatives."""
+
+def rotate(matrix: list[Float], v: tuple[Any, Any, Any]) -> list[Any]:
+    """Multiply a matrix (9,), given row by row, with three numbers or three gradients."""
+    return [matrix[3 * i] * v[0] + matrix[3 * i + 1] * v[1] + matrix[3 * i + 2] * v[2] for i in range(3)]
 
 
 @dataclass(frozen=True)
@@ -28,23 +31,17 @@ class Place:
     shift: list[Float]
     """(3,) translation from the tank's frame to the azimuth frame, mm."""
 
-    def rotate(self, v: tuple[Float, Float, Float]) -> Vector3f:
-        """Rotate a direction from the tank's frame to the azimuth frame."""
-        r = self.turn
-        return mi.Vector3f(*(r[3 * i] * v[0] + r[3 * i + 1] * v[1] + r[3 * i + 2] * v[2] for i in range(3)))
-
-    def to_tank(self, p: Point3f) -> tuple[Float, Float, Float]:
+    def to_tank(self, p: Point3f) -> list[Float]:
         """Transform a point, mm, from the azimuth frame to the tank's frame."""
         x, y, z = (p[i] - self.shift[i] for i in range(3))
-        r = self.turn
-        return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
+        return rotate([self.turn[k] for k in (0, 3, 6, 1, 4, 7, 2, 5, 8)], (x, y, z))
 
 
 @dataclass(frozen=True)
 class Line:
     """Straight line in the liquid, in the azimuth frame, with derivatives.
 
-    All fields are Dr.Jit arrays of type mi.Float, except ``through`` (mi.Bool).
+    All fields are Dr.Jit arrays: gradients are mi.Vector2f, ``through`` is mi.Bool, and the others are mi.Float.
     """
 
     b: Float
@@ -57,28 +54,24 @@ class Line:
     """Sine of h, which is the heading minus pi."""
     foot_z: Float
     """Height of the point nearest to the canister's axis, mm."""
-    b_q: Pair
-    """Derivatives of the impact parameter with respect to q_y and q_z, mm."""
-    p_q: Pair
-    """Derivatives of the vertical component with respect to q_y and q_z."""
-    h_q: Pair
-    """Derivatives of the heading with respect to q_y and q_z, rad."""
-    z_q: Pair
-    """Derivatives of ``foot_z`` with respect to q_y and q_z, mm."""
+    b_q: Vector2f
+    """Gradient of the impact parameter with respect to q_y and q_z, mm."""
+    p_q: Vector2f
+    """Gradient of the vertical component with respect to q_y and q_z."""
+    h_q: Vector2f
+    """Gradient of the heading with respect to q_y and q_z, rad."""
+    z_q: Vector2f
+    """Gradient of ``foot_z`` with respect to q_y and q_z, mm."""
     through: Bool
     """Whether the ray passes through the front below the liquid's surface."""
 
 
-def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
-    """Return initial values (q_y, q_z) of the rays to points in the azimuth frame.
-
-    The values are those of straight rays to points at the same apparent depth behind the front.
-    """
+def straight(tank: Tank, at: Place, point: Point3f) -> Float:
+    """Return the component q_z of straight rays to points in the azimuth frame, at their depth behind the front."""
     x, y, z = at.to_tank(point)
     c = at.centre
     depth = c[0] - tank.front_mm + tank.wall_mm / tank.n_wall + (tank.front_mm - tank.wall_mm - x) / tank.n_liquid
-    per = dr.rsqrt(dr.square(depth) + dr.square(y - c[1]) + dr.square(z - c[2]))
-    return (y - c[1]) * per, (z - c[2]) * per
+    return (z - c[2]) * dr.rsqrt(dr.square(depth) + dr.square(y - c[1]) + dr.square(z - c[2]))
 
 
 def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -> Line:
@@ -98,7 +91,7 @@ def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -
     Line
         Lines in the tank's liquid, with derivatives with respect to q_y and q_z.
     """
-    n, q = tank.n_liquid, (q_y, q_z)
+    n, q = tank.n_liquid, mi.Vector2f(q_y, q_z)
     q2 = q_y * q_y + q_z * q_z
     ia_air, ia_wall = dr.rsqrt(1 - q2), dr.rsqrt(tank.n_wall**2 - q2)
     a = dr.sqrt(n**2 - q2)
@@ -110,22 +103,18 @@ def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -
     through = dr.abs(inside_y) < tank.half_width_mm - tank.wall_mm
     for height in (front_z, inside_z):
         through &= (height < tank.level_mm) & (height > bottom_z_mm)
-    s = at.rotate((mi.Float(tank.front_mm - tank.wall_mm), inside_y, inside_z)) + mi.Vector3f(*at.shift)
-    p = at.rotate((-a, q_y, q_z))
-    h2 = n**2 - p.z * p.z
+    inside = rotate(at.turn, (mi.Float(tank.front_mm - tank.wall_mm), inside_y, inside_z))
+    s_x, s_y, s_z = (part + shift for part, shift in zip(inside, at.shift, strict=True))
+    p_x, p_y, p_z = rotate(at.turn, (-a, q_y, q_z))
+    by_y, by_z = mi.Vector2f(1, 0), mi.Vector2f(0, 1)
+    s_xq, s_yq, s_zq = rotate(at.turn, (0, aside * by_y + aside_q2 * q_y * q, aside * by_z + aside_q2 * q_z * q))
+    p_xq, p_yq, p_zq = rotate(at.turn, (q / a, by_y, by_z))
+    h2 = n**2 - p_z * p_z
     ih = dr.rsqrt(h2)
     ih2 = ih * ih
-    b, along = (s.x * p.y - s.y * p.x) * ih, s.x * p.x + s.y * p.y
-    derived: list[list[Float]] = [[], [], [], []]
-    for j in (0, 1):
-        here, other = (1.0, 0.0) if j == 0 else (0.0, 1.0)
-        s_j = at.rotate((mi.Float(0.0), aside * here + aside_q2 * q_y * q[j], aside * other + aside_q2 * q_z * q[j]))
-        p_j = at.rotate((q[j] / a, mi.Float(here), mi.Float(other)))
-        momentum_j = s_j.x * p.y + s.x * p_j.y - s_j.y * p.x - s.y * p_j.x
-        along_j = s_j.x * p.x + s.x * p_j.x + s_j.y * p.y + s.y * p_j.y
-        derived[0].append((momentum_j + b * p.z * p_j.z * ih) * ih)
-        derived[1].append(p_j.z)
-        derived[2].append((p.x * p_j.y - p.y * p_j.x) * ih2)
-        derived[3].append(s_j.z - (p_j.z * along + p.z * along_j + 2 * p.z * p.z * along * p_j.z * ih2) * ih2)
-    b_q, p_q, h_q, z_q = ((one[0], one[1]) for one in derived)
-    return Line(b, p.z, -p.x * ih, -p.y * ih, s.z - p.z * along * ih2, b_q, p_q, h_q, z_q, through)
+    b, along = (s_x * p_y - s_y * p_x) * ih, s_x * p_x + s_y * p_y
+    b_q = (s_xq * p_y + s_x * p_yq - s_yq * p_x - s_y * p_xq + b * p_z * ih * p_zq) * ih
+    along_q = s_xq * p_x + s_x * p_xq + s_yq * p_y + s_y * p_yq
+    h_q = (p_x * p_yq - p_y * p_xq) * ih2
+    z_q = s_zq - (p_zq * along + p_z * along_q + 2 * p_z * p_z * along * ih2 * p_zq) * ih2
+    return Line(b, p_z, -p_x * ih, -p_y * ih, s_z - p_z * along * ih2, b_q, p_zq, h_q, z_q, through)

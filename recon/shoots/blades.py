@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -72,15 +72,14 @@ def find_blades(mesh: trimesh.Trimesh) -> Blades:
     points = surface_sample.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
     each_mm2 = 0.5 * float(mesh.area) / len(points)  # area of one side
     tree = cKDTree(points)
-    spread = _local_variances(points, tree)
+    spread = _local_variances(points, _neighbours(tree, NEAR_MM))
     likely = (spread[:, 0] < _FLAT * spread[:, 1]) & (spread[:, 1] > _WIDE * spread[:, 2])
-    a, b = _find_pairs(tree, _VOTE_MM)
-    is_blade = np.bincount(a, weights=likely[b], minlength=len(points)) > 0.5 * np.bincount(a, minlength=len(points))
+    voters = _neighbours(tree, _VOTE_MM)
+    is_blade = voters @ likely.astype(np.float64) > 0.5 * voters.sum(axis=1)
     blades, leaf = np.flatnonzero(is_blade), np.full(len(points), -1)
     if not len(blades):
         return Blades(points_mm=points, is_blade=is_blade, leaf=leaf, areas_mm2=(), area_mm2=0.0)
-    a, b = _find_pairs(cKDTree(points[blades]), _APART_MM)
-    pieces = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(len(blades),) * 2), directed=False)[1]
+    pieces = connected_components(_neighbours(cKDTree(points[blades]), _APART_MM), directed=False)[1]
     areas = each_mm2 * np.bincount(pieces)
     order = np.argsort(-areas, kind="stable")[: int((areas >= _LEAST_MM2).sum())]
     number = np.full(len(areas), -1)
@@ -89,21 +88,16 @@ def find_blades(mesh: trimesh.Trimesh) -> Blades:
     return Blades(points_mm=points, is_blade=is_blade, leaf=leaf, areas_mm2=tuple(areas[order].tolist()), area_mm2=each_mm2 * len(blades))
 
 
-def _find_pairs(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all ordered pairs of points within a distance, including pairs of a point with itself."""
-    pairs, own = tree.query_pairs(within_mm, output_type="ndarray"), np.arange(tree.n)
-    return np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
+def _neighbours(tree: cKDTree, within_mm: float) -> csr_array:
+    """Return a matrix (N, N) that is one for pairs of points within a distance, including each point with itself."""
+    pairs = tree.query_pairs(within_mm, output_type="ndarray")
+    rows, columns = np.concatenate([pairs, pairs[:, ::-1], np.arange(tree.n)[:, None].repeat(2, axis=1)]).T
+    return csr_array((np.ones(len(rows)), (rows, columns)), shape=(tree.n, tree.n))
 
 
-def _local_variances(points: Array, tree: cKDTree) -> Array:
+def _local_variances(points: Array, near: csr_array) -> Array:
     """Return the variances (N, 3) along the principal axes of each point's neighbourhood, in increasing order, mm2."""
-    a, b = _find_pairs(tree, NEAR_MM)
-    count = np.bincount(a, minlength=len(points)).astype(np.float64)
-    away = points[b] - points[a]
-    mean = np.stack([np.bincount(a, weights=away[:, k], minlength=len(points)) for k in range(3)], axis=1) / count[:, None]
-    second = np.empty((len(points), 3, 3))
-    for i in range(3):
-        for j in range(i + 1):
-            moment = np.bincount(a, weights=away[:, i] * away[:, j], minlength=len(points)) / count - mean[:, i] * mean[:, j]
-            second[:, i, j] = second[:, j, i] = moment
-    return np.asarray(np.linalg.eigvalsh(second), np.float64)
+    centred, count = points - points.mean(axis=0), near.sum(axis=1)
+    squares = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)
+    mean, moment = (near @ values / count[:, None] for values in (centred, squares))
+    return np.asarray(np.linalg.eigvalsh(moment.reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]), np.float64)

@@ -206,14 +206,11 @@ def _paper_pixels(view: View, scene: Scene, shape: tuple[int, ...]) -> NDArray[n
     The paper is sampled halfway between neighbouring markers of a row, where it faces the camera.
     """
     strip, pot = scene.strip, scene.net_pot
-    half_rad = np.pi / strip.columns
-    middles = []
-    for corners in marker_corners(strip, pot).values():
-        x, y, z = corners.mean(axis=0)
-        azimuth = np.arctan2(y, x) + half_rad
-        middles.append([pot.outer_radius_mm * np.cos(azimuth), pot.outer_radius_mm * np.sin(azimuth), z])
-    points = np.array(middles)
-    outward = points * [1.0, 1.0, 0.0] / pot.outer_radius_mm
+    markers_mm = np.array([corners.mean(axis=0) for corners in marker_corners(strip, pot).values()])
+    between = frames.apply(frames.rotation_z(np.pi / strip.columns), markers_mm)
+    outward = between * [1.0, 1.0, 0.0]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    points = pot.outer_radius_mm * outward + between * [0.0, 0.0, 1.0]
     toward = view.centre_mm - points
     points = points[(outward * toward).sum(axis=1) > _FACING * np.linalg.norm(toward, axis=1)]
     px = cameras.cam_pixels(view.camera, frames.apply(view.cam_from_canister, points))

@@ -7,6 +7,7 @@ its coverage is unknown.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -111,9 +112,7 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
     """
     angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
     circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
-    return cameras.direction_pixels(
-        view, frames.apply(view.azimuth_from_canister, circle) - np.array([view.rho_mm, 0.0, view.centre_mm[2]])
-    )
+    return cameras.cam_pixels(view.camera, frames.apply(view.cam_from_canister, circle))
 
 
 def _fit_panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
@@ -124,20 +123,28 @@ def _fit_panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Imag
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
-    height, width = usual.shape
-    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
     fitted = bright
     for _ in range(4):  # the plant's middle hides the panel in most of a turn, and is excluded step by step
-        some = np.flatnonzero(fitted)[:: max(1, int(fitted.sum()) // 20_000)]
-        found = np.linalg.lstsq(terms.reshape(len(terms), -1)[:, some].T, usual.ravel()[some].astype(np.float64), rcond=None)[0]
-        smooth = np.tensordot(found, terms, axes=1).astype(np.float32)
+        smooth = _fit_polynomial(usual, fitted, _PANEL_ORDER)
         fitted = bright & (usual > _LIT * smooth)
     lit = open_ | (usual > _LIT * smooth)
     return np.maximum(np.where(fitted, usual, smooth), 1e-6).astype(np.float32), lit & (smooth > 0.5 * float(np.median(usual[fitted])))
 
 
-def _polynomial_terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+def _fit_polynomial(image: Image, where: Mask, order: int) -> Image:
+    """Return the polynomial in column and row (H, W) that is fitted to some pixels of an image.
+
+    At most 40 000 pixels are used, evenly spaced.
+    """
+    terms = _polynomial_terms(image.shape, order)
+    some = np.flatnonzero(where)[:: max(1, int(where.sum()) // 20_000)]
+    found = np.linalg.lstsq(terms.reshape(len(terms), -1)[:, some].T, image.ravel()[some].astype(np.float64), rcond=None)[0]
+    return np.asarray(np.tensordot(found, terms, axes=1), np.float32)
+
+
+@lru_cache(maxsize=2)
+def _polynomial_terms(shape: tuple[int, ...], order: int) -> NDArray[np.float64]:
+    y, x = (2.0 * at / size - 1.0 for at, size in zip(np.indices(shape, np.float64), shape, strict=True))
     return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)])
 
 
@@ -166,17 +173,13 @@ def _fit_felt(image: Image, before_pot: Mask) -> Image:
 
     It is a polynomial fitted to the pixels that do not show the plant.
     """
-    height, width = image.shape
-    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms, bare = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
     smooth = np.full(image.shape, np.median(image[before_pot]) if before_pot.any() else 0.0, np.float32)
     for _ in range(_FELT_ROUNDS):
         away = np.abs(image - smooth)
         bare = before_pot & (away <= _FELT_MADS * max(float(np.median(away[before_pot])) if before_pot.any() else 0.0, 1e-6))
         if bare.sum() < _LEAST_FELT:
             break
-        found = np.linalg.lstsq(terms[:, bare].T, image[bare].astype(np.float64), rcond=None)[0]
-        smooth = np.tensordot(found, terms, axes=1).astype(np.float32)
+        smooth = _fit_polynomial(image, bare, _FELT_ORDER)
     return np.maximum(smooth, 0.0)
 
 

@@ -130,9 +130,7 @@ def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Arr
         Distances F1 and F2, mm.
     """
     at = apply_sway(view, optics, points_mm) @ view.azimuth_from_canister[:3, :3].T
-    line = refraction.follow(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]))
-    beside = np.sum(at[:, :2] * line.nu, axis=-1) - line.b_mm
-    return np.stack([beside, refraction.height_at(optics, line, at[:, :2]) - at[:, 2]], axis=-1)
+    return refraction.miss_distances(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]), at)
 
 
 def normals(view: View, optics: Optics, directions: Array) -> Array:

@@ -158,7 +158,7 @@ def apply_change(cameras: Cameras, change: Array) -> Cameras:
         view = rig_derivatives.move_camera(rig_derivatives.move_canister(view, canister), camera[known.station[frame]])
         return replace(view, camera=view.camera.focused(1.0 + float(change[1])))
 
-    held_out = cameras.reorder(tuple(cameras.held_out))  # their table angles have no estimate from the roots
+    held_out = replace(cameras, order=tuple(cameras.held_out))  # their table angles have no estimate from the roots
     held_out = held_out.with_views([move(frame, view, 0.0) for frame, view in zip(held_out.order, held_out.views, strict=True)], optics)
     moved = [move(frame, view, turn[v]) for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True))]
     return replace(cameras, all=held_out.all).with_views(moved, optics)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
 import rhizotwin.sim.render
-from rhizotwin.recon.optics.cameras import View, project_through_tank
+from rhizotwin.recon.optics.cameras import View, project_inner
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.checks import check_scene
@@ -191,8 +191,7 @@ def test_a_ball_is_seen_where_the_closed_form_says(
     camera = draw_world(scene, seed=4).cameras[number]
     cam_from_tank = camera.cam_from_canister @ frames.invert(camera.rig_from_canister) @ frames.rotation_z(np.deg2rad(tank.turn_deg))
     view = View(camera=scene.camera, cam_from_canister=camera.cam_from_canister, cam_from_tank=cam_from_tank)
-    expected, seen, _ = project_through_tank(view, Optics.from_scene(scene), np.array([centre_mm]))
-    assert seen.all()
+    expected = project_inner(view, Optics.from_scene(scene), np.array([centre_mm]))
     check_place(scene, expected[0], centre_mm, view=number, atol_px=2e-3)
 
 

@@ -88,7 +88,6 @@ def test_uneven_steps_scale_and_elevation_are_found():
     assert np.abs(off).max() < 0.6
     assert found.elevation_deg == pytest.approx(0.5, abs=0.2)
     assert found.floor_z_mm == pytest.approx(-80.0, abs=0.5)
-    assert found.inner_radius_mm == pytest.approx(41.0, abs=0.5)
 
 
 def test_the_poses_put_points_where_the_pictures_have_them():

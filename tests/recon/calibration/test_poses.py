@@ -13,7 +13,7 @@ from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.calibration.markers import Markers
 from rhizotwin.recon.calibration.poses import find_poses
 from rhizotwin.recon.optics import projection
-from rhizotwin.recon.optics.cameras import cam_pixels, matrix, project
+from rhizotwin.recon.optics.cameras import cam_pixels, matrix, project_inner
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.scenes import frames, plan
@@ -129,7 +129,6 @@ def test_unusable_views_are_left_out_and_wrong_corners_harmless():
     assert found.views[3].reason == "only 3 markers were found, at least 4 are needed"
     assert {"moved,", "px"} <= set(found.views[5].reason.split())
     assert found.views[6].reason.startswith("markers of another strip")
-    assert (found.views[2].outliers, found.views[4].outliers) == (1, 2)
     assert made.errors(found)[:, 0].max() < 0.08
     assert np.median(made.errors(found)[:, 0]) < 0.04
 
@@ -202,9 +201,7 @@ def test_a_camera_straight_above_silhouettes_in_air_sees_all(tmp_path: Path) -> 
     cameras = given(tmp_path, scene, poses, masks=True)
     points = np.random.default_rng(0).uniform([-45.0, -45.0, -110.0], [45.0, 45.0, -20.0], (500, 3)).astype(np.float32).astype(float)
     expected = cam_pixels(scene.camera, frames.apply(poses[1], points))
-    px, count = project(cameras.views[1], cameras.optics, points)
-    np.testing.assert_allclose(px[:, 0], expected, atol=1e-9)
-    assert (count == 1).all()
+    np.testing.assert_allclose(project_inner(cameras.views[1], cameras.optics, points), expected, atol=1e-9)
     bank, views = ViewBank.pack(cameras.views, cameras.optics), mi.UInt32(np.ones(500))
     found = projection.project(bank, views, mi.Point3f(points.T.astype(np.float32)), mi.Bool([True] * 500))
     assert np.array(found.visible).all()

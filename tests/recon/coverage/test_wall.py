@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.projection import all_images
 from rhizotwin.recon.coverage import background, outer_dirt, wall
 from rhizotwin.recon.coverage.coarse_lines import CoarseLines
 from rhizotwin.recon.coverage.wall import Face
@@ -56,7 +57,7 @@ def test_lines_cross_the_wall_where_its_points_are_projected(turn: Turn, side: i
     view = views[3]
     where, (x, y, _), radius_mm = wall.crossings(view, optics).sides[side], view.centre_mm, optics.inner_radius_mm * (1.0 - 1e-9)
     azimuth = np.arctan2(y, x) + ahead
-    px, count = cameras.project(view, optics, np.array([[radius_mm * np.cos(azimuth), radius_mm * np.sin(azimuth), -60.0]]))
+    px, count = all_images(view, optics, np.array([[radius_mm * np.cos(azimuth), radius_mm * np.sin(azimuth), -60.0]]))
     assert count[0] == 1
     u, v = np.rint(px[0, 0]).astype(int)
     column = np.mod(azimuth * columns / (2 * np.pi) - 0.5 - where[0][v, u] + columns / 2, columns) - columns / 2

@@ -59,23 +59,19 @@ def free() -> np.ndarray:
     return np.zeros(len(system().radius_mm), bool)
 
 
-def project(view: View, optics: Optics, points_mm: np.ndarray) -> np.ndarray:
-    return cameras.project(view, optics, points_mm)[0][:, 0]
-
-
 @pytest.fixture(scope="module")
 def seen_points() -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels of the points in a view, and their gradients (N, 2, 3)."""
     views, optics = rig()
-    near = [[project(views[9], optics, POINTS + side * axis) for side in (0.01, -0.01)] for axis in np.eye(3)]
-    return project(views[9], optics, POINTS), np.stack([(ahead - behind) / 0.02 for ahead, behind in near], axis=-1)
+    near = [[cameras.project_inner(views[9], optics, POINTS + side * axis) for side in (0.01, -0.01)] for axis in np.eye(3)]
+    return cameras.project_inner(views[9], optics, POINTS), np.stack([(ahead - behind) / 0.02 for ahead, behind in near], axis=-1)
 
 
 @pytest.mark.parametrize("quantity", [*QUANTITIES, *SWAY], ids=lambda quantity: quantity.name)
 def test_pictures_move_as_the_exact_projection_says(quantity: Quantity, seen_points: tuple[np.ndarray, np.ndarray]) -> None:
     (views, optics), (px, gradient) = rig(), seen_points
     view, step = views[9], 20.0 * quantity.step
-    above, below = (project(*quantity.increase((view, optics), side * step), POINTS) for side in (1.0, -1.0))
+    above, below = (cameras.project_inner(*quantity.increase((view, optics), side * step), POINTS) for side in (1.0, -1.0))
     rows = [rig_derivatives.picture_derivatives(view, optics, (quantity,), px, POINTS, gradient[:, row])[:, 0] for row in range(2)]
     expected = ((above - below) / (2.0 * step)).T
     error = np.abs(np.array(rows) - expected).max(axis=1)

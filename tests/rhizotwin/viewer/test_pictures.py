@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.projection import all_images
 from rhizotwin.drawing import through_water
 from rhizotwin.drawing.through_water import Pictures
 from rhizotwin.recon.calibration.cameras import BareUncertainty, Camera, Cameras
@@ -22,7 +23,7 @@ from tests.rhizotwin import plant as plants
 def test_pixels_are_those_of_the_reference(plant: plants.Plant):
     found = Pictures.of(load_dataset(plant.dataset), {"views": [], "rig": {}} | read_summary(plant.result))
     points = np.concatenate([root.points_mm for root in plant.roots])[::7]
-    reference, count = zip(*(cameras.project(found.views[place], found.optics, points) for place in (0, 3)), strict=True)
+    reference, count = zip(*(all_images(found.views[place], found.optics, points) for place in (0, 3)), strict=True)
     assert (np.array(count) == 1).all()
     assert np.array([found.pixels(place, points) for place in (0, 3)]) == pytest.approx(np.array(reference)[:, :, 0], abs=1e-6)
 
