@@ -123,7 +123,9 @@ def water_space(scene: Scene, cameras: Cameras) -> Water:
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
-def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> CarvedHull:
+def find_hull(
+    dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, fine: bool = True, monitor: Monitor
+) -> CarvedHull:
     """Carve the visual hull of the silhouettes with the voxel size of the settings.
 
     Parameters
@@ -132,10 +134,12 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
         Dataset with the scene, cameras, and silhouettes of the views.
     settings : Settings
         Voxel size, and slack of the outlines.
+    fine : bool
+        Whether the finest nodes are at most as large as the settings require. Otherwise, they are voxels.
     monitor : Monitor
         Receives progress messages.
     """
-    halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
+    halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm))) if fine else 0
     finest_mm = settings.voxel_mm / 2**halvings
     return carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
 

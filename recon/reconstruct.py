@@ -126,8 +126,9 @@ class _Scan:
         return self.pictures.dataset
 
     def carve(self, cameras: Cameras, coverage: Coverage | None = None) -> carved_hull.CarvedHull:
-        """Carve the hull with given cameras, and with the coverage of the scan or another one."""
-        return carved_hull.find_hull(self.dataset, cameras, coverage or self.coverage, self.settings, monitor=self.monitor)
+        """Carve the hull with given cameras: from a given coverage, or into voxels from that of the scan."""
+        fine = coverage is not None
+        return carved_hull.find_hull(self.dataset, cameras, coverage or self.coverage, self.settings, fine=fine, monitor=self.monitor)
 
 
 def _measure_scan(dataset: Dataset | Path | str, settings: Settings, stages: StageFolder, monitor: Monitor) -> _Scan:
@@ -163,18 +164,18 @@ class _Shape:
 
 def _find_shape(scan: _Scan) -> _Shape:
     """Reconstruct hull and roots, with the cameras and the attenuation that the roots determine."""
-    hull, tree = _follow_sway(scan)
-    of_pictures, scattered = _checks(scan, hull.cameras), _scattered_fraction(scan, hull.cameras)
-    if tree is None:
-        return _Shape(hull=hull, roots=None, cameras=hull.cameras, coverage=scan.coverage, checks=of_pictures, scattered=scattered)
-    calibrated = rooting.calibrate(tree, monitor=scan.monitor)
-    cameras, finished = calibrated.cameras, rooting.finish_tree(calibrated, monitor=scan.monitor)
-    roots = scan.stages.keep("roots", crown.mark_hidden(finished, hull.water.top_mm), leave=_ON_DEVICE)
-    mu_per_mm = roots.attenuation.light.mu_per_mm
-    coverage = remeasure_coverage(scan.coverage, cameras, mu_per_mm, settings=scan.settings.coverage, monitor=scan.monitor)
-    if coverage is not scan.coverage or (cameras.roots is not None and cameras.roots.believed):
-        del hull  # later stages use one calibration and one attenuation
-        hull = scan.stages.keep("hull_again", scan.carve(cameras, coverage), leave=_ON_DEVICE)
+    cameras, tree = _follow_sway(scan)
+    of_pictures, scattered = _checks(scan, cameras), _scattered_fraction(scan, cameras)
+    roots: RootSystem | None = None
+    coverage = scan.coverage
+    if tree is not None:
+        calibrated = rooting.calibrate(tree, monitor=scan.monitor)
+        cameras, finished = calibrated.cameras, rooting.finish_tree(calibrated, monitor=scan.monitor)
+        top_mm = carved_hull.water_space(scan.dataset.scene, cameras).top_mm
+        roots = scan.stages.keep("roots", crown.mark_hidden(finished, top_mm), leave=_ON_DEVICE)
+        mu_per_mm = roots.attenuation.light.mu_per_mm
+        coverage = remeasure_coverage(coverage, cameras, mu_per_mm, settings=scan.settings.coverage, monitor=scan.monitor)
+    hull = scan.stages.keep("hull", scan.carve(cameras, coverage), leave=_ON_DEVICE)
     return _Shape(hull=hull, roots=roots, cameras=cameras, coverage=coverage, checks=of_pictures, scattered=scattered)
 
 
@@ -245,8 +246,8 @@ def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | 
         )
 
 
-def _follow_sway(scan: _Scan) -> tuple[carved_hull.CarvedHull, RootTree | None]:
-    """Reconstruct the hull and the root tree. Both are reconstructed again if the roots moved between the pictures."""
+def _follow_sway(scan: _Scan) -> tuple[Cameras, RootTree | None]:
+    """Return the cameras and the root tree. The tree is reconstructed again if the roots moved between the pictures."""
     hull = _first_hull(scan)
     tree = shaping.find_roots(hull, scan.coverage, scan.dataset.scene, monitor=scan.monitor)
     for _ in range(_SWAYS):
@@ -256,11 +257,11 @@ def _follow_sway(scan: _Scan) -> tuple[carved_hull.CarvedHull, RootTree | None]:
         del hull, tree  # free their memory before they are replaced
         hull = scan.carve(cameras)
         tree = shaping.find_roots(hull, scan.coverage, scan.dataset.scene, known=known, monitor=scan.monitor)
-    return scan.stages.keep("hull", hull, leave=_ON_DEVICE), tree
+    return hull.cameras, tree
 
 
 def _first_hull(scan: _Scan) -> carved_hull.CarvedHull:
-    """Carve the hull, and carve it again without the views that contradict all others.
+    """Carve the hull into voxels, and carve it again without the views that contradict all others.
 
     If the hull is empty, the reasons why checks of the pictures failed are appended to the error message, because they
     are usually the cause.

@@ -1,5 +1,6 @@
 """Stages from silhouettes to a solid: outlines, hull, trimming, surface and extents."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -11,8 +12,11 @@ from rhizotwin.recon.carved_hull import CarvedHull
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.hull import surface, trimming
-from rhizotwin.recon.hull.leaves import Hull, Leaves, concatenate, subtract, unite
-from rhizotwin.recon.hull.spheres import Spheres
+from rhizotwin.recon.hull.bodies import fill
+from rhizotwin.recon.hull.centre_lines import centre_lines
+from rhizotwin.recon.hull.leaves import Hull, Leaves, concatenate, fill_up, subtract, unite
+from rhizotwin.recon.hull.spheres import Spheres, join
+from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.results import parts
 from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
@@ -21,7 +25,7 @@ from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.tubes import tube_mesh
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.uncertainty import diameter_uncertainty
-from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.recon.uncertainty.budget import Budget, Volume
 from rhizotwin.recon.volume_budget import UnitedShape, assess_volume
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
@@ -88,11 +92,12 @@ def make_solid(
     """
     hull, roots = carved.hull, () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
     shape = _find_shape(carved, system, roots, monitor)
-    solids, volume = shape.solids, shape.leaves.volume_mm3()
+    solids, volume_mm3 = shape.solids, shape.leaves.volume_mm3()
     # Upper bound: the hull with outlines moved outwards. Lower bound: the shape, minus the volume that solids lose when
     # outlines are moved inwards.
     moved_in_mm3 = shape.part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
-    bounds = max(0.0, volume - moved_in_mm3 - shape.thinner_mm3), max(hull.moved_out_mm3, volume + shape.thicker_mm3)
+    thinner_mm3, thicker_mm3 = (0.0, 0.0) if system is None else tube_volume.slack_mm3(system)
+    bounds = max(0.0, volume_mm3 - moved_in_mm3 - thinner_mm3), max(hull.moved_out_mm3, volume_mm3 + thicker_mm3)
     with monitor.stage("uncertainty"):
         assessed = assess_volume(carved, shape, settings, scattered=scattered)
     hidden, extrapolate, warnings = assessed.hidden, settings.hull.extrapolate_taproot, _warnings(assessed.budget, solids.kept_mm3)
@@ -100,17 +105,10 @@ def make_solid(
         bounds = bounds[0], bounds[1] + hidden.interval_mm3[1] * extrapolate
         warnings = [*warnings, hidden.warning(is_added=extrapolate)]
     with monitor.stage("surface"):
-        thin = () if system is None or shape.thin is None else tube_mesh.mesh_parts(system.tubes, shape.thin)
+        thin = () if system is None else tube_mesh.mesh_parts(system.tubes, tube_volume.find_thin(system, hull.leaves.grid.size_mm))
         mesh = make_surface(shape.thick, thin)
-        solid = measure(
-            hull,
-            shape.leaves,
-            mesh,
-            voxel_mm=settings.voxel_mm,
-            budget=assessed.budget,
-            bounds_mm3=bounds,
-            untrimmed_mm3=solids.kept_mm3,
-        )
+        volume = assessed.budget.volume(bounds)
+        solid = measure(hull, shape.leaves, mesh, volume, voxel_mm=settings.voxel_mm, untrimmed_mm3=solids.kept_mm3)
     if hidden is not None:
         solid = replace(solid, hidden_mm=hidden.length_mm, hidden_height_mm=hidden.height_mm)
     solid = replace(solid, warnings=(*warnings, *solid.warnings), checks=assessed.checks)
@@ -124,43 +122,34 @@ def make_solid(
 
 
 def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[Root], monitor: Monitor) -> UnitedShape:
-    """Unite the tubes with the trimmed hull of the solids, and with the parts of thick roots that they lack.
+    """Unite the tubes with the spheres in the solids, and with the parts of the hull that the silhouettes require.
 
-    A thick root that is not round, or whose axis is tilted, is larger than its tube. Of the hull, only those parts are
-    added that the silhouettes require.
+    A thick root that is not round, or whose axis is tilted, is larger than its tube.
     """
     bank, maps, hull = carved.bank, carved.maps, carved.hull
+    none = hull.leaves.select(slice(0))
     with monitor.stage("trim"):
         part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
-        solids = trimming.trim(bank, maps, part)
-    if system is None:
-        return UnitedShape(leaves=solids.leaves, thick=solids.leaves, solids=solids, part=part)
+        spheres, doubtful = trimming.grow_spheres(bank, maps, centre_lines(part))
+        solids = fill(spheres.bodies, part)
     with monitor.stage("unite"):
-        tubes = tube_volume.combine(solids.leaves, system, hull.widest)
-        lacking, missing = _find_missing(carved, system, tubes.leaves)
-        full = replace(missing, occupancy=missing.occupancy + tubes.leaves.occupancy_at(missing.index))
-        leaves, thick = unite(tubes.leaves, full), unite(tubes.thick, full)
+        wide, thin = (none, none) if system is None else tube_volume.fill_tubes(system, hull.widest)
+        wide = unite(solids, wide)
+        leaves = unite(wide, thin)
+        outside, inside = subtract(hull.leaves, leaves), spheres
+        if system is not None:
+            thick = system.thick
+            outside = outside.near(system.core_mm if thick.any() else system.solids_mm, system.margin_mm)
+            inside = join([spheres, Spheres(system.tubes.centre_mm[thick], system.tubes.radius_mm[thick])])
+        lacking, missing = trimming.find_missing(bank, maps, leaves, outside, inside)
     return UnitedShape(
-        leaves=leaves,
-        thick=thick,
-        thin=tubes.thin,
-        solids=replace(solids, leaves=concatenate([solids.leaves, missing]), kept=np.concatenate([solids.kept, missing.occupancy])),
-        part=concatenate([part, lacking]),
-        thinner_mm3=tubes.thinner_mm3,
-        thicker_mm3=tubes.thicker_mm3,
+        leaves=fill_up(leaves, missing),
+        thick=fill_up(wide, missing),
+        solids=TrimmedHull(concatenate([solids, missing]), spheres, doubtful, missing.volume_mm3()),
+        part=concatenate([solids, lacking]),
         system=system,
         roots=roots,
     )
-
-
-def _find_missing(carved: CarvedHull, system: RootSystem, shape: Leaves) -> tuple[Leaves, Leaves]:
-    """Return the finest nodes of the hull beside thick roots, and those of them that the silhouettes require."""
-    thick, hull = system.thick, carved.hull.leaves
-    if not thick.any():
-        return hull.select(slice(0)), hull.select(slice(0))
-    inside = Spheres(system.tubes.centre_mm[thick], system.tubes.radius_mm[thick])
-    outside = subtract(hull, shape).near(system.core_mm, system.margin_mm)
-    return trimming.find_missing(carved.bank, carved.maps, shape, outside, inside)
 
 
 def make_surface(leaves: Leaves, tubes: Iterable[tuple[NDArray[np.float64], NDArray[np.int64]]] = ()) -> trimesh.Trimesh:
@@ -173,24 +162,13 @@ def make_surface(leaves: Leaves, tubes: Iterable[tuple[NDArray[np.float64], NDAr
     tubes : iterable
         Vertices (V, 3), mm, and faces (F, 3) of each tube.
     """
-    units, merged = 1, (leaves.index, leaves.size, leaves.occupancy)
-    while len(merged[1]) > _SURFACE_LEAVES:
-        units *= 2
-        merged = surface.to_voxels(leaves, units)
-    thick = surface.surface(*merged, origin_mm=np.asarray(leaves.grid.origin_mm, np.float64), voxel_mm=units * leaves.grid.size_mm)
+    while len(leaves.size) > _SURFACE_LEAVES:
+        leaves = leaves.merge(1)
+    thick = surface.surface(leaves)
     return surface.unite([(np.asarray(thick.vertices), np.asarray(thick.faces)), *tubes])
 
 
-def measure(
-    hull: Hull,
-    leaves: Leaves,
-    mesh: trimesh.Trimesh,
-    *,
-    voxel_mm: float,
-    budget: Budget,
-    bounds_mm3: tuple[float, float],
-    untrimmed_mm3: float,
-) -> Solid:
+def measure(hull: Hull, leaves: Leaves, mesh: trimesh.Trimesh, volume: Volume, *, voxel_mm: float, untrimmed_mm3: float) -> Solid:
     """Merge leaves into voxels, and measure the extents.
 
     Parameters
@@ -201,12 +179,10 @@ def measure(
         Leaves of the solid.
     mesh : trimesh.Trimesh
         Surface of the solid (`make_surface`).
+    volume : Volume
+        Volume of the solid with its interval.
     voxel_mm : float
         Edge length of the output voxels, mm.
-    budget : Budget
-        Error budget of the volume.
-    bounds_mm3 : tuple of float
-        Smallest and largest volume that the silhouettes allow.
     untrimmed_mm3 : float
         Volume of untrimmed hull within the solid.
     """
@@ -223,7 +199,7 @@ def measure(
         hull=_voxels(hull.leaves, voxel_mm),
         finest_mm=leaves.grid.size_mm,
         mesh=mesh,
-        volume=budget.volume(bounds_mm3),
+        volume=volume,
         hull_mm3=hull.leaves.volume_mm3(),
         untrimmed_mm3=untrimmed_mm3,
         blind_mm3=hull.blind_mm3,
@@ -235,9 +211,9 @@ def measure(
 
 def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:
     """Merge leaves into voxels with the given edge length."""
-    low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
+    voxels = leaves.merge(round(math.log2(voxel_mm / leaves.grid.size_mm)))
     origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
-    return parts.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
+    return parts.Leaves(low=voxels.index, size=voxels.size, occupancy=voxels.occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:

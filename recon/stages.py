@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import atomic
 
 T = TypeVar("T")
-STAGES = ("cameras", "coverage", "hull", "roots", "hull_again", "solid")
-"""Names of the stages, in processing order. If the roots sway, the hull is carved again, and the last hull is stored as
-"hull". If the roots change the calibration or the attenuation, the hull is carved once more and stored as "hull_again".
-"""
+STAGES = ("cameras", "coverage", "roots", "hull", "solid")
+"""Names of the stages, in processing order."""
 
 
 @dataclass(frozen=True)

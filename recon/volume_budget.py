@@ -43,16 +43,10 @@ class UnitedShape:
     """Leaves of the whole shape."""
     thick: Leaves
     """Leaves of thick roots and solids."""
-    thin: NDArray[np.bool_] | None = None
-    """Mask (N,) of the nodes of tubes that are not among them; None without tubes."""
     solids: TrimmedHull
     """Trimmed hull of the solids, and the parts of the hull that complete thick roots."""
     part: Leaves
     """Leaves of the hull around them, before trimming."""
-    thinner_mm3: float = 0.0
-    """Decrease of the volume of the tubes if their radii are reduced by their slack, mm3."""
-    thicker_mm3: float = 0.0
-    """Increase of the volume of the tubes if their radii are enlarged by their slack, mm3."""
     system: RootSystem | None = None
     """Fitted roots; None if there are none."""
     roots: Sequence[Root] = ()

@@ -20,6 +20,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.device import points
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import least_votes
+from rhizotwin.recon.hull.leaves import Leaves, halve
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -29,12 +30,9 @@ _NEAR_PX = 1.5
 """Tolerance added to the projected extent of a cube, px, to allow for interpolation and rounding to whole pixels."""
 _COVERED = 0.1
 """Coverage above which a pixel shows a root (see `silhouettes`)."""
-_COARSE, _FINER = 32, 4
-"""Number of coarse cubes along the edge of a cube with the same volume as the water, and number of fine cubes along
-each edge of a coarse cube. There are about 32^3 coarse cubes, and each can be divided into 4^3 fine cubes.
-
-Only coarse cubes of the tolerant hull are divided. The views are then compared on the fine cubes. In
-the canister of the thesis, the fine cubes have an edge of 1 mm, or 4 px in pictures of 800 px."""
+_FINE = 128
+"""Number of fine cubes along the edge of a cube with the same volume as the water, on which the views are compared. In
+the canister of the thesis, they have an edge of 1 mm, or 4 px in pictures of 800 px."""
 _WRONG, _WRONG_TIMES = 0.1, 4.0
 """Absolute and relative threshold above which a view is wrong. The inconsistency of a wrong view exceeds 0.1, and it
 exceeds four times the median over all views.
@@ -109,8 +107,23 @@ def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edg
     middles_mm, edge_mm : (N, 3) array, (N,) array
         Centres and edge lengths of the cubes, mm.
     """
-    away = _ProjectedCubes.project(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
+    away = distance_px(bank, middles_mm, edge_mm, silhouette.coverage.shape)
     return np.asarray(silhouette.usable & (silhouette.coverage > 0.5) & (away > 0.5))
+
+
+def distance_px(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return the distance (H, W) of each pixel of a single view from the nearest projected cube, px.
+
+    Parameters
+    ----------
+    bank : ViewBank
+        A single view.
+    middles_mm, edge_mm : (N, 3) array, (N,) array
+        Centres and edge lengths of the cubes, mm.
+    shape : tuple of int
+        Height and width of the picture.
+    """
+    return _ProjectedCubes.project(bank, middles_mm, edge_mm, shape).distance()
 
 
 def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -167,41 +180,23 @@ def _most_wrong(bank: ViewBank) -> int:
 
 def _find_worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
     """Return the index of the view that contradicts the others most, or None if no view is wrong."""
-    coarse_mm = float(np.cbrt(np.pi * water.radius_mm**2 * (water.top_mm - water.bottom_mm))) / _COARSE
-    fine_mm = coarse_mm / _FINER
-    cubes, _ = _candidate_cubes(bank, silhouettes, _fill_with_cubes(water, coarse_mm), coarse_mm)
-    cubes, excluded = _candidate_cubes(bank, silhouettes, _subdivide(cubes, coarse_mm), fine_mm)
-    if not len(cubes):
-        return None
-    missed = compare(bank, silhouettes, cubes, np.full(len(cubes), fine_mm)).missed_share
+    fine_mm = float(np.cbrt(np.pi * water.radius_mm**2 * (water.top_mm - water.bottom_mm))) / _FINE
+    cubes = Leaves.whole(water.grid(fine_mm))
+    cubes = cubes.select(np.hypot(*cubes.middles_mm[:, :2].T) < water.radius_mm)
+    while True:
+        edge_mm = fine_mm * cubes.size.astype(np.float64)
+        found = compare(bank, silhouettes, cubes.middles_mm, edge_mm)
+        kept = (found.excluded.sum(axis=0) <= _most_wrong(bank)) & (found.sees.sum(axis=0) >= least_votes(bank.count))
+        cubes, edge_mm, excluded = cubes.select(kept), edge_mm[kept], found.excluded[:, kept]
+        if not len(cubes.size):
+            return None
+        if cubes.size[0] == 1:
+            break
+        cubes = halve(cubes)
+    missed = compare(bank, silhouettes, cubes.middles_mm, edge_mm).missed_share
     wrong = np.maximum(missed, excluded.mean(axis=1))
     worst = int(wrong.argmax())
     return worst if wrong[worst] > max(_WRONG, _WRONG_TIMES * float(np.median(wrong))) else None
-
-
-def _candidate_cubes(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Select the cubes (M, 3) that enough views show and that no more views exclude than may be wrong.
-
-    Also return whether each view excludes each of these cubes (V, M).
-    """
-    found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
-    kept = (found.excluded.sum(axis=0) <= _most_wrong(bank)) & (found.sees.sum(axis=0) >= least_votes(bank.count))
-    return cubes[kept], found.excluded[:, kept]
-
-
-def _fill_with_cubes(water: Water, edge_mm: float) -> Array:
-    """Fill the water with cubes of equal size, and return their centres (N, 3)."""
-    across = np.arange(-water.radius_mm + 0.5 * edge_mm, water.radius_mm, edge_mm)
-    along = np.arange(water.bottom_mm + 0.5 * edge_mm, water.top_mm, edge_mm)
-    cubes = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
-    return cubes[np.hypot(cubes[:, 0], cubes[:, 1]) < water.radius_mm]
-
-
-def _subdivide(cubes: Array, edge_mm: float) -> Array:
-    """Divide each cube into `_FINER`^3 smaller cubes, and return their centres (M, 3)."""
-    steps = ((np.arange(_FINER) + 0.5) / _FINER - 0.5) * edge_mm
-    offset = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    return (cubes[:, None] + offset).reshape(-1, 3)
 
 
 @dataclass(frozen=True)

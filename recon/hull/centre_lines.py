@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from skimage import morphology
 
 from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.hull.surface import paint, to_voxels
+from rhizotwin.recon.hull.surface import paint
 
 Array = NDArray[np.float64]
 
@@ -33,12 +33,13 @@ def centre_lines(leaves: Leaves) -> Array:
     other roots. Curves found on a second lattice, shifted by half a voxel so that these widths become odd, are
     therefore added, and the deepest points of wide parts without a curve, such as a ball.
     """
-    units = 2 ** max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25)))
-    index, size, occupancy = to_voxels(leaves, units)
-    low = index.min(axis=0) - 1
-    volume = np.zeros((index + size[:, None]).max(axis=0) - low + 1, np.float32)
-    paint(volume, index - low, size, occupancy)
-    voxel_mm = leaves.grid.size_mm * units
+    if not len(leaves.size):
+        return np.zeros((0, 3))
+    voxels = leaves.merge(max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25))))
+    low = voxels.index.min(axis=0) - 1
+    volume = np.zeros((voxels.index + voxels.size[:, None]).max(axis=0) - low + 1, np.float32)
+    paint(volume, voxels.index - low, voxels.size, voxels.occupancy)
+    voxel_mm = voxels.grid.size_mm
     nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
     nodes = np.concatenate([nodes, _shifted_curves(volume, nodes)])
     nodes = np.concatenate([nodes, _deepest_points(volume > 0.5, nodes)])

@@ -13,11 +13,10 @@ import cv2
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, Window
-from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector2f, Vector2u, aligned_empty, bilinear, numbers, select_parts
+from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector2f, Vector2u, aligned_empty, bilinear, select_parts
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.monitor import Monitor
@@ -63,24 +62,6 @@ class DistanceMaps:
         for name, px in (("_low", low), ("_first", np.subtract(low, before)), ("_end", np.add(low, size) + after)):
             object.__setattr__(self, name, mi.Vector2f(*(dr.opaque(mi.Float, float(part)) for part in px)))
         object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
-
-    @staticmethod
-    def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
-        """Transfer distance maps (V, 2 h, 2 w) to the device.
-
-        The distance at unusable pixels is infinite or `UNSEEN_PX`.
-
-        Parameters
-        ----------
-        image_wh : tuple of int or None
-            Width and height of the pictures. By default, the maps cover whole pictures.
-        window : Window or None
-            Part of the pictures that the maps cover. By default, whole pictures.
-        """
-        size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
-        values = mi.Float16(numbers(maps))
-        dr.eval(values)
-        return DistanceMaps(values, image_wh or size_px, window or Window((0, 0), size_px))
 
     @staticmethod
     def compute(

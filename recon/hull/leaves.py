@@ -43,6 +43,10 @@ class Grid:
         shape = np.maximum(np.ceil(np.asarray(high_mm) / coarse) - first, 1).astype(int)
         return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
 
+    def refine(self, halvings: int) -> Grid:
+        """Return the lattice whose finest nodes are halved several times. A negative number doubles them."""
+        return replace(self, size_mm=self.size_mm / 2.0**halvings, levels=self.levels + halvings)
+
     def edge_mm(self, level: int) -> float:
         """Return the edge length of the nodes of a level, mm. Level 0 is the coarsest."""
         return self.size_mm * 2.0 ** (self.levels - level)
@@ -60,6 +64,12 @@ class Leaves:
     occupancy: NDArray[np.float32]
     """Fraction of each leaf that lies inside the shape, shape (N,)."""
 
+    @staticmethod
+    def whole(grid: Grid) -> Leaves:
+        """Return all of a lattice, in its coarsest nodes."""
+        index = np.argwhere(np.ones(grid.coarse_shape, bool)).astype(np.int32) * 2**grid.levels
+        return Leaves(grid, index, np.full(len(index), 2**grid.levels, np.int32), np.ones(len(index), np.float32))
+
     @property
     def middles_mm(self) -> Array:
         """Centres of the leaves, shape (N, 3), canister frame, mm."""
@@ -73,6 +83,32 @@ class Leaves:
     def select(self, chosen: NDArray[np.generic] | slice) -> Leaves:
         """Return the leaves selected by a mask (N,), indices (M,) or a slice."""
         return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
+
+    def split(self) -> Leaves:
+        """Divide the leaves into finest nodes."""
+        index, occupancy = [self.index[:0]], [self.occupancy[:0]]
+        for edge in np.unique(self.size):
+            some, offset = self.select(self.size == edge), np.array(list(np.ndindex(edge, edge, edge)), np.int32)
+            index.append((some.index[:, None] + offset).reshape(-1, 3))
+            occupancy.append(np.repeat(some.occupancy, len(offset)))
+        nodes = np.concatenate(index)
+        return Leaves(self.grid, nodes, np.ones(len(nodes), np.int32), np.concatenate(occupancy))
+
+    def merge(self, halvings: int) -> Leaves:
+        """Merge leaves into nodes of at least the size of finest nodes of a coarser lattice.
+
+        The finest nodes of the lattice of the result are those of this lattice, doubled ``halvings`` times.
+        """
+        units = 2**halvings
+        large, small = self.select(self.size >= units), self.select(self.size < units)
+        parent = (small.index // units).astype(np.int64)
+        share = small.occupancy * (small.size / units).astype(np.float32) ** 3
+        box = Box.around(parent)
+        unique, inverse = np.unique(box.number(parent), return_inverse=True)
+        filled = np.bincount(inverse, weights=share, minlength=len(unique)).astype(np.float32)
+        index = np.concatenate([large.index // units, box.cell(unique).astype(np.int32)])
+        size = np.concatenate([large.size // units, np.ones(len(unique), np.int32)])
+        return Leaves(self.grid.refine(-halvings), index, size, np.concatenate([large.occupancy, np.minimum(filled, 1.0)]))
 
     def near(self, points_mm: Array, margin_mm: float) -> Leaves:
         """Return the leaves within a distance of ``margin_mm`` of any point (M, 3)."""
@@ -113,21 +149,9 @@ def unite(first: Leaves, second: Leaves) -> Leaves:
     return replace(both.select(place), occupancy=fuller)
 
 
-def intersect(first: Leaves, second: Leaves) -> Leaves:
-    """Return the intersection of two sets of leaves on the same lattice.
-
-    Leaves inside a larger leaf of the other set are kept. Of two identical leaves, the one with the lower occupancy is
-    kept.
-    """
-    inside = _find_within(first, second), _find_within(second, first)
-    rest = concatenate([leaves.select(~within) for leaves, within in zip((first, second), inside, strict=True)])
-    _, place, which, count = np.unique(
-        Box.around(rest.index).number(rest.index), return_index=True, return_inverse=True, return_counts=True
-    )
-    emptier = np.ones(len(place), np.float32)
-    np.minimum.at(emptier, which, rest.occupancy)
-    both = replace(rest.select(place), occupancy=emptier).select(count == 2)
-    return concatenate([first.select(inside[0]), second.select(inside[1]), both])
+def fill_up(leaves: Leaves, more: Leaves) -> Leaves:
+    """Return leaves with the occupancies of finest nodes added to them."""
+    return unite(leaves, replace(more, occupancy=more.occupancy + leaves.occupancy_at(more.index)))
 
 
 def subtract(first: Leaves, second: Leaves) -> Leaves:
@@ -137,7 +161,7 @@ def subtract(first: Leaves, second: Leaves) -> Leaves:
     difference of the occupancies, if it is positive.
     """
     done, carried, edge = list[Leaves](), first.select(slice(0)), int(first.size.max(initial=1))
-    while edge >= 1:
+    while edge:
         here = concatenate([carried, first.select(first.size == edge)])
         smaller = second.index[second.size < edge] // edge
         _, place = np.unique(Box.around(smaller).number(smaller), return_index=True)
@@ -145,9 +169,7 @@ def subtract(first: Leaves, second: Leaves) -> Leaves:
         whole = here.select(~cut)
         rest = whole.occupancy - second.select(second.size >= edge).occupancy_at(whole.index)
         done.append(replace(whole, occupancy=rest).select(rest > 0.0))
-        index = halve(here.index[cut], edge)
-        edge //= 2
-        carried = Leaves(first.grid, index, np.full(len(index), edge, np.int32), np.repeat(here.occupancy[cut], 8))
+        carried, edge = halve(here.select(cut)), edge // 2
     return concatenate(done)
 
 
@@ -189,21 +211,8 @@ class Hull:
         return self.leaves.volume_mm3(self.outer)
 
 
-def halve(index: Index, edge: int) -> Index:
-    """Divide nodes (N, 3) with a given edge length into their eight halves (8 N, 3)."""
-    corners = np.array(list(np.ndindex(2, 2, 2)), np.int32)
-    return (index[:, None] + edge // 2 * corners).reshape(-1, 3)
-
-
-def to_unit_cubes(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Divide cubes of several sizes into unit cubes, and return their indices (M, 3)."""
-    parts = []
-    for edge in np.unique(size):
-        offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
-        parts.append((index[size == edge][:, None] + offset).reshape(-1, 3))
-    return np.concatenate(parts) if parts else index
-
-
-def spread_values(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Repeat the values (N,) of cubes for each of their unit cubes (M,), in the order of `to_unit_cubes`."""
-    return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values
+def halve(leaves: Leaves) -> Leaves:
+    """Divide leaves into their eight halves."""
+    edge, corners = np.repeat(leaves.size // 2, 8), np.array(list(np.ndindex(2, 2, 2)), np.int32)
+    index = np.repeat(leaves.index, 8, axis=0) + edge[:, None] * np.tile(corners, (len(leaves.size), 1))
+    return Leaves(leaves.grid, index, edge, np.repeat(leaves.occupancy, 8))

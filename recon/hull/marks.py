@@ -48,31 +48,6 @@ class Marks:
     scale: Float
     """Image scale in the view that determines `depth`, px/mm (mi.Float)."""
 
-    def add_view(self, distance: Float, visible: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
-        """Update the classification with one more view. Nodes that are already empty are not changed.
-
-        Parameters
-        ----------
-        distance, visible : Float, Bool
-            Signed distance from the outline in px, and whether it is usable.
-        clear : Bool
-            Whether the whole node lies outside the view's blind zone.
-        reach : Float
-            Half the size of the projected node, px.
-        slack_px : Float
-            Uncertainty of the outlines, px.
-        px_per_mm : Float
-            Image scale at the node, px/mm.
-        """
-        open_ = ~self.empty
-        visible &= open_
-        self.partial |= visible & (distance < reach + slack_px)
-        here = dr.select(visible, distance / px_per_mm, 1e3)
-        self.scale = dr.select(here < self.depth, px_per_mm, self.scale)
-        self.depth = dr.minimum(self.depth, here)
-        self.votes += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
-        self.empty |= visible & clear & (distance < -reach - slack_px)
-
     def flags(self) -> UInt32:
         """Pack the classification of each node into one integer, which consists of the number of votes and two bits.
 
@@ -110,7 +85,13 @@ def mark_nodes(bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[V
         for part, mark in zip(parts, marks, strict=True):
             px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
             distance, usable = distance_maps.read(maps, view, px, p.visible & ~mark.empty)
-            mark.add_view(distance, usable, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
+            mark.partial |= usable & (distance < reach + slack_px)
+            depth = dr.select(usable, distance / px_per_mm, 1e3)
+            mark.scale = dr.select(depth < mark.depth, px_per_mm, mark.scale)
+            mark.depth = dr.minimum(mark.depth, depth)
+            mark.votes += dr.select(usable, mi.UInt32(1), mi.UInt32(0))
+            # The whole node must lie outside the view's blind zone.
+            mark.empty |= usable & (p.clear_mm > 1.5 * half_mm + dr.norm(part)) & (distance < -reach - slack_px)
         return view + 1, marks
 
     def undecided(view: UInt32, marks: list[Marks]) -> Bool:

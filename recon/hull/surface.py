@@ -19,35 +19,6 @@ _HALF, _OFF_HALF = 0.5, 0.001
 triangles that enclose nothing, and the surface would not be closed there."""
 
 
-def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-    """Merge leaves into voxels with an edge of ``units`` finest nodes.
-
-    Parameters
-    ----------
-    units : int
-        Edge length of a voxel in units of the finest nodes, a power of two.
-
-    Returns
-    -------
-    index : (N, 3) int32 array
-        Lowest corner of each cube, in voxels.
-    size : (N,) int32 array
-        Edge length of each cube, in voxels (1 or more).
-    occupancy : (N,) float32 array
-        Occupied fraction of each cube.
-    """
-    large = leaves.size >= units
-    small = ~large
-    parent = (leaves.index[small] // units).astype(np.int64)
-    share = leaves.occupancy[small] * (leaves.size[small] / units).astype(np.float32) ** 3
-    box = Box.around(parent)
-    unique, inverse = np.unique(box.number(parent), return_inverse=True)
-    filled = np.bincount(inverse, weights=share, minlength=len(unique)).astype(np.float32)
-    index = np.concatenate([leaves.index[large] // units, box.cell(unique).astype(np.int32)])
-    size = np.concatenate([leaves.size[large] // units, np.ones(len(unique), np.int32)])
-    return index, size, np.concatenate([leaves.occupancy[large], np.minimum(filled, 1.0)])
-
-
 def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
     """Write the occupancies of leaves into a dense block, clipped to its bounds.
 
@@ -99,32 +70,14 @@ def _bricks(
         yield corner.astype(np.int64), block
 
 
-def surface(
-    index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32], *, origin_mm: NDArray[np.float64], voxel_mm: float
-) -> trimesh.Trimesh:
+def surface(leaves: Leaves) -> trimesh.Trimesh:
     """Return the surface of a shape as a closed mesh, canister frame, mm.
 
     The surface is extracted at an occupancy of one half, block by block, with marching cubes. It lacks parts that are
-    thinner than a voxel.
-
-    Parameters
-    ----------
-    index, size : (N, 3), (N,) int32 array
-        Lowest voxel and edge length of each leaf, in voxels.
-    occupancy : (N,) float32 array
-        Occupied fraction of each leaf, 0 to 1.
-    origin_mm : (3,) array
-        Lowest corner of voxel (0, 0, 0), canister frame.
-    voxel_mm : float
-        Edge length of a voxel, mm.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        Closed surface. It has no vertices if no voxel is at least half full.
+    thinner than a finest node, and has no vertices if no leaf is at least half full.
     """
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
-    for corner, block in _bricks(index, size, occupancy):
+    for corner, block in _bricks(leaves.index, leaves.size, leaves.occupancy):
         block[np.abs(block - _HALF) < _OFF_HALF] = _HALF + _OFF_HALF
         if block.max() <= _HALF or block.min() >= _HALF:
             continue
@@ -134,7 +87,7 @@ def surface(
         count += len(v)
     mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     mesh.merge_vertices(digits_vertex=5)
-    mesh.vertices = origin_mm + (np.asarray(mesh.vertices) + 0.5) * voxel_mm
+    mesh.vertices = leaves.grid.origin_mm + (np.asarray(mesh.vertices) + 0.5) * leaves.grid.size_mm
     return mesh
 
 

@@ -21,10 +21,9 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon import device
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers
 from rhizotwin.recon.hull import distance_maps, unexplained
-from rhizotwin.recon.hull.centre_lines import centre_lines
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
-from rhizotwin.recon.hull.spheres import Spheres, subdivide_leaves
+from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
@@ -75,36 +74,9 @@ class TrimmedHull:
     doubtful: Spheres
     """Spheres that are bounded by too few views, with the radius that the outlines allow. They include the spheres that
     were removed for this reason."""
-    kept: NDArray[np.float32]
-    """Occupancy that each leaf retains from the hull although no sphere covers it, shape (N,). It is required to
-    explain a silhouette."""
-
-    @property
-    def kept_mm3(self) -> float:
-        """Return the volume that is retained from the hull although no sphere covers it, mm3."""
-        return self.leaves.volume_mm3(self.kept)
-
-
-def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
-    """Trim a hull to the volume that its silhouettes require.
-
-    No occupancy of the trimmed shape exceeds that of the hull.
-    """
-    points = centre_lines(leaves) if len(leaves.size) else np.zeros((0, 3))
-    spheres, doubtful = grow_spheres(bank, maps, points)
-    if not len(spheres.radius_mm):
-        return TrimmedHull(leaves, spheres, doubtful, leaves.occupancy)
-    index, size, hull, inside = subdivide_leaves(spheres, leaves)
-    kept = np.minimum(hull, inside)
-    missing = hull - kept > _MISSING
-    if missing.any():
-        needed = unexplained.required_fraction(
-            bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing], spheres
-        )
-        kept[missing] += needed * (hull - kept)[missing]
-    some = kept > 0
-    trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
-    return TrimmedHull(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
+    kept_mm3: float
+    """Volume that is retained from the hull although no sphere covers it, mm3. It is required to explain a
+    silhouette."""
 
 
 def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, outside: Leaves, inside: Spheres) -> tuple[Leaves, Leaves]:
@@ -118,7 +90,7 @@ def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, outside: Lea
         Part of the hull outside the shape. The occupancy is the difference from the shape.
     inside : Spheres
         Spheres inside the shape. Of the nodes on a line of sight that the shape does not explain, those nearest to the
-        spheres are required.
+        spheres are required. Without spheres, all nodes are required.
 
     Returns
     -------
@@ -126,12 +98,10 @@ def find_missing(bank: ViewBank, maps: DistanceMaps, shape: Leaves, outside: Lea
         Finest nodes outside the shape, and those of them that the silhouettes require. The occupancy is the difference
         from the shape.
     """
-    outside = outside.select(outside.occupancy > _MISSING)
-    index = to_unit_cubes(outside.index, outside.size)
-    lacking = Leaves(outside.grid, index, np.ones(len(index), np.int32), spread_values(outside.occupancy, outside.size))
-    if not len(index):
+    lacking = outside.select(outside.occupancy > _MISSING).split()
+    if not len(lacking.size) or not len(inside.radius_mm):
         return lacking, lacking
-    needed = unexplained.required_fraction(bank, maps, shape, index, inside)
+    needed = unexplained.required_fraction(bank, maps, shape, lacking, inside)
     return lacking, replace(lacking, occupancy=needed * lacking.occupancy).select(needed > 0.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import drjit as dr
@@ -12,12 +13,11 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
-from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
+from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, halves, numbers
 from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
-from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -36,9 +36,7 @@ _LEAST_EDGE_PX = 0.5
 """Minimum width of the lines of sight on which nodes are compared, px. It is one sample of the distance maps."""
 
 
-def required_fraction(
-    bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres
-) -> NDArray[np.float32]:
+def required_fraction(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: Leaves, spheres: Spheres) -> NDArray[np.float32]:
     """Return the fraction (N,) of each uncertain node that must be added for the shape to explain the silhouettes.
 
     A residual is computed for each view. The second-largest residual is used, since a single view may be wrong. Of all
@@ -52,8 +50,8 @@ def required_fraction(
         Views, and the distance maps of their silhouettes.
     trimmed : Leaves
         Trimmed shape, which is certain.
-    uncertain : (N, 3) int array
-        Indices of finest nodes that may be required.
+    uncertain : Leaves
+        Finest nodes that may be required.
     spheres : Spheres
         Spheres from which the distances of nodes are measured.
 
@@ -63,13 +61,10 @@ def required_fraction(
         Required fraction of each node, 0 to 1.
     """
     width, height = maps.samples_wh
-    voxel, size, filled = to_voxels(trimmed, 2)
-    some = filled > 0.25
-    solid = _points(trimmed, 2 * to_unit_cubes(voxel[some], size[some]), 2)
-    share = numbers(np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0))
-    places = _points(trimmed, uncertain, 1)
-    edge_mm = trimmed.grid.size_mm
-    beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
+    voxels, edge_mm = trimmed.merge(1), trimmed.grid.size_mm
+    voxels = voxels.select(voxels.occupancy > 0.25).split()
+    solid, share = device.points(voxels.middles_mm), numbers(np.clip(2.0 * voxels.occupancy - 0.5, 0.0, 1.0))
+    places, beyond = device.points(uncertain.middles_mm), numbers(beyond_mm(spheres, uncertain.middles_mm) / edge_mm)
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
@@ -86,7 +81,7 @@ def required_fraction(
         if not lacking.any():
             continue
         px, scale, visible = _project(bank, maps, view, places)
-        lacks = dr.select(visible, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
+        lacks = dr.select(visible, replace(maps, values=halves([_spread(lacking, 5)])).at(0, px, visible), 0.0)
         dr.eval(lacks)
         edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
@@ -117,12 +112,6 @@ def _masked_maximum(value: Float, active: Bool) -> float:
 def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
     """Dilate an image (H, W) with a square of odd edge length, and blur it with a 3 x 3 box filter."""
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
-
-
-def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
-    """Transfer the centres of nodes of a given edge length to the device."""
-    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
-    return device.points(centres)
 
 
 def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.hull.leaves import Grid, Leaves, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.roots.footprints import Footprints
 
 Array = NDArray[np.float64]
@@ -87,8 +87,7 @@ def split_leaves(leaves: Leaves) -> Cells:
 
     Leaves that are at most half full are ignored.
     """
-    some = leaves.occupancy > 0.5
-    index = to_unit_cubes(leaves.index[some], leaves.size[some])
+    index = leaves.select(leaves.occupancy > 0.5).split().index
     return Cells(leaves.grid, index, np.zeros(len(index), np.float32))
 
 

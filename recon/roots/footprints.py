@@ -94,17 +94,17 @@ class Footprints:
             Limits to which the values are clipped.
         """
         count = self.place.shape[1]
-        total, votes = np.zeros(count), np.zeros(count, np.int32)
+        sums = np.zeros((2, count))
 
         def add(views: range, pictures: Pictures, begin: int) -> None:
             some = np.s_[begin : begin + _AT_ONCE]
             place, area = self.place[views.start : views.stop, some], self.px2_a_mm2[views.start : views.stop, some]
-            _add_logs(place, area, self.px_a_step, pictures, (least, most), total[some], votes[some])
+            _add_logs(place, area, self.px_a_step, pictures, (least, most), sums[:, some])
 
         with ThreadPoolExecutor(threads()) as pool:
             for part in parts:
                 list(pool.map(partial(add, *part), range(0, count, _AT_ONCE)))
-        return total / np.maximum(votes, 1)
+        return np.asarray(sums[0] / np.maximum(sums[1], 1.0))
 
 
 def _half_precision() -> NDArray[np.float32]:
@@ -141,10 +141,10 @@ def _add_logs(
     px_a_step: np.float32,
     pictures: Pictures,
     limits: tuple[float, float],
-    total: Array,
-    votes: NDArray[np.int32],
+    sums: Array,
 ) -> None:
-    """Add the logarithms of the pictures' values at cells, and the number of views that show each cell."""
+    """Add the logarithms of the pictures' values at cells, and the numbers of views that show them, to sums (2, N)."""
+    total, votes = sums[0], sums[1]
     product = np.ones(len(total))
     for view in range(len(pictures)):
         picture = pictures[view]

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
-from rhizotwin.recon.device import readable, vectors
+from rhizotwin.recon.hull import agreement
 from rhizotwin.recon.hull.boxes import CellSet
-from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tubes import SPACING_MM, Tubes
@@ -137,20 +133,9 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
     margin_px : float
         Margin around the core within which the whole solid lies, px.
     """
-    (width, height), views, (columns, rows) = evidence.image_wh, evidence.bank.count, evidence.size
-    covered = np.zeros((views, height, width), bool)
-    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # the rim hides all inner cells
-    points = vectors(rim.centre_mm)
-    for view in range(views if len(rim.index) else 0):
-        p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))
-        lane = dr.compress(p.visible & readable(p.px, columns, rows))
-        if dr.width(lane):
-            column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
-            empty = dr.full(mi.Float, 1.0, width * height)
-            dr.scatter(empty, mi.Float(0.0), dr.gather(mi.UInt32, row * columns + column, lane))
-            away = cv2.distanceTransform(np.array(empty).reshape(height, width).astype(np.uint8), cv2.DIST_L2, 5)
-            covered[view] = away <= margin_px
-    return covered
+    (width, height), rim = evidence.image_wh, solids.select(CellSet.from_cells(solids.index).faces()[0])  # hides all inner cells
+    points, none, views = rim.centre_mm, np.zeros(len(rim.index)), range(evidence.bank.count)
+    return np.array([agreement.distance_px(evidence.bank.select([view]), points, none, (height, width)) <= margin_px for view in views])
 
 
 def find_solid_nodes(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:

@@ -6,19 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence, bright_spots, core_outline, generous_outline
 from rhizotwin.recon.coverage.silhouettes import Mask
-from rhizotwin.recon.device import Float, UInt32, halves, points, readable
-from rhizotwin.recon.hull import carve, distance_maps
+from rhizotwin.recon.hull import agreement, carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Leaves
-from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import density
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.scenes.monitor import Monitor
@@ -52,10 +47,8 @@ def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Mo
     size_mm = _CELL_PX / px_a_mm
     window = evidence.window.at_origin()
     generous = DistanceMaps.compute(evidence.silhouettes, "search", monitor, generous_outline, window)
-    low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
     while True:
-        grid = Grid.over(low, high, size_mm)
-        cells = density.split_leaves(_carve(evidence, generous, grid, water))
+        cells = _carve(evidence, generous, size_mm, water)
         if len(cells.index) <= _MOST_CELLS:
             break
         size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # a factor of 1.26 halves their number
@@ -64,7 +57,7 @@ def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Mo
     pairs = zip(evidence.silhouettes, spots, strict=True)
     closed = [replace(one, coverage=np.where(spot, np.float32(1.0), one.coverage)) for one, spot in pairs]
     deep = DistanceMaps.compute(closed, "core", monitor, core_outline, window)
-    core = density.split_leaves(_carve(evidence, deep, grid, water))
+    core = _carve(evidence, deep, size_mm, water)
     return cells, core.select(~_find_bright_cells(evidence, core, spots))
 
 
@@ -84,26 +77,14 @@ def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -
 
 def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDArray[np.int64]:
     """Return the number of views (N,) in which each cell is projected onto a pixel of that view's mask."""
-    marked, point, (width, height) = halves(masks), points(cells.centre_mm), evidence.size
-
-    def body(view: UInt32, count: Float) -> tuple[UInt32, Float]:
-        p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
-        at = view * (width * height) + row * width + column
-        return view + 1, count + mi.Float(dr.gather(mi.Float16, marked, at, p.visible & readable(p.px, width, height)))
-
-    state = dr.zeros(mi.UInt32, len(cells.index)), dr.zeros(mi.Float, len(cells.index))
-    return np.array(dr.while_loop(state, lambda view, _: view < evidence.bank.end, body)[1], np.int64)
+    count = np.zeros(len(cells.index), np.int64)
+    for view, mask in enumerate(masks):
+        pixel, inside = agreement.pixels(evidence.bank.select([view]), cells.centre_mm, mask.shape)
+        count[inside] += mask.ravel()[pixel[inside]]
+    return count
 
 
-def _carve(evidence: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:
-    """Carve the water with given distance maps, and return the remaining leaves."""
-    hull = carve.carve(
-        evidence.bank,
-        maps,
-        grid,
-        water,
-        min_votes=distance_maps.least_votes(evidence.bank.count),
-        slack_px=0.0,  # the interval of this hull is not needed: nodes beside the outline are classified early
-    )
-    return hull.leaves
+def _carve(evidence: Evidence, maps: DistanceMaps, size_mm: float, water: Water) -> Cells:
+    """Carve cells of a given size out of the water with given distance maps."""
+    # The interval of this hull is not needed: without slack, nodes beside the outline are classified early.
+    return density.split_leaves(carve.carve(evidence.bank, maps, water.grid(size_mm), water, slack_px=0.0).leaves)

@@ -70,8 +70,7 @@ def carve_shoot(
     optics = replace(Optics.from_scene(scene), n_wall=1.0, n_water=1.0, water_z_mm=room.top_mm, tank=None, unobstructed=True)
     grid = room.grid(finest_mm)
     hull = carve.carve(ViewBank.pack(views, optics), maps, grid, room, slack_px=SLACK_PX)
-    index, size, occupancy = surface.to_voxels(hull.leaves, 1)
-    mesh = surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
+    mesh = surface.surface(hull.leaves)
     if not len(mesh.faces):
         raise UserError("the shoot's silhouettes have no volume in common. The cameras do not match the pictures, or there is no shoot.")
     return hull, mesh

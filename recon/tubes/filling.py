@@ -1,8 +1,7 @@
-"""Points that fill the union of tubes uniformly, with overlaps counted once."""
+"""Points that fill tubes uniformly."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -28,8 +27,7 @@ _DENSE_MM = 0.15
 _NEAR = 24
 """Maximum number of neighbouring branch points that are tested per query."""
 _AT_ONCE = 100_000
-"""Number of points that are generated or queried at once. It limits the memory for distances and neighbours to 40
-MB."""
+"""Number of points that are queried at once. It limits the memory for distances and neighbours to 40 MB."""
 _THICK_MM = 0.5
 """Radius above which the points on branches are stored in a separate k-d tree, mm. There are few such points, so that
 the search in the other tree has a small radius."""
@@ -49,31 +47,38 @@ class FillPoints:
     """Position of each point along its branch, shape (M,), mm. For points in a rounded tip, it is the position of the
     last node."""
 
-    def select(self, which: Mask) -> FillPoints:
-        """Return a subset of the points, selected by a mask (M,)."""
-        return FillPoints(*(getattr(self, field.name)[which] for field in fields(self)))
-
 
 def fill(tubes: Tubes, spacing_mm: float, *, excluded: Mask | None = None) -> FillPoints:
-    """Fill the union of tubes with points at a spacing of about ``spacing_mm``.
-
-    Segments are not filled if both of their nodes are marked in the mask ``excluded`` (N,).
-    """
-    others, kept = _Dense.sample(tubes), list[FillPoints]()
-    for filled in _fill_tubes(tubes, spacing_mm, excluded):
-        earlier = np.zeros(len(filled.branch), bool)
-        point, other, _ = others.find_containing(filled.point_mm, filled.branch)
-        earlier[point[other < filled.branch[point]]] = True
-        kept.append(filled.select(~earlier))
-    return _concatenate(kept)
-
-
-def fill_each(tubes: Tubes, spacing_mm: float, *, excluded: Mask | None = None) -> FillPoints:
     """Fill each tube separately, including overlaps, with points at a spacing of about ``spacing_mm``.
 
-    Segments are not filled if both of their nodes are marked in the mask ``excluded`` (N,).
+    In each cross-section, they are arranged like the seeds of a sunflower (Vogel 1979, Math. Biosci. 44:179).
+
+    Parameters
+    ----------
+    excluded : (N,) bool array, optional
+        Mask of nodes. Segments between two of these nodes are not filled.
     """
-    return _concatenate(list(_fill_tubes(tubes, spacing_mm, excluded)))
+    piece = _pieces(tubes)
+    if excluded is not None:
+        piece = piece.select(np.flatnonzero(~excluded[piece.nodes].all(axis=1)))
+    length = np.linalg.norm(piece.way_mm, axis=1)
+    slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
+    segment, part = _repeat_indices(slices)
+    share = (part + 0.5) / slices[segment]
+    # For slices of a cap, use the mean square of the radius, so that the volume is exact.
+    square = np.where(piece.is_cap[segment], 1.0 - share**2 - 1.0 / (12.0 * slices[segment] ** 2), 1.0)
+    first, last = piece.radii_mm[segment].T
+    radius = (first + share * (last - first)) * np.sqrt(square)
+    count = np.maximum(np.ceil(np.pi * radius**2 / spacing_mm**2), _LEAST_SAMPLES).astype(np.int64)
+    each_mm3 = np.pi * radius**2 * (length / slices)[segment] / count
+    reached = piece.along_mm[segment] + np.where(piece.is_cap[segment], 0.0, share * length[segment])
+    along, side, up = _frames(piece.way_mm)
+    number, place = _repeat_indices(count)
+    at, turn = radius[number] * np.sqrt((place + 0.5) / count[number]), _GOLDEN * (place + 0.61 * number)  # slices are rotated
+    owner = segment[number]
+    point = piece.begin_mm[owner] + share[number, None] * along[owner]
+    point += at[:, None] * (np.cos(turn)[:, None] * side[owner] + np.sin(turn)[:, None] * up[owner])
+    return FillPoints(point, each_mm3[number], piece.branch[owner], reached[number])
 
 
 def find_inside(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
@@ -94,47 +99,6 @@ def find_inside(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index
         found.append((begin + inside, other, along))
     inside, other, along = (np.concatenate(part) for part in zip(*found, strict=True))
     return inside, other, along
-
-
-def _concatenate(parts: list[FillPoints]) -> FillPoints:
-    return FillPoints(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FillPoints)))
-
-
-def _fill_tubes(tubes: Tubes, spacing_mm: float, excluded: Mask | None) -> Iterator[FillPoints]:
-    """Yield points that fill each tube separately, including overlaps, at most `_AT_ONCE` at a time.
-
-    The spacing of the points is about ``spacing_mm``. In each cross-section, they are arranged like the seeds of a
-    sunflower (Vogel 1979, Math. Biosci. 44:179).
-
-    Parameters
-    ----------
-    excluded : (N,) bool array or None
-        Mask of nodes. Segments between two of these nodes are not filled.
-    """
-    piece = _pieces(tubes)
-    if excluded is not None:
-        piece = piece.select(np.flatnonzero(~excluded[piece.nodes].all(axis=1)))
-    length = np.linalg.norm(piece.way_mm, axis=1)
-    slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
-    segment, part = _repeat_indices(slices)
-    share = (part + 0.5) / slices[segment]
-    # For slices of a cap, use the mean square of the radius, so that the volume is exact.
-    square = np.where(piece.is_cap[segment], 1.0 - share**2 - 1.0 / (12.0 * slices[segment] ** 2), 1.0)
-    first, last = piece.radii_mm[segment].T
-    radius = (first + share * (last - first)) * np.sqrt(square)
-    count = np.maximum(np.ceil(np.pi * radius**2 / spacing_mm**2), _LEAST_SAMPLES).astype(np.int64)
-    each_mm3 = np.pi * radius**2 * (length / slices)[segment] / count
-    reached = piece.along_mm[segment] + np.where(piece.is_cap[segment], 0.0, share * length[segment])
-    along, side, up = _frames(piece.way_mm)
-    ends = np.cumsum(count)
-    for discs in np.split(np.arange(len(count)), np.searchsorted(ends, np.arange(_AT_ONCE, count.sum(), _AT_ONCE))):
-        number, place = _repeat_indices(count[discs])
-        disc = discs[number]
-        at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)  # slices are rotated
-        owner = segment[disc]
-        point = piece.begin_mm[owner] + share[disc, None] * along[owner]
-        point += at[:, None] * (np.cos(turn)[:, None] * side[owner] + np.sin(turn)[:, None] * up[owner])
-        yield FillPoints(point, each_mm3[disc], piece.branch[owner], reached[disc])
 
 
 @dataclass(frozen=True)
@@ -269,29 +233,3 @@ def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
         owners.append(np.full(len(at), k))
         ways.append(at)
     return np.concatenate(centres), np.concatenate(radii), np.concatenate(owners), np.concatenate(ways)
-
-
-def limit_occupancy(occupancy: Array, branch: Index) -> Array:
-    """Limit octree nodes' occupancies (N,) to 1 while preserving their sum in each branch.
-
-    The sampled points may assign more volume to a node than it has. It is distributed over the other nodes of the same
-    branch, in proportion to their occupancy. Distribution over all branches would make thin roots thicker and thick
-    roots thinner.
-
-    Parameters
-    ----------
-    occupancy : (N,) float64 array
-        Volume of the points in each node, relative to the volume of the node.
-    branch : (N,) int64 array
-        Index of the branch of each node.
-    """
-    limited, order = occupancy.copy(), np.argsort(branch, kind="stable")
-    for nodes in np.split(order, np.flatnonzero(np.diff(branch[order])) + 1):
-        falling = np.sort(occupancy[nodes])[::-1]
-        if not len(falling) or falling[0] <= 1.0:
-            continue
-        full, rest = np.arange(len(falling)), np.cumsum(falling[::-1])[::-1]  # number of full nodes, sum of the others
-        factor = np.maximum(rest[0] - full, 0.0) / np.maximum(rest, 1e-12)
-        enough = np.flatnonzero(factor * falling <= 1.0)
-        limited[nodes] = np.minimum((factor[enough[0]] if len(enough) else 1.0) * occupancy[nodes], 1.0)
-    return limited

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes import polyline
+
 if TYPE_CHECKING:
     from rhizotwin.recon.tubes.tubes import Tubes  # imports SciPy, which the viewer loads on first use only
 
@@ -17,12 +19,14 @@ Faces = NDArray[np.int64]
 AROUND = 12
 """Number of corners of the polygonal cross-section of a tube. The polygon has the same area as the circular
 cross-section of the root."""
+_CAP = np.array([0.5, 0.85, 0.98])
+"""Positions of the cross-sections of a round tip beyond the last node, in radii. They enclose 94 % of the half ball."""
 
 
 def mesh_parts(tubes: Tubes, use: NDArray[np.bool_]) -> Iterator[tuple[Array, Faces]]:
     """Yield the vertices and faces of a closed tube along each part of a branch with nodes of a mask (N,).
 
-    Each part extends to the next node beyond, so that it overlaps whatever continues there.
+    Each part extends to the next node beyond, so that it overlaps whatever continues there. Tips are round.
     """
     for number, nodes in enumerate(tubes.branches):
         own = use[nodes]
@@ -34,7 +38,12 @@ def mesh_parts(tubes: Tubes, use: NDArray[np.bool_]) -> Iterator[tuple[Array, Fa
         edges = np.flatnonzero(np.diff(wanted, prepend=False, append=False))
         for first, end in edges.reshape(-1, 2):
             if end - first > 1:
-                yield tube(tubes.centre_mm[nodes[first:end]], 2.0 * tubes.radii(number)[first:end])
+                points, radii = tubes.centre_mm[nodes[first:end]], tubes.radii(number)[first:end]
+                if end == len(nodes):
+                    onward = radii[-1] * polyline.unit_vectors(points[-1] - points[-2])
+                    points = np.concatenate([points, points[-1] + _CAP[:, None] * onward])
+                    radii = np.concatenate([radii, radii[-1] * np.sqrt(1.0 - _CAP**2)])
+                yield tube(points, 2.0 * radii)
 
 
 def tube(points: Array, diameters_mm: Array, *, around: int = AROUND) -> tuple[Array, Faces]:

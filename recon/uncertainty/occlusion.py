@@ -18,8 +18,7 @@ from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
-from rhizotwin.recon.hull.surface import to_voxels
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.tubes.tubes import TANGENT_NODES
 from rhizotwin.recon.uncertainty.budget import Term
@@ -105,10 +104,8 @@ class _Voxels:
     @classmethod
     def of(cls, leaves: Leaves, roots: Sequence[Root] = ()) -> _Voxels:
         """Merge leaves into voxels."""
-        units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
-        index, size, occupancy = to_voxels(leaves, units)
-        cells, edge_mm = to_unit_cubes(index, size).astype(np.int64), units * leaves.grid.size_mm
-        return cls(cells, spread_values(occupancy, size), np.asarray(leaves.grid.origin_mm), edge_mm, roots)
+        merged = leaves.merge(max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))).split()
+        return cls(merged.index.astype(np.int64), merged.occupancy, np.asarray(merged.grid.origin_mm), merged.grid.size_mm, roots)
 
     def steep(self, voxels: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return the mask (K,) of the voxels, given by their indices, that are not part of a nearly horizontal root."""

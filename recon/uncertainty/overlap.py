@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes.filling import fill_each
+from rhizotwin.recon.tubes.filling import fill
 from rhizotwin.recon.uncertainty.budget import Term
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def find_overlaps(system: RootSystem) -> tuple[Array, Array]:
     if volume_mm3 == 0.0:
         return np.zeros((0, 3)), np.zeros(0)
     parent = tubes.owner[[nodes[0] for nodes in tubes.branches]]
-    filled = fill_each(tubes, float(np.cbrt(volume_mm3 / _POINTS)), excluded=~thick)
+    filled = fill(tubes, float(np.cbrt(volume_mm3 / _POINTS)), excluded=~thick)
     shared, is_junction = np.zeros((2, len(filled.branch)), bool)
     for k in np.unique(tubes.owner[thick]):
         nodes = tubes.own(k)[thick[tubes.own(k)]]

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
-from rhizotwin.recon.hull.spheres import concatenate, shared_volume_mm3
+from rhizotwin.recon.hull.leaves import Hull, Leaves
+from rhizotwin.recon.hull.spheres import join, shared_volume_mm3
 from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
@@ -38,7 +38,7 @@ standard deviations inside: 0.15 to 0.2 px. Exact pictures of a ball of 10 mm be
 outline to the pixel: 0.29 px of noise, of which the blur leaves 0.12. Measured are 0.35 to 0.4 px (rods of 2 mm, a
 torus; 36 of 500 x 500)."""
 _COARSER = 4
-"""Node size of the hulls that are carved to compute the relative excess, as a multiple of the node size of the shape's
+"""Node size of the hull that is carved to compute the relative excess, as a multiple of the node size of the shape's
 hull. Only the ratio of two volumes is needed, so that large nodes are sufficient."""
 _MUCH_KEPT = 0.05
 """Minimum fraction of untrimmed hull in the volume for which the excess of the hull is computed."""
@@ -114,7 +114,7 @@ def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_p
     if not len(spheres.radius_mm):
         return 0.0
     more_mm = least_px / projection.px_a_mm(bank, spheres.centre_mm[int(spheres.radius_mm.argmax())])
-    both = concatenate([spheres, doubtful])
+    both = join([spheres, doubtful])
     wider = replace(both, radius_mm=both.radius_mm + more_mm)
     low = (wider.centre_mm - wider.radius_mm[:, None]).min(axis=0)
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
@@ -144,16 +144,9 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     """
     if thick.kept_mm3 <= _MUCH_KEPT * hull.leaves.volume_mm3():
         return 0.0
-    fine = hull.leaves.grid
-    low = np.asarray(fine.origin_mm)
-    high = low + np.array(fine.coarse_shape) * fine.size_mm * 2**fine.levels
-    grid = Grid.over(low, high, fine.size_mm * _COARSER)
-    every_other = every_second(frames)
-    volumes = [
-        carve.carve(some, outlines, grid, water).leaves.volume_mm3()
-        for some, outlines in ((bank, maps), (bank.select(every_other), maps.select_views(every_other)))
-    ]
-    return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
+    every_other, grid = every_second(frames), water.grid(hull.leaves.grid.size_mm * _COARSER)
+    half = carve.carve(bank.select(every_other), maps.select_views(every_other), grid, water).leaves
+    return max(0.0, half.volume_mm3() / hull.leaves.volume_mm3() - 1.0)
 
 
 def every_second(frames: Sequence[int]) -> list[int]:

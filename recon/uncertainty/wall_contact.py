@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.uncertainty.budget import Term
 
 _ROUND = 1.9
@@ -35,12 +35,10 @@ def wall_contact(thick: Leaves, water: Water) -> Term:
     cell_mm = thick.grid.size_mm
     middle = thick.middles_mm
     reach_mm = np.hypot(middle[:, 0], middle[:, 1]) + thick.size * cell_mm / np.sqrt(2.0)
-    near = thick.select(reach_mm > water.radius_mm - 3.0 * cell_mm)
-    index = to_unit_cubes(near.index, near.size)
-    middle = np.asarray(near.grid.origin_mm) + (index + 0.5) * cell_mm
-    depth_mm = water.radius_mm - np.hypot(middle[:, 0], middle[:, 1])
+    near = thick.select(reach_mm > water.radius_mm - 3.0 * cell_mm).split()
+    depth_mm = water.radius_mm - np.hypot(*near.middles_mm[:, :2].T)
     shell = np.clip(depth_mm // cell_mm, 0, 3).astype(int)
-    area_mm2 = np.bincount(shell, spread_values(near.occupancy, near.size), 4) * cell_mm**2
+    area_mm2 = np.bincount(shell, near.occupancy, 4) * cell_mm**2
     flat_mm2 = float(np.clip((_ROUND * area_mm2[0] - area_mm2[2]) / (_ROUND - 1.0), 0.0, area_mm2[0]))
     return Term(
         name="wall_contact",

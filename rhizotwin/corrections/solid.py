@@ -1,9 +1,9 @@
 """Division of the volume of a result among its roots.
 
-It allows the volume after a deletion to be computed immediately. The reconstruction fills tubes with sample points,
-each of which represents a part of the tube's volume (`recon.tubes.filling`). The same points divide each voxel's volume
-among the roots. Where tubes overlap, the volume is assigned to the first remaining tube. Volume that no tube explains
-(the flank of a taproot) is assigned to the nearest root within two voxels, or to no root.
+It allows the volume after a deletion to be computed immediately. Each tube is filled with sample points, each of which
+represents a part of its volume (`recon.tubes.filling`). The points divide each voxel's volume among the roots. Where
+tubes overlap, the volume is assigned to the first remaining tube. Volume that no tube explains (the flank of a taproot)
+is assigned to the nearest root within two voxels, or to no root.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Singles = NDArray[np.float32]
 Numbers = NDArray[np.int32]
 
 _SAMPLES_A_NODE = 1.8
-"""Number of sample points per edge length of the smallest voxels. The reconstruction uses the same number."""
+"""Number of sample points per edge length of the smallest voxels, so that every voxel inside a tube contains some."""
 _FINEST_SPACING_MM = 0.05
 """Minimum spacing of sample points, mm."""
 _MOST_SAMPLES = 1_000_000
@@ -161,7 +161,7 @@ class Solid:
         order = np.array(near + numbers)
         tubes = _tubes([self.sources[k] for k in order])
         spacing_mm = self._spacing_mm()
-        filled = filling.fill_each(tubes, spacing_mm)
+        filled = filling.fill(tubes, spacing_mm)
         own = filled.branch >= len(near)
         point, branch = filled.point_mm[own], filled.branch[own]
         inside, other, other_mm = filling.find_inside(tubes, point, branch)
@@ -210,14 +210,12 @@ class Solid:
         room = (self.size * self.voxel_mm) ** 3
         volume = np.minimum(volume, room)
         if len(self.sources) > self.given:
-            from rhizotwin.recon.tubes import filling
-
             made = self._tube_volumes_mm3(alive, given=False) / room
             owner = np.full(len(room), -1)
             for part in self._parts:
                 added = part.source >= self.given
                 owner[part.leaf[added]] = part.source[added]
-            volume += room * np.minimum(filling.limit_occupancy(made, owner), 1.0 - volume / room)
+            volume += room * np.minimum(_limit_occupancy(made, owner), 1.0 - volume / room)
         volume[gone] = 0.0
         return volume
 
@@ -392,3 +390,28 @@ def _resample(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array
     at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.15)) + 1))
     centre = polyline.interpolate(points_mm, way, at)
     return centre, np.interp(at, way, diameters_mm / 2.0), np.full(len(at), number), at
+
+
+def _limit_occupancy(occupancy: Array, source: Index) -> Array:
+    """Limit voxels' occupancies (N,) to 1 while preserving their sum in each source.
+
+    The sample points may assign more volume to a voxel than it has. It is distributed over the other voxels of the same
+    source, in proportion to their occupancy.
+
+    Parameters
+    ----------
+    occupancy : (N,) float64 array
+        Volume of the points in each voxel, relative to the volume of the voxel.
+    source : (N,) int64 array
+        Index of the source in each voxel.
+    """
+    limited, order = occupancy.copy(), np.argsort(source, kind="stable")
+    for voxels in np.split(order, np.flatnonzero(np.diff(source[order])) + 1):
+        falling = np.sort(occupancy[voxels])[::-1]
+        if not len(falling) or falling[0] <= 1.0:
+            continue
+        full, rest = np.arange(len(falling)), np.cumsum(falling[::-1])[::-1]  # number of full voxels, sum of the others
+        factor = np.maximum(rest[0] - full, 0.0) / np.maximum(rest, 1e-12)
+        enough = np.flatnonzero(factor * falling <= 1.0)
+        limited[voxels] = np.minimum((factor[enough[0]] if len(enough) else 1.0) * occupancy[voxels], 1.0)
+    return limited

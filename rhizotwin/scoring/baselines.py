@@ -201,19 +201,17 @@ def _result(method: Baseline, shape: _Shape, *, settings: Settings, monitor: Mon
     Its volume is marked as not reliable.
     """
     pictures, carved, coverage, volume_mm3 = shape
-    cameras = carved.cameras
+    cameras, reason = carved.cameras, f"{TITLES[method]} is a baseline without an error budget"
+    budget = Budget(volume_mm3=volume_mm3, terms=(), views=len(cameras.order))
     with monitor.stage("surface"):
         solid = shaping.measure(
             carved.hull,
             carved.hull.leaves,
             shaping.make_surface(carved.hull.leaves),
+            budget.volume((volume_mm3, volume_mm3)).distrust([reason]),
             voxel_mm=settings.voxel_mm,
-            budget=Budget(volume_mm3=volume_mm3, terms=(), views=len(cameras.order)),
-            bounds_mm3=(volume_mm3, volume_mm3),
             untrimmed_mm3=volume_mm3,
         )
-    reason = f"{TITLES[method]} is a baseline without an error budget"
-    solid = replace(solid, volume=solid.volume.distrust([reason]))
     recorded = {"method": method, "voxel_mm": settings.voxel_mm}
     return gather(
         pictures,

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import agreement
 from rhizotwin.recon.hull.boxes import CellSet
-from rhizotwin.recon.hull.leaves import Hull, Leaves, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Hull, Leaves
 from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ def _connect(kept: Leaves, free: Leaves, objection: Array, added: NDArray[np.boo
     The components consist of the hull's cells and the cells already added. Each component is one node of a graph, and
     each remaining candidate cell is another. Shortest paths are computed from the largest component.
     """
-    solid = np.concatenate([to_unit_cubes(kept.index, kept.size), free.index[added]])
+    solid = np.concatenate([kept.split().index, free.index[added]])
     part = CellSet.from_cells(solid).components()
     sizes = np.bincount(part)
     rest = np.flatnonzero(~added)

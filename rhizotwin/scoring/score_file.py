@@ -14,6 +14,8 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon import surface_sample
 from rhizotwin.recon.hull import surface
+from rhizotwin.recon.hull.leaves import Grid
+from rhizotwin.recon.hull.leaves import Leaves as HullLeaves
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -197,8 +199,8 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     leaves, array = foreign_files.read_voxels(Path(file))
     if not len(leaves.low):
         return replace(known.score(file, 0.0), iou=0.0, notes=("no voxel is occupied",))
-    shape = surface.surface(leaves.low, leaves.size, leaves.occupancy, origin_mm=leaves.origin_mm, voxel_mm=leaves.voxel_mm)
-    mesh = Mesh.of(shape)
+    grid = Grid(leaves.origin_mm, leaves.voxel_mm, 0, (1, 1, 1))
+    mesh = Mesh.of(surface.surface(HullLeaves(grid, leaves.low, leaves.size, leaves.occupancy)))
     centres_mm = leaves.origin_mm + leaves.voxel_mm * (leaves.low + 0.5)
     box_mm = leaves.origin_mm, leaves.voxel_mm * np.array(array, np.float64)
     convention = convention_of(mesh.vertices_mm if len(mesh.faces) else centres_mm, _sample(known.solid), box=box_mm, where=str(file))

@@ -11,12 +11,12 @@ import trimesh
 from rhizotwin.drawing.root_mesh import tubes as meshed
 from rhizotwin.recon.calibration.cameras import Camera as FoundCamera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.results.parts import Leaves
 from rhizotwin.recon.results.result import Result, Solid
-from rhizotwin.recon.tubes import filling
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.scenes import atomic, frames, plan
@@ -61,16 +61,14 @@ def roots(*, fibre: bool = False) -> tuple[Root, ...]:
 
 def painted(found: tuple[Root, ...]) -> Leaves:
     """Paint roots into voxels as the reconstruction does, overlaps counted once."""
+    from rhizotwin.recon.roots import tube_volume  # loads Dr.Jit, which must not be loaded before the tests begin
+
     edges = np.cumsum([0, *(len(root.points_mm) for root in found)])
     branches = tuple(np.arange(a, b) for a, b in pairwise(edges))
     radius = np.concatenate([root.diameters_mm for root in found]) / 2.0
-    filled = filling.fill(Tubes(np.concatenate([root.points_mm for root in found]), radius, branches), 0.05)
-    origin = np.array([-80.0, -80.0, -160.0])
-    cells = np.floor((filled.point_mm - origin) / VOXEL_MM).astype(np.int32)
-    _, first, number = np.unique(np.ravel_multi_index(cells.T, (1024,) * 3), return_index=True, return_inverse=True)
-    at, volume_mm3 = cells[first], np.bincount(number, weights=filled.volume_mm3)
-    share = filling.limit_occupancy(volume_mm3 / VOXEL_MM**3, filled.branch[first])
-    return Leaves(low=at, size=np.ones(len(at), np.int32), occupancy=share.astype(np.float32), origin_mm=origin, voxel_mm=VOXEL_MM)
+    tubes = Tubes(np.concatenate([root.points_mm for root in found]), radius, branches)
+    leaves = tube_volume.paint(tubes, np.ones(len(tubes.segments), bool), Grid.over([-80.0] * 3, [80.0, 80.0, 0.0], VOXEL_MM)).split()
+    return Leaves(low=leaves.index, size=leaves.size, occupancy=leaves.occupancy, origin_mm=leaves.grid.origin_mm, voxel_mm=VOXEL_MM)
 
 
 def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:

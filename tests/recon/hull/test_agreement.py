@@ -13,7 +13,7 @@ from rhizotwin.recon.hull import agreement
 from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water, carve
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Hull, Leaves, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Hull, Leaves
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
@@ -75,13 +75,13 @@ def mended(silhouettes: Sequence[Silhouette]) -> tuple[Leaves, Leaves]:
 
 
 def parts(leaves: Leaves) -> int:
-    return int(CellSet.from_cells(to_unit_cubes(leaves.index, leaves.size)).components().max()) + 1
+    return int(CellSet.from_cells(leaves.split().index).components().max()) + 1
 
 
 def found_share(leaves: Leaves) -> float:
     """Return the share of the rods' centre lines within a voxel of the shape."""
     lines = np.concatenate([np.linspace(a, b, 100) for a, b, _ in RODS])
-    middles = leaves.grid.origin_mm + (to_unit_cubes(leaves.index, leaves.size) + 0.5) * SIZE_MM
+    middles = leaves.grid.origin_mm + (leaves.split().index + 0.5) * SIZE_MM
     return float((cKDTree(middles).query(lines)[0] < 2.0 * SIZE_MM).mean())
 
 
@@ -98,7 +98,7 @@ def test_parts_that_shifted_pictures_cut_are_joined() -> None:
     one, of = silhouettes[reference], bank.select([reference])
     missed = [agreement.missed_pixels(of, one, made.middles_mm, SIZE_MM * made.size.astype(float)).sum() for made in (before, after)]
     assert missed[1] < 0.1 * missed[0]
-    kept, every = ({tuple(cell) for cell in to_unit_cubes(made.index, made.size).tolist()} for made in (before, after))
+    kept, every = ({tuple(cell) for cell in made.split().index.tolist()} for made in (before, after))
     assert kept <= every
 
 

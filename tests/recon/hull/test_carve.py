@@ -14,7 +14,7 @@ from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
 from rhizotwin.recon.optics import projection, refraction
-from tests.recon.hull import exact_pictures
+from tests.recon.hull import blocks, exact_pictures
 
 RADIUS_MM = 8.0
 BALL_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
@@ -28,7 +28,7 @@ def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBan
     views = exact_pictures.views_of(scene)
     sphere = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, (sphere,))) for view in views]
-    return projection.ViewBank.pack(views, optics), DistanceMaps.from_arrays(np.stack(maps))
+    return projection.ViewBank.pack(views, optics), blocks.maps_of(np.stack(maps))
 
 
 @cache
@@ -62,7 +62,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     row = float(np.array(distance_maps.project_and_read(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
     values = np.array(maps.values).reshape(bank.count, 360, 480)
     values[:, : int(2 * row)] = np.inf
-    half = DistanceMaps.from_arrays(values)
+    half = blocks.maps_of(values)
     grid = Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
     leaves = carve.carve(bank, half, grid, Water(73.0, -38.0, -62.0), min_votes=5).leaves
     z = np.arange(-50.0, -40.0, 0.05)
@@ -77,8 +77,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
 
 def test_surface_is_closed_and_holds_the_volume() -> None:
     leaves = carved(MIDDLE_MM).leaves
-    grid = leaves.grid
-    mesh = surface.surface(leaves.index, leaves.size, leaves.occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
+    mesh = surface.surface(leaves)
     assert mesh.is_watertight
     assert abs(mesh.volume) == pytest.approx(leaves.volume_mm3(), rel=0.01)
     np.testing.assert_allclose(mesh.bounds[1] - mesh.bounds[0], 2 * RADIUS_MM, atol=0.35)
@@ -146,9 +145,13 @@ def dense(some: Leaves) -> NDArray[np.float32]:
 def test_leaves_are_combined_as_their_nodes_are(seed: int) -> None:
     a, b = cut(2 * seed), cut(2 * seed + 1)
     np.testing.assert_array_equal(dense(leaves.unite(a, b)), np.maximum(dense(a), dense(b)))
-    np.testing.assert_array_equal(dense(leaves.intersect(a, b)), np.minimum(dense(a), dense(b)))
+    rest = leaves.subtract(b, a)
+    more = rest.select(rest.size == 1)
+    np.testing.assert_allclose(dense(leaves.fill_up(a, more)), dense(a) + dense(more))
     np.testing.assert_array_equal(dense(leaves.subtract(a, b)), np.maximum(dense(a) - dense(b), 0.0))
     np.testing.assert_array_equal(a.occupancy_at(np.argwhere(np.ones((8, 8, 8), bool)).astype(np.int32)), dense(a).ravel())
+    np.testing.assert_array_equal(dense(a.split()), dense(a))
+    assert a.merge(1).volume_mm3() == pytest.approx(a.volume_mm3())
     nothing = a.select(slice(0))
     np.testing.assert_array_equal(dense(leaves.subtract(a, nothing)), dense(a))
     assert len(leaves.subtract(nothing, a).size) == 0

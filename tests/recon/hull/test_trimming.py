@@ -7,12 +7,14 @@ import pytest
 
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.hull import carve, trimming
+from rhizotwin.recon.hull.bodies import fill
 from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.centre_lines import centre_lines
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, subtract, to_unit_cubes
+from rhizotwin.recon.hull.leaves import Leaves, fill_up, subtract
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics import projection, refraction
-from tests.recon.hull import exact_pictures
+from tests.recon.hull import blocks, exact_pictures
 from tests.recon.hull.exact_pictures import Segment
 
 TRUNK: Segment = ((0.0, 0.0, -20.0), (0.0, 0.0, -80.0), 4.0)
@@ -44,42 +46,49 @@ def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, Distanc
     views = exact_pictures.views_of(scene)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, segments)) for view in views]
     water = Water(optics.inner_radius_mm, -8.0, -100.0)
-    bank, device_maps = projection.ViewBank.pack(views, optics), DistanceMaps.from_arrays(np.stack(maps))
+    bank, device_maps = projection.ViewBank.pack(views, optics), blocks.maps_of(np.stack(maps))
     return bank, device_maps, carve.carve(bank, device_maps, water.grid(0.25), water, min_votes=6).leaves
+
+
+def trimmed(bank: projection.ViewBank, maps: DistanceMaps, hull: Leaves, lines: np.ndarray | None = None) -> trimming.TrimmedHull:
+    """Return the spheres along centre lines, completed from the silhouettes."""
+    spheres, doubtful = trimming.grow_spheres(bank, maps, centre_lines(hull) if lines is None else lines)
+    shape = fill(spheres.bodies, hull)
+    missing = trimming.find_missing(bank, maps, shape, subtract(hull, shape), spheres)[1]
+    return trimming.TrimmedHull(fill_up(shape, missing), spheres, doubtful, missing.volume_mm3())
 
 
 @cache
 def trimmed_rods() -> trimming.TrimmedHull:
-    return trimming.trim(*hull_of(RODS))
+    return trimmed(*hull_of(RODS))
 
 
 def test_trimming_gives_tubes_their_volume_back_and_adds_nothing() -> None:
     hull, found, true = hull_of(RODS)[2], trimmed_rods(), volume_of_rods()
-    trimmed, spheres = found.leaves, found.spheres
+    shape, spheres = found.leaves, found.spheres
     assert hull.volume_mm3() > 1.012 * true, "otherwise there is nothing to trim"
-    assert trimmed.volume_mm3() == pytest.approx(true, rel=0.015)  # 1.1 %: the few views of one ring leave webs
+    assert shape.volume_mm3() == pytest.approx(true, rel=0.015)  # 1.1 %: the few views of one ring leave webs
     assert found.kept_mm3 < 0.05 * true
-    assert abs(trimmed.volume_mm3() - true) < 0.6 * (hull.volume_mm3() - true)
+    assert abs(shape.volume_mm3() - true) < 0.6 * (hull.volume_mm3() - true)
     on_twig = (spheres.centre_mm[:, 0] > 10) & (spheres.centre_mm[:, 2] > -56)
     assert np.median(spheres.radius_mm[on_twig]) == pytest.approx(1.6, abs=0.06)
-    cells, hull_cells = (set(map(tuple, to_unit_cubes(one.index, one.size).tolist())) for one in (trimmed, hull))
+    cells, hull_cells = (set(map(tuple, one.split().index.tolist())) for one in (shape, hull))
     assert cells <= hull_cells
-    assert len(cells) == (trimmed.size.astype(int) ** 3).sum()
+    assert len(cells) == (shape.size.astype(int) ** 3).sum()
 
 
 def test_a_ball_keeps_its_size_where_a_root_hangs_on_it() -> None:
     """Its centre line is the end of the root's, short of its middle: the largest sphere lies beyond."""
     bank, maps, hull = hull_of((SPHERE, TAIL))
     sphere, tail, sunk = 4.0 / 3.0 * np.pi * 10.0**3, np.pi * 2.0**2 * 46.0 + 2.0 / 3.0 * np.pi * 2.0**3, np.pi * 2.0**2 * (10.0 - 0.2)
-    assert trimming.trim(bank, maps, hull).leaves.volume_mm3() == pytest.approx(sphere + tail - sunk, rel=0.015)
+    assert trimmed(bank, maps, hull).leaves.volume_mm3() == pytest.approx(sphere + tail - sunk, rel=0.015)
 
 
-def test_the_hull_of_a_twig_is_kept_where_silhouettes_need_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_hull_of_a_twig_is_kept_where_silhouettes_need_it() -> None:
     """Hide the twigs from the skeleton: the pictures still ask for them."""
     bank, maps, hull = hull_of(RODS)
-    lines = trimming.centre_lines(hull)
-    monkeypatch.setattr(trimming, "centre_lines", lambda _: lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
-    found = trimming.trim(bank, maps, hull)
+    lines = centre_lines(hull)
+    found = trimmed(bank, maps, hull, lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
     assert np.hypot(found.spheres.centre_mm[:, 0], found.spheres.centre_mm[:, 1]).max() < 3.0
     assert found.leaves.volume_mm3() == pytest.approx(volume_of_rods(), rel=0.05)
 

@@ -5,10 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rhizotwin.recon.hull.leaves import Grid, Leaves
+from rhizotwin.recon.hull.leaves import Grid, Leaves, unite
 from rhizotwin.recon.roots import tube_volume
-from rhizotwin.recon.tubes import filling, tubes
-from tests.recon.hull.blocks import everything
+from rhizotwin.recon.tubes import tubes
 from tests.recon.strings import at_rest, line, strung
 
 
@@ -17,44 +16,39 @@ def half_ball(radius_mm: float) -> float:
     return 2.0 / 3.0 * np.pi * radius_mm**3
 
 
-def painted(system: tubes.Tubes, grid: Grid, *, blur_px: float = 0.0) -> Leaves:
+GRID = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
+
+
+def painted(system: tubes.Tubes, grid: Grid = GRID) -> Leaves:
     """Paint tubes without solids into a hull that is all of a grid."""
-    water = everything(grid, 2**grid.levels)
-    return tube_volume.combine(water.select(slice(0)), at_rest(system, px_a_mm=4.0, blur_px=blur_px), water).leaves
+    return unite(*tube_volume.fill_tubes(at_rest(system, px_a_mm=4.0), Leaves.whole(grid)))
 
 
-def test_filled_volume_is_that_of_the_frustum():
+def test_painted_volume_is_that_of_the_frustum():
     path = line((0.0, 0.0, -20.0), (6.0, 3.0, -40.0))
     system = tubes.place_nodes([path], [np.linspace(0.4, 0.1, len(path))])
     length = float(np.linalg.norm(path[-1] - path[0]))
-    filled = filling.fill(system, 0.05)
     expected = np.pi * length / 3.0 * (0.16 + 0.04 + 0.01) + half_ball(0.1)
-    assert filled.volume_mm3.sum() == pytest.approx(expected, rel=2e-3)
+    assert painted(system).volume_mm3() == pytest.approx(expected, rel=5e-3)
 
 
-def test_tubes_are_painted_beside_solids():
-    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
-    index = np.array([[64, 64, 200]], np.int32)
-    solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
-    path, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 4.0, -20.0), (4.0, 4.0, -40.0))
-    water = everything(grid, 8)
-    thin = tube_volume.combine(solid, at_rest(strung(path), px_a_mm=4.0, blur_px=0.3), water)
-    assert thin.thick.volume_mm3() == pytest.approx(1.0)
-    assert thin.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0 + half_ball(0.2), rel=0.01)
-    thick = tube_volume.combine(solid, at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0, blur_px=0.3), water)
-    assert thick.thick.volume_mm3() == pytest.approx(thick.leaves.volume_mm3())
-    assert thick.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 20.0 + half_ball(1.0), rel=0.01)
+def test_wide_tubes_are_clipped_to_the_hull():
+    thin, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 4.0, -20.0), (4.0, 4.0, -40.0))
+    upper = Leaves.whole(GRID)
+    upper = upper.select(upper.middles_mm[:, 2] > -30.0)
+    found = tube_volume.fill_tubes(at_rest(strung(thin), px_a_mm=4.0), upper)
+    assert [one.volume_mm3() for one in found] == pytest.approx([0.0, np.pi * 0.04 * 20.0 + half_ball(0.2)], rel=0.015)
+    found = tube_volume.fill_tubes(at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0), upper)
+    assert [one.volume_mm3() for one in found] == pytest.approx([np.pi * 10.0, 0.0], rel=0.01)
 
 
 def test_a_thin_tube_keeps_its_volume_beside_a_wide_one():
-    """Points that overfill the nodes of the wide tube must not count for the thin one."""
-    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     thin, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 0.0, -20.0), (4.0, 0.0, -40.0))
     system = tubes.place_nodes([wide, thin], [np.full(len(wide), 0.4), np.full(len(thin), 0.05)])
-    leaves = painted(system, grid, blur_px=0.3)
+    leaves = painted(system)
     x, _, z = leaves.middles_mm.T
     middle = [leaves.select(side & (z > -38.0) & (z < -22.0)).volume_mm3() for side in (x < 0.0, x > 0.0)]
-    assert middle == pytest.approx([np.pi * 0.05**2 * 16.0, np.pi * 0.4**2 * 16.0], rel=0.01)
+    assert middle == pytest.approx([np.pi * 0.05**2 * 16.0, np.pi * 0.4**2 * 16.0], rel=0.015)  # of tubes along the lattice
 
 
 RADII: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -90,4 +84,4 @@ def test_tubes_side_by_side_count_their_overlap_once(radius_mm: float, apart_mm:
     expected = np.pi * radius_mm**2 * sum(length) - lens * min(length) + 2.0 * half_ball(radius_mm)
     if half < 1.0:  # of two balls, half
         expected -= np.pi / 24.0 * (4.0 * radius_mm + apart_mm) * (2.0 * radius_mm - apart_mm) ** 2
-    assert filling.fill(straight, 0.05).volume_mm3.sum() == pytest.approx(expected, rel=0.015)
+    assert painted(straight).volume_mm3() == pytest.approx(expected, rel=0.015)

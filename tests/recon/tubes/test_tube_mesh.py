@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.hull import surface
+from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.tubes.tube_mesh import mesh_parts
 from rhizotwin.recon.tubes.tubes import Tubes
+from tests.recon.hull.blocks import block
 
 
 def tree() -> Tubes:
@@ -18,18 +20,20 @@ def tree() -> Tubes:
 
 
 def test_union_has_the_volume_of_the_roots() -> None:
-    """Frustum of the taproot, and the lateral outside it: 0.4 mm of it are inside the taproot, whose radius is 0.4 mm there."""
+    """Taproot and lateral end round; 0.4 mm of the lateral are inside the taproot, whose radius is 0.4 mm there."""
     mesh = surface.unite(mesh_parts(tree(), np.ones(91, bool)))
     taproot_mm3 = np.pi * 30.0 / 3.0 * (1.0 + 0.1 + 0.01)
     assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(taproot_mm3 + np.pi * 0.01 * (15.0 - 0.4), rel=2e-3)
+    tips_mm3 = 2.0 * 2.0 / 3.0 * np.pi * 0.001
+    assert mesh.volume == pytest.approx(taproot_mm3 + np.pi * 0.01 * (15.0 - 0.4) + tips_mm3, rel=2e-3)
+    assert mesh.bounds[0][2] == pytest.approx(-30.1, abs=0.003)
 
 
 def test_parts_end_one_node_beyond_the_mask() -> None:
     thin = tree().radius_mm < 0.5
     parts = list(mesh_parts(tree(), thin))
     first = np.flatnonzero(thin)[0] - 1
-    assert [len(vertices) // 12 for vertices, _ in parts] == [61 - first, 31]
+    assert [len(vertices) // 12 for vertices, _ in parts] == [61 + 3 - first, 31 + 3]
     assert parts[0][0][:, 2].max() == pytest.approx(-0.5 * first)
     assert list(mesh_parts(tree(), np.zeros(91, bool))) == []
 
@@ -39,7 +43,7 @@ def test_surface_is_closed_at_every_occupancy(levels: tuple[float, ...]) -> None
     rng = np.random.default_rng(3)
     index = np.unique(rng.integers(0, 12, (900, 3)), axis=0).astype(np.int32)
     occupancy = rng.choice(levels, len(index)).astype(np.float32)
-    mesh = surface.surface(index, np.ones(len(index), np.int32), occupancy, origin_mm=np.zeros(3), voxel_mm=0.27)
+    mesh = surface.surface(block(Grid(np.zeros(3), 0.27, 0, (12, 12, 12)), index, occupancy))
     united = surface.unite([(np.asarray(mesh.vertices), np.asarray(mesh.faces))])
     assert united.is_watertight
     assert united.volume == pytest.approx(mesh.volume)

@@ -121,8 +121,7 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     larger = within(np.where(every[:, 2] > 50, radius + beyond_mm, radius) if beyond_mm else radius + 0.06)  # the web is at the top alone
     spheres, none = Spheres(centre[None], np.array([radius])), Spheres(np.zeros((0, 3)), np.zeros(0))
     removed_mm3 = larger.volume_mm3() - ball.volume_mm3()
-    needed = np.float32(kept * removed_mm3 / ball.volume_mm3())
-    trimmed = TrimmedHull(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
+    trimmed = TrimmedHull(ball, spheres, none, kept * removed_mm3)
     hull = Hull(larger, larger.occupancy, larger.volume_mm3(), 0.0)
     scene = exact_pictures.ring_of(8)
     bank = ViewBank.pack(exact_pictures.views_of(scene), Optics.from_scene(scene))
