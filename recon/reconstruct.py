@@ -104,7 +104,7 @@ def reconstruct(
         settings=to_plain(scan.settings),
         monitor=scan.monitor,
     )
-    estimates = _estimates(shape.hull, divided, shape.scattered, scan.monitor)
+    estimates = _estimates(shape, divided, scan.monitor)
     return replace(result, mass_g=mass_g, estimates=estimates, plants=of_plants, shoot=shoot)
 
 
@@ -225,22 +225,26 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
-def _estimates(carved: carved_hull.CarvedHull, solid: Solid, scattered: float | None, monitor: Monitor) -> tuple[Estimate, ...]:
+def _estimates(shape: _Shape, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
+    carved, system = shape.hull, shape.roots
+    if system is None:
+        return ()
     known = root_uncertainty.Known(
-        mu_per_mm=solid.mu_per_mm,
         lost=_volume_objections(solid),
         hull=solid.hull_mm3 / max(solid.volume.mm3, 1e-9),
         nodules=solid.nodules,
         flat=sum(term.less_mm3 for term in solid.volume.terms if term.name == "flat roots") / max(solid.volume.mm3, 1e-9),
         hidden_mm=solid.hidden_mm,
-        scattered=scattered or 0.0,
+        scattered=shape.scattered or 0.0,
     )
     with monitor.stage("compare roots"):
+        window = system.evidence.window
         return root_uncertainty.estimates(
             solid.roots,
-            carved.bank,
-            carved.silhouettes,
+            carved.bank.crop(window.low_px),
+            [silhouette.cut(window) for silhouette in carved.silhouettes],
+            system.rendering.coverage,
             known=known,
             calibration=solid.volume.calibration,
         )

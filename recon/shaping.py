@@ -1,7 +1,7 @@
 """Stages from silhouettes to a solid: outlines, hull, trimming, surface and extents."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -24,12 +24,11 @@ from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.tubes import tube_mesh
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
-from rhizotwin.recon.uncertainty import diameter_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Volume
+from rhizotwin.recon.uncertainty.posterior import Posterior
 from rhizotwin.recon.volume_budget import UnitedShape, assess_volume
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.rsml import Root
 
 _SURFACE_LEAVES = 1_000_000
 """Maximum number of finest leaves from which the surface is computed. Larger numbers of leaves are merged first."""
@@ -90,8 +89,7 @@ def make_solid(
     Solid
         Voxels, surface, and volume with its interval.
     """
-    hull, roots = carved.hull, () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
-    shape = _find_shape(carved, system, roots, monitor)
+    hull, shape = carved.hull, _find_shape(carved, None if system is None else Posterior.compute(system), monitor)
     solids, volume_mm3 = shape.solids, shape.leaves.volume_mm3()
     # Upper bound: the hull with outlines moved outwards. Lower bound: the shape, minus the volume that solids lose when
     # outlines are moved inwards.
@@ -115,18 +113,18 @@ def make_solid(
     if system is None:
         learned_per_mm = coverage.attenuation.mu_per_mm
         return solid if learned_per_mm == np.inf else replace(solid, mu_per_mm=learned_per_mm)
-    solid, light = replace(solid, roots=roots, nodules=system.nodules()), system.attenuation.light
+    solid, light = replace(solid, roots=shape.roots, nodules=system.nodules()), system.attenuation.light
     if light.is_opaque:
         return solid
     return replace(solid, mu_per_mm=light.mu_per_mm, mu_sigma_per_mm=system.attenuation.sigma * light.mu_per_mm)
 
 
-def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[Root], monitor: Monitor) -> UnitedShape:
+def _find_shape(carved: CarvedHull, posterior: Posterior | None, monitor: Monitor) -> UnitedShape:
     """Unite the tubes with the spheres in the solids, and with the parts of the hull that the silhouettes require.
 
     A thick root that is not round, or whose axis is tilted, is larger than its tube.
     """
-    bank, maps, hull = carved.bank, carved.maps, carved.hull
+    bank, maps, hull, system = carved.bank, carved.maps, carved.hull, None if posterior is None else posterior.system
     none = hull.leaves.select(slice(0))
     with monitor.stage("trim"):
         part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
@@ -147,8 +145,7 @@ def _find_shape(carved: CarvedHull, system: RootSystem | None, roots: Sequence[R
         thick=fill_up(wide, missing),
         solids=TrimmedHull(concatenate([solids, missing]), spheres, doubtful, missing.volume_mm3()),
         part=concatenate([solids, lacking]),
-        system=system,
-        roots=roots,
+        posterior=posterior,
     )
 
 

@@ -31,6 +31,7 @@ from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration, find_calibration
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.recon.uncertainty.hidden_top import HiddenTop
+from rhizotwin.recon.uncertainty.posterior import Posterior
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
 
@@ -47,10 +48,18 @@ class UnitedShape:
     """Trimmed hull of the solids, and the parts of the hull that complete thick roots."""
     part: Leaves
     """Leaves of the hull around them, before trimming."""
-    system: RootSystem | None = None
+    posterior: Posterior | None = None
     """Fitted roots; None if there are none."""
-    roots: Sequence[Root] = ()
-    """The fitted roots as centre lines; empty if there are none."""
+
+    @property
+    def roots(self) -> tuple[Root, ...]:
+        """The fitted roots as centre lines; empty if there are none."""
+        return () if self.posterior is None else self.posterior.roots
+
+    @property
+    def system(self) -> RootSystem | None:
+        """Fitted roots; None if there are none."""
+        return None if self.posterior is None else self.posterior.system
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +88,7 @@ def assess_volume(carved: CarvedHull, shape: UnitedShape, settings: Settings, *,
         Fraction of light that is scattered around roots; None if it is unknown.
     """
     system, missed, volume_mm3 = shape.system, missed_share(carved), shape.leaves.volume_mm3()
-    tubes = None if system is None else tube_uncertainty.estimate(system)
+    tubes = None if shape.posterior is None else tube_uncertainty.estimate(shape.posterior)
     terms = (
         *(() if tubes is None else tubes.terms),
         *_solid_terms(carved, shape, settings, missed),

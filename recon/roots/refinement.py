@@ -20,9 +20,6 @@ Mask = NDArray[np.bool_]
 _SEARCHES = 2
 """Number of searches for missing roots in the residual coverage. The second search finds laterals of roots that were
 found in the first."""
-_STEPS = 4
-"""Number of iterations of each fit. Convergence is not required, since new tubes can be assessed before it is reached,
-and all remaining tubes are fitted again."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class TreeRefinement:
 
     def fit(self, tree: Tubes) -> Fit:
         """Fit the tubes of a tree to the measured coverage."""
-        return tube_fit.fit(self.evidence, tree, self.thick(tree), steps=_STEPS)
+        return tube_fit.fit(self.evidence, tree, self.thick(tree))
 
     def thick(self, tree: Tubes) -> Mask:
         """Return the mask (N,) of the nodes of thick roots."""

@@ -18,10 +18,12 @@ from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.organs import Core
 from rhizotwin.recon.roots.refinement import TreeRefinement
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
-from rhizotwin.recon.tubes import root_calibration, root_sway, tube_attenuation, tube_fit, tubes
-from rhizotwin.recon.tubes.root_light import Prior
+from rhizotwin.recon.tubes import root_calibration, root_light, root_sway, tube_attenuation, tube_fit, tube_profiles, tubes
+from rhizotwin.recon.tubes.root_light import LEAST_LONE
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
+from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.recon.tubes.view_correction import Viewed
 from rhizotwin.scenes.monitor import Monitor
 
 Array = NDArray[np.float64]
@@ -38,9 +40,6 @@ views. The remaining views are used from the next fit on, or if too few of these
 
 The covariance of the light parameters depends mostly on the number of roots. Of a bean, 16 of 80 views gave the same
 decision with a residual ratio of 0.849 instead of 0.847, in a fifth of the time."""
-_LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
-"""Number of iterations of the last fit for opaque roots, and for translucent roots. Translucent roots require more
-iterations, since their attenuation and root hairs were fitted before all roots had been found."""
 
 
 def find_tree(
@@ -86,9 +85,9 @@ def find_tree(
         return None
     thick = organs.is_thick(fitted, px_a_mm)
     with monitor.stage("sway"):
-        evidence, cameras, fitted = root_sway.follow(evidence, cameras, fitted, thick, px_a_mm=px_a_mm)
+        viewed = root_sway.follow(Viewed(evidence, cameras, fitted, thick), px_a_mm=px_a_mm)
     return RootTree(
-        tubes=fitted,
+        tubes=viewed.tubes,
         solid=solid,
         solids_mm=solids.centre_mm,
         core_mm=core.cells.centre_mm,
@@ -97,8 +96,8 @@ def find_tree(
         has_crown=has_crown,
         attenuation=attenuation,
         learned_per_mm=learned_per_mm,
-        evidence=evidence,
-        cameras=cameras,
+        evidence=viewed.evidence,
+        cameras=viewed.cameras,
     )
 
 
@@ -143,14 +142,13 @@ def _fit_light(
     Return the attenuation, the evidence with the fitted parameters, and the tubes.
     """
     views = min(max(_LIGHT_VIEWS, ceil(_LIGHT_PROFILES / len(fitted.radius_mm))), evidence.bank.count)
-    for count in sorted({views, evidence.bank.count}):
-        some = evidence.select_views(range(count))  # successive views have very different directions
-        if known is None:
-            attenuation, fit = tube_attenuation.find(some, fitted, thick, learned_per_mm)
-        else:
-            attenuation, fit = known, tube_attenuation.follow(some, fitted, thick, learned_per_mm, known)
-        if not fit.few:
-            break
+    some = evidence.select_views(range(views))  # successive views have very different directions
+    if tube_profiles.profiles(Rendering.draw(some, fitted)).is_lone[:, ~thick].sum() < LEAST_LONE:
+        some = evidence
+    if known is None:
+        attenuation, fit = tube_attenuation.find(some, fitted, thick, learned_per_mm)
+    else:
+        attenuation, fit = known, tube_attenuation.follow(some, fitted, thick, learned_per_mm, known)
     return attenuation, replace(evidence, light=fit.evidence.light), fit.tubes
 
 
@@ -185,16 +183,15 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
         Tree with refined cameras. ``cameras.roots`` is the estimate, or None if there are too few roots.
     """
     with monitor.stage("calibration"):
-        evidence, fitted, cameras = root_calibration.calibrate(tree.evidence, tree.cameras, tree.tubes, tree.thick)
-        return replace(tree, evidence=evidence, tubes=fitted, cameras=cameras)
+        viewed = root_calibration.calibrate(Viewed(tree.evidence, tree.cameras, tree.tubes, tree.thick))
+        return replace(tree, evidence=viewed.evidence, tubes=viewed.tubes, cameras=viewed.cameras)
 
 
 def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
     """Fit the tubes a last time, remove ghosts, and mark branch ends that are probably not root tips."""
     with monitor.stage("last tubes"):
-        light = Prior.from_evidence(tree.evidence, tree.learned_per_mm)
-        steps = _LAST_STEPS if tree.evidence.light.is_opaque else _TRANSLUCENT_STEPS
-        fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, steps=steps, light=light)
+        light = root_light.parameters(tree.evidence, tree.learned_per_mm)
+        fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, light=light)
         proved = node_support.compute_support(fit.rendering)
         gone = ghosts.find_ghosts(fit.tubes, proved, tree.thick, tree.px_a_mm)
         gone |= ghosts.find_overlapping(fit.tubes, tree.thick, tree.px_a_mm)

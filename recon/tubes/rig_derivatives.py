@@ -29,20 +29,17 @@ from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.cameras import View, apply_sway, approach, camera_directions
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.tubes.parameters import Parameter
 
 Array = NDArray[np.float64]
 
 ViewOptics = tuple[View, Optics]
 
 
-@dataclass(frozen=True)
-class Quantity:
+@dataclass(frozen=True, kw_only=True)
+class Quantity(Parameter):
     """Parameter of the rig that can be estimated."""
 
-    name: str
-    unit: str
-    step: float
-    """Step of the difference quotient, in the unit of the parameter."""
     increase: Callable[[ViewOptics, float], ViewOptics]
     """Function that returns a view and its optics with the parameter increased by a given value."""
 
@@ -90,23 +87,23 @@ def move_camera(view: View, step: Array) -> View:
     return view.move_camera(twist(step))
 
 
-INDEX = Quantity("index of the water", "", 1e-4, _index)
+INDEX = Quantity(name="index of the water", step=1e-4, increase=_index)
 """Refractive index of the water. The step is a tenth of the change caused by ten degrees."""
-FOCUS = Quantity("focal length", "", 1e-4, _focus)
+FOCUS = Quantity(name="focal length", step=1e-4, increase=_focus)
 """Relative focal length. The step is 0.01 %, which corresponds to 0.04 px at the edge of a picture."""
 CANISTER = tuple(
-    Quantity(f"canister {what} {'xyz'[k % 3]}", unit, step, _canister(k))
-    for k, what, unit, step in ((0, "tilt", "rad", 1e-5), (1, "tilt", "rad", 1e-5), (3, "offset", "mm", 1e-3), (4, "offset", "mm", 1e-3))
+    Quantity(name=f"canister {what} {'xyz'[k % 3]}", step=step, increase=_canister(k))
+    for k, what, step in ((0, "tilt", 1e-5), (1, "tilt", 1e-5), (3, "offset", 1e-3), (4, "offset", 1e-3))
 )
 """Pose of the canister relative to the strip: two tilts, rad, and two offsets, mm."""
-TURN = Quantity("table angle", "rad", 1e-5, _canister(2))
+TURN = Quantity(name="table angle", step=1e-5, increase=_canister(2))
 """Table angle of a single view, rad."""
 CAMERA = tuple(
-    Quantity(f"camera {'turn' if k < 3 else 'shift'} {'xyz'[k % 3]}", "rad" if k < 3 else "mm", 1e-5 if k < 3 else 1e-3, _camera(k))
+    Quantity(name=f"camera {'turn' if k < 3 else 'shift'} {'xyz'[k % 3]}", step=1e-5 if k < 3 else 1e-3, increase=_camera(k))
     for k in range(6)
 )
 """Pose of the camera of a station: three rotations, rad, and three translations, mm."""
-SWAY = tuple(Quantity(f"sway {what}", unit, 1e-5, _sway(k)) for k, (what, unit) in enumerate((("x", ""), ("y", ""), ("turn", "rad/mm"))))
+SWAY = tuple(Quantity(name=f"sway {what}", step=1e-5, increase=_sway(k)) for k, what in enumerate(("x", "y", "turn")))
 """Sway of the roots in a single view, proportional to depth: displacement along x and along y, in mm per mm of depth,
 and rotation about the axis, in rad per mm of depth."""
 QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)

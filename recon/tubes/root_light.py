@@ -1,38 +1,26 @@
 """Estimation of the optical parameters that all roots share: attenuation, blur, root hairs and refractive index.
 
-The tubes x (positions and radii of the nodes) and the light parameters q (`light.LIGHT`) are fitted together. A
-Gauss-Newton step solves
-
-    (H + P) dx + B dq = g - P x        every node, from all of its profiles; P is the prior of smooth branches
-    C^T dx + D dq     = h              light, from profiles of lone roots; others would bias the shared parameters
-
-The nodes are eliminated by a Schur complement, with one factorisation and one additional right-hand side per light
-parameter:
-
-    S dq = s,    S = D - C^T (H + P)^-1 B,    s = h - C^T (H + P)^-1 (g - P x)
-
-The steps of the nodes follow from dx = (H + P)^-1 (g - P x - B dq). Their radii move along the valley in which a wider,
-fainter root looks the same. The covariance of q is the sandwich S^-1 M S^-T, where M is the scatter of the scores of
-whole roots and whole views (`robust.scatter`). It determines the weight of the data relative to the prior.
+The tubes and the light parameters (`LIGHT`) are fitted together: the step of the light parameters comes from profiles
+of lone roots, with the nodes eliminated (`system`), and the nodes follow it. Their radii move along the valley in which
+a wider, fainter root looks the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.light import LIGHT, Light
 from rhizotwin.recon.coverage.translucency import FAINTEST_LEARNED
-from rhizotwin.recon.robust import inverse, scatter
 from rhizotwin.recon.tubes import translucent_tube
+from rhizotwin.recon.tubes.parameters import Parameter, Parameters
+from rhizotwin.recon.tubes.system import LEAST_VARIANCE, System
 from rhizotwin.recon.tubes.tube_picture import Rendering
-from rhizotwin.recon.tubes.tube_profiles import Changes, LightEquations, Profiles
+from rhizotwin.recon.tubes.tube_profiles import Changes, Profiles
 from rhizotwin.recon.tubes.tubes import Tubes, with_geometry
 
 Array = NDArray[np.float64]
@@ -53,32 +41,23 @@ enters them."""
 _MOST_INDEX = 0.07
 """Maximum relative excess of the roots' refractive index over that of water. Pure cell walls have an index of 1.425
 (Appl. Opt. 13:109), which is 1.069 times that of water."""
-_BOUNDS = np.array([[np.log(FAINTEST), 0.0, 0.0, 0.0], [np.log(DARKEST), _MOST_BLUR_PX**2, _MOST_HAIRS, _MOST_INDEX]])
-"""Lower and upper bounds of the light parameters, in the order of `LIGHT`."""
-ROUNDING = 1e-9
-"""Maximum distance between a parameter and its bound for the parameter to be considered at the bound. It allows for
-rounding of log(exp(x))."""
-_LARGEST_STEP = np.array([0.35, 0.06, 0.5, 0.01])
-"""Maximum change of each light parameter per iteration, in the order of `LIGHT`. Larger changes leave the range in
-which the profiles are nearly linear in the parameter."""
 LEARNED_SIGMA = 0.2
 """Prior standard deviation of the logarithm of the attenuation, if it was estimated from the widest roots.
 
 For roots of 1.0/mm with refraction and hairs, the estimates from three plants were 1.03, 1.03 and 1.18/mm."""
-CHANGES, _WIDER = (0.01, 0.005, 0.02, 0.002), 0.005
-"""Steps of the difference quotients: for each light parameter in the order of `LIGHT`, and for the logarithm of the
-radii. The steps change pictures by less than 0.01, and pictures are accurate to 1e-6."""
-_RIDGE = 1e-4
-"""Constant that is added to the diagonal of each node's normal matrix, 1/mm2. It keeps the matrix invertible for nodes
-without a profile of a lone root (a root that no other hides or overlaps in the view). A node's own curvature is about
-100/mm2. A thousandth of it remains in the direction in which a wider, fainter root looks the same."""
-LEAST_VARIANCE = 1e-5
-"""Minimum variance of the coverage. It corresponds to a standard deviation of 0.003, which is one grey level of 8
-bits.
-
-For the light parameters, it is also the variance of the error that all profiles have in common: that of the empty
-backlight, and of the model of a root. The scatter between roots and views does not show it. Without it, the strength of
-hairs was 3.0 +- 0.4 instead of 1, and the excess of the refractive index 0.05 +- 0.005 instead of 0."""
+_WIDER = 0.005
+"""Step of the difference quotients for the logarithm of the radii. The steps change pictures by less than 0.01, and
+pictures are accurate to 1e-6."""
+PARAMETERS = (
+    Parameter(LIGHT[MU], step=0.01, low=float(np.log(FAINTEST)), high=float(np.log(DARKEST)), largest=0.35),
+    Parameter(LIGHT[BLUR], step=0.005, low=0.0, high=_MOST_BLUR_PX**2, largest=0.06),
+    Parameter(LIGHT[HAIRS], step=0.02, low=0.0, high=_MOST_HAIRS, largest=0.5),
+    Parameter(LIGHT[INDEX], step=0.002, low=0.0, high=_MOST_INDEX, largest=0.01),
+)
+"""Light parameters, in the order of `LIGHT`. Larger changes per iteration leave the range in which the
+profiles are nearly linear in the parameter."""
+STEPS = tuple(part.step for part in PARAMETERS)
+"""Steps of the difference quotients."""
 LEAST_LONE = 1500
 """Minimum number of profiles of lone roots (roots that no other root hides or overlaps) for attenuation and hairs to be
 estimated. With fewer profiles, only the blur is fitted, to all profiles.
@@ -98,44 +77,33 @@ contains roots without refraction, whose radii are 1.8 % larger than those of ro
 determine the excess only to 0.02."""
 
 
-@dataclass(frozen=True)
-class Prior:
-    """Prior distribution of the light parameters, before the tubes are fitted."""
+def parameters(evidence: Evidence, learned_per_mm: float = np.inf) -> Parameters:
+    """Return the light parameters with their prior for given pictures.
 
-    mean: Array
-    """Mean of each light parameter, shape (L,)."""
-    sigma: Array
-    """Standard deviation of each light parameter, shape (L,). It is infinite if nothing is known about the
-    parameter."""
-    free: Mask
-    """Mask of the light parameters that are fitted, shape (L,)."""
+    If ``learned_per_mm`` is finite, it is the attenuation of the widest roots (`translucency.learn`). Silhouettes
+    constrain only the blur.
+    """
+    mean, sigma = np.array([0.0, 0.0, HAIRY[0], BENDING[0]]), np.full(len(LIGHT), np.inf)
+    if not evidence.is_mask:
+        sigma[HAIRS], sigma[INDEX] = HAIRY[1], BENDING[1]
+    if FAINTEST_LEARNED < learned_per_mm < np.inf:
+        mean[MU], sigma[MU] = np.log(learned_per_mm), LEARNED_SIGMA
+    translucent = not (evidence.is_mask or evidence.light.is_opaque)
+    return Parameters(PARAMETERS, evidence.light.vector, mean, np.diag(sigma**-2.0), translucent | _only(BLUR))
 
-    @staticmethod
-    def from_evidence(evidence: Evidence, learned_per_mm: float = np.inf) -> Prior:
-        """Return the prior for given pictures.
 
-        If ``learned_per_mm`` is finite, it is the attenuation of the widest roots (`translucency.learn`). Silhouettes
-        constrain only the blur. For opaque roots, hairs are evaluated but not fitted.
-        """
-        mean, sigma = np.array([0.0, 0.0, HAIRY[0], BENDING[0]]), np.full(len(LIGHT), np.inf)
-        if not evidence.is_mask:
-            sigma[HAIRS], sigma[INDEX] = HAIRY[1], BENDING[1]
-        if FAINTEST_LEARNED < learned_per_mm < np.inf:
-            mean[MU], sigma[MU] = np.log(learned_per_mm), LEARNED_SIGMA
-        translucent = not (evidence.is_mask or evidence.light.is_opaque)
-        return Prior(mean, sigma, translucent | (np.arange(len(LIGHT)) == BLUR))
+def evaluated(light: Parameters) -> Mask:
+    """Return the mask (L,) of the fitted parameters, and of hairs, which are evaluated even if roots are opaque."""
+    return light.free | _only(HAIRS) & (np.diag(light.precision) > 0.0)
 
-    @property
-    def evaluated(self) -> Mask:
-        """Return the mask (L,) of parameters with respect to which pictures are differentiated.
 
-        These are the fitted parameters. If roots are opaque, derivatives with respect to the hairs are also computed.
-        """
-        return self.free | (np.arange(len(LIGHT)) == HAIRS) & ~np.isinf(self.sigma)
+def blur_only(light: Parameters) -> Parameters:
+    """Return the same parameters with the blur as the only free one."""
+    return replace(light, free=light.free & _only(BLUR))
 
-    def blur_only(self) -> Prior:
-        """Return the same prior with the blur as the only free parameter."""
-        return replace(self, free=self.free & (np.arange(len(LIGHT)) == BLUR))
+
+def _only(*which: int) -> Mask:
+    return np.isin(np.arange(len(LIGHT)), which)
 
 
 def match_absorption(fitted: Tubes, thick: Mask, before: Light, after: Light) -> Tubes:
@@ -154,7 +122,7 @@ def match_absorption(fitted: Tubes, thick: Mask, before: Light, after: Light) ->
     return with_geometry(fitted, fitted.centre_mm, np.where(thick, fitted.radius_mm, radius_mm))
 
 
-def changes(drawn: Rendering, free: Mask, steps: Sequence[float] = CHANGES) -> Changes:
+def changes(drawn: Rendering, free: Mask, steps: Sequence[float] = STEPS) -> Changes:
     """Return the derivatives of the rendered tubes.
 
     They are computed with respect to the logarithm of the radii, and to the light parameters marked in ``free`` (L,),
@@ -168,116 +136,42 @@ def changes(drawn: Rendering, free: Mask, steps: Sequence[float] = CHANGES) -> C
 
 @dataclass(frozen=True)
 class LightSystem:
-    """Normal equations of the light parameters, with the nodes eliminated."""
+    """Normal equations of the light parameters, from the profiles of lone roots. Others would bias the parameters."""
 
-    reduced: Array
-    """Reduced normal matrix S of the light parameters, shape (L, L)."""
-    right: Array
-    """Right-hand side s of the reduced normal equations, shape (L,)."""
+    system: System
     meat: Array
-    """Scatter matrix M of the scores, shape (L, L)."""
+    """Covariance of the right-hand side, shape (L, L)."""
     lone: int
     """Number of profiles of lone roots, which no other root hides or overlaps in the view."""
+    by_light: Array
+    """Derivative of each node's gradient with respect to the light parameters, from all profiles, shape (N, 4, L)."""
 
     @staticmethod
-    def build(equations: LightEquations, profiles: Profiles, tubes: Tubes, smooth: sparse.csr_matrix, thick: Mask) -> LightSystem:
-        """Eliminate the nodes, and return the reduced normal equations.
-
-        Parameters
-        ----------
-        equations, profiles : LightEquations, Profiles
-            Residuals summed over the views, and residuals of each view.
-        smooth : (4 N, 4 N) sparse matrix
-            Quadratic form of the smoothness prior of the branches.
-        thick : (N,) bool array
-            Mask of nodes that are not fitted and do not contribute.
-        """
-        count, many = len(thick), len(LIGHT)
-        joint = np.where(thick[:, None, None], 0.0, equations.lone)
-        gradient = np.where(thick[:, None], 0.0, equations.gradient)
-        nodes = joint[:, :4, :4] + _RIDGE * np.eye(4)
-        blocks = sparse.bsr_matrix((nodes, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
-        mixed = joint[:, :4, 4:].reshape(-1, many)
-        back = splu((blocks + smooth).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(mixed)
-        state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
-        reduced = joint[:, 4:, 4:].sum(axis=0) - mixed.T @ back
-        right = gradient[:, 4:].sum(axis=0) - back.T @ (gradient[:, :4].ravel() - smooth @ state)
-        lone = profiles.is_lone & ~thick
-        meat = _scatter(profiles, back.reshape(count, 4, many), lone, tubes)
-        reduced = 0.5 * (reduced + reduced.T)
+    def build(profiles: Profiles, tubes: Tubes, thick: Mask) -> LightSystem:
+        """Eliminate the nodes. Those in the mask ``thick`` (N,) do not contribute."""
+        by_light, own = profiles.light_equations(thick)
+        system, lone = System.eliminate(own, tubes), profiles.is_lone & ~thick
         count = int(lone.sum())
-        return LightSystem(reduced, right, meat + (1 + count) * LEAST_VARIANCE * reduced, count)
+        # far from the solution, all scores share a common mean
+        mean = (own.right + np.einsum("nij,ni->j", system.flank_response, own.gradient)) / max(count, 1)
+        centred = ((nodes, light - shown[:, None] * mean) for shown, (nodes, light) in zip(lone, _gradients(profiles, lone), strict=True))
+        meat = system.scatter(centred)
+        return LightSystem(system, meat + (1 + count) * LEAST_VARIANCE * system.reduced, count, by_light)
 
-    def step(self, light: Array, prior: Prior) -> Array:
-        """Return the step (L,) of the light parameters within their bounds.
-
-        The step is 0 for parameters that are not fitted.
-        """
-        return np.where(prior.free, np.clip(light + self._solve(light, prior)[0], *_BOUNDS) - light, 0.0)
-
-    def covariance(self, light: Array, prior: Prior) -> Array:
-        """Return the covariance (L, L) of the light parameters.
-
-        It is 0 for parameters that are not fitted, or at a bound.
-        """
-        return self._solve(light, prior)[1]
-
-    def estimate_without_prior(self, free: Mask) -> tuple[Array, Array]:
-        """Return the step (L,) of the free parameters if the prior is ignored, and its standard deviation (L,)."""
-        change, sigma, f = np.zeros(len(free)), np.full(len(free), np.inf), np.flatnonzero(free & (np.diag(self.reduced) > 0.0))
-        bread = inverse(self.reduced[np.ix_(f, f)])
-        change[f] = bread @ self.right[f]
-        sigma[f] = np.sqrt(np.diag(bread @ self.meat[np.ix_(f, f)] @ bread))
-        return change, sigma
-
-    def _solve(self, light: Array, prior: Prior) -> tuple[Array, Array]:
-        """Return the step (L,) and the covariance (L, L) of the light parameters.
-
-        The step is shortened if it exceeds `_LARGEST_STEP`. Parameters at a bound that would leave their range are kept
-        fixed.
-        """
-        free, many = prior.free & (np.diag(self.reduced) > 0.0), len(light)
-        while True:
-            change, covariance, f = np.zeros(many), np.zeros((many, many)), np.flatnonzero(free)
-            if not len(f):
-                return change, covariance
-            normal, known = self.reduced[np.ix_(f, f)], np.diag(prior.sigma[f] ** -2.0)
-            information = normal @ inverse(self.meat[np.ix_(f, f)])  # times the normal matrix, this is the inverse of the sandwich
-            covariance[np.ix_(f, f)] = found = inverse(information @ normal + known)
-            change[f] = found @ (information @ self.right[f] + known @ (prior.mean - light)[f])
-            change /= max(1.0, float((np.abs(change) / _LARGEST_STEP).max()))
-            least, most = _BOUNDS + np.array([[ROUNDING], [-ROUNDING]])
-            held = free & (((light <= least) & (change < 0.0)) | ((light >= most) & (change > 0.0)))
-            if not held.any():
-                return change, covariance
-            free &= ~held
+    def solve(self, light: Parameters) -> tuple[Array, Array]:
+        """Return the step (L,) of the light parameters and its covariance (L, L), see `System.solve`."""
+        return self.system.solve(light, self.meat)
 
 
-def _scatter(profiles: Profiles, back: Array, lone: Mask, tubes: Tubes) -> Array:
-    """Return the covariance (L, L) of the gradient with respect to the light parameters.
+def _gradients(profiles: Profiles, lone: Mask) -> Iterator[tuple[Array, Array]]:
+    """Yield the contributions of each view to the gradients of the nodes (N, 4) and of the light parameters (N, L).
 
-    It is estimated from the scatter between roots and between views, since residuals on one root or in one view are
-    correlated.
-
-    Parameters
-    ----------
-    back : (N, 4, L) array
-        Weights of the nodes' gradients after elimination of the nodes.
-    lone : (V, N) bool array
-        Mask of the profiles that contribute.
+    ``lone`` (V, N) marks the profiles that contribute.
     """
     parts, light_profiles = profiles.host(), profiles.light
     if light_profiles is None:
         raise ValueError("the profiles have no derivatives with respect to the light parameters; pass changes to profiles()")
     radius, *light = (np.array(part, np.float64).reshape(profiles.shape) for part in (light_profiles.radius, *light_profiles.light))
-    (views, count), roots, many = profiles.shape, len(tubes.branches), back.shape[2]
-    of_root = sparse.csr_matrix((np.ones(count), (tubes.owner, np.arange(count))), shape=(roots, count))
-    scores = []
-    for v in range(views):
-        score = np.stack([part[v] for part in light], axis=-1)
-        score -= np.einsum("ni,nij->nj", parts.across[v] * parts.shift[v, :, None], back[:, :3]) + radius[v, :, None] * back[:, 3]
-        scores.append(of_root @ (score * lone[v, :, None]))
-    by_root = np.stack(scores)
-    share = np.stack([of_root @ one for one in lone]) / max(lone.sum(), 1)
-    by_root -= share[..., None] * by_root.sum(axis=(0, 1))  # far from the solution, all scores share a common mean
-    return scatter(by_root.reshape(-1, many), np.repeat(np.arange(views), roots), np.tile(np.arange(roots), views))
+    for v, shown in enumerate(lone[:, :, None]):
+        nodes = np.concatenate([parts.across[v] * parts.shift[v, :, None], radius[v, :, None]], axis=1)
+        yield nodes * shown, np.stack([part[v] for part in light], axis=1) * shown

@@ -21,7 +21,6 @@ from rhizotwin.recon.coverage.translucency import CLEARLY, FAINTEST_LEARNED
 from rhizotwin.recon.tubes import root_light, translucent_tube, tube_fit, tube_profiles
 from rhizotwin.recon.tubes.root_light import (
     BENDING,
-    BLUR,
     DARKEST,
     FAINTEST,
     HAIRS,
@@ -30,9 +29,8 @@ from rhizotwin.recon.tubes.root_light import (
     LEARNED_SIGMA,
     LEAST_LONE,
     MU,
-    ROUNDING,
-    Prior,
 )
+from rhizotwin.recon.tubes.system import ROUNDING
 from rhizotwin.recon.tubes.tube_fit import Fit
 from rhizotwin.recon.tubes.tube_profiles import OUTLIER
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -43,9 +41,6 @@ Mask = NDArray[np.bool_]
 _START_PER_MM = 2.0
 """Initial attenuation in the fit of translucent roots, 1/mm. It is used if the attenuation was not estimated from wide
 roots. The value is the geometric mean of 0.5/mm and 8/mm."""
-_STEPS, _TRANSLUCENT_STEPS = 5, 8
-"""Number of iterations of the fit for opaque roots and for translucent roots. Translucent roots need more, since log mu
-changes by at most 0.35 per iteration."""
 _PERHAPS = 1.1
 """Minimum ratio of the opaque model's residual to the translucent model's residual for roots to be considered
 translucent. The difference must also be significant (`_TELLING`).
@@ -117,7 +112,7 @@ class TubeAttenuation:
 def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float = np.inf) -> tuple[TubeAttenuation, Fit]:
     """Fit tubes as opaque and as translucent roots, and return the better fit.
 
-    The translucent fit is returned only if it is clearly better.
+    The translucent fit is returned only if it is clearly better. `update_attenuation` adds covariance and hairs.
 
     Parameters
     ----------
@@ -131,30 +126,28 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float =
         Attenuation estimated from the widest roots, 1/mm (`translucency.learn`). It is infinite if they are opaque, or
         if there is no estimate.
     """
-    opaque = tube_fit.fit(evidence, fitted, thick, steps=_STEPS, light=Prior.from_evidence(evidence))
+    opaque = tube_fit.fit(evidence, fitted, thick, light=root_light.parameters(evidence))
     if evidence.is_mask or (opaque.few and learned_per_mm == np.inf):
-        return update_attenuation(TubeAttenuation.opaque(), opaque), opaque
+        return replace(TubeAttenuation.opaque(), light=opaque.evidence.light), opaque
     start_per_mm = _START_PER_MM if learned_per_mm == np.inf else min(learned_per_mm, DARKEST)
     glassy = replace(opaque.evidence, light=replace(opaque.evidence.light, mu_per_mm=start_per_mm, hairs=HAIRY[0]))
     tubes = root_light.match_absorption(opaque.tubes, thick, evidence.light, glassy.light)
-    prior = Prior.from_evidence(glassy, learned_per_mm)
+    light = root_light.parameters(glassy, learned_per_mm)
     # With a free index, some combination of parameters would match any edge.
-    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))
-    translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
+    light = replace(light, free=light.free & (np.arange(len(light.free)) != INDEX))
+    translucent = tube_fit.fit(glassy, tubes, thick, light=light)
     losses, lone = _losses(opaque, translucent, thick)
-    if losses[0].sum() > _PERHAPS * losses[1].sum():  # the opaque fit had fewer steps
-        opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.from_evidence(opaque.evidence))
-        losses, lone = _losses(opaque, translucent, thick)
     against, profiles = float(losses[0].sum() / max(losses[1].sum(), 1e-12)), int(lone.sum())
     mu_per_mm = translucent.evidence.light.mu_per_mm
     is_sufficient = profiles >= LEAST_LONE
-    below = np.log(DARKEST / mu_per_mm) > _TELLING * update_attenuation(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
-    perhaps = is_sufficient and against > _PERHAPS and bool(below)
+    perhaps = is_sufficient and against > _PERHAPS
+    if perhaps:
+        perhaps = float(np.log(DARKEST / mu_per_mm)) > _TELLING * update_attenuation(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
     clearly = perhaps and (against > CLEARLY or significance(losses[0] - losses[1], opaque.tubes.owner) > _TELLING)
     is_translucent = clearly or (not is_sufficient and learned_per_mm < np.inf)
     fit = translucent if is_translucent else opaque
-    found = replace(TubeAttenuation.opaque(), against_opaque=against, profiles=profiles)
-    return update_attenuation(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit
+    found = replace(TubeAttenuation.opaque(), light=fit.evidence.light, against_opaque=against, profiles=profiles)
+    return replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit
 
 
 def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float, known: TubeAttenuation) -> Fit:
@@ -169,7 +162,7 @@ def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float
     """
     lit = replace(evidence, light=known.light)
     tubes = root_light.match_absorption(fitted, thick, evidence.light, lit.light)
-    return tube_fit.fit(lit, tubes, thick, steps=_STEPS, light=Prior.from_evidence(lit, learned_per_mm))
+    return tube_fit.fit(lit, tubes, thick, light=root_light.parameters(lit, learned_per_mm))
 
 
 def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
@@ -177,19 +170,19 @@ def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuatio
 
     These are the light parameters, their covariance, and the presence of hairs.
     """
-    light, system, prior = fit.evidence.light, fit.light, fit.prior
-    if system is None or prior is None:
+    light, fitted = fit.evidence.light, fit.light
+    if fit.lit is None or fitted is None:
         return attenuation
-    covariance = system.covariance(light.vector, prior)
+    covariance = fit.lit.solve(fitted)[1]
     if fit.few and not light.is_opaque:
         sigma = LEARNED_SIGMA if light.mu_per_mm > FAINTEST_LEARNED else _BOUND_SIGMA
         covariance[MU, MU], covariance[INDEX, INDEX] = sigma**2, BENDING[1] ** 2
     hairs: Literal["none", "maybe", "there"] = "none"
     if not (fit.evidence.is_mask or fit.few):
-        change, sigma = system.estimate_without_prior(np.isin(np.arange(len(LIGHT)), (BLUR, HAIRS)) | prior.free)
-        strength = light.hairs + change[HAIRS]
-        if strength + _EXCLUDED * sigma[HAIRS] > 0.5:
-            hairs = "there" if not light.is_opaque and strength > _TELLING * sigma[HAIRS] else "maybe"
+        change, spread = fit.lit.solve(fitted.unconstrained(root_light.evaluated(fitted)))
+        strength, sigma = light.hairs + float(change[HAIRS]), float(np.sqrt(spread[HAIRS, HAIRS]))
+        if strength + _EXCLUDED * sigma > 0.5:
+            hairs = "there" if not light.is_opaque and strength > _TELLING * sigma else "maybe"
     return replace(attenuation, light=light, covariance=covariance, hairs=hairs)
 
 

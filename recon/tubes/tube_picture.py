@@ -22,6 +22,7 @@ from functools import reduce
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.recon import passes
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
@@ -288,6 +289,17 @@ class Rendering:
         difference = mi.Float16((evidence.opacity - (1 - passing)) * evidence.usable)
         dr.eval(passing, difference)
         return Rendering(evidence, tubes, at, passing, difference)
+
+    @property
+    def coverage(self) -> NDArray[np.float32]:
+        """Return the coverage (V, H, W) by tubes. Masked pixels are covered."""
+        width, height = self.evidence.image_wh
+        return 1.0 - np.array(self.passing, np.float32).reshape(-1, height, width)
+
+    @property
+    def misfit(self) -> float:
+        """Return the sum of the squared residual coverage over all pixels."""
+        return float(dr.sum(dr.square(mi.Float64(self.difference)))[0])
 
     def change(self, evidence: Evidence, tubes: Tubes, step: float) -> Kernel:
         """Return the derivative of the coverage in all views with respect to a light parameter or the radii.

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.light import LIGHT
 from rhizotwin.recon.device import Float, Kernel, UInt32, Vector3f, wholes
+from rhizotwin.recon.tubes.system import Equations
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA, Rendering
 from rhizotwin.recon.tubes.tube_sections import SAMPLES, Sections
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -57,24 +58,13 @@ class ResidualGradient:
     """Fraction of each node's coverage that no other tube hides, shape (N,). Both coverages are summed over the
     views."""
 
-    def select(self, nodes: NDArray[np.int64]) -> ResidualGradient:
-        """Return the equations of some of the nodes, given their indices (M,)."""
-        return ResidualGradient(*(getattr(self, field.name)[nodes] for field in fields(self)))
+    def equations(self, mixed: Array) -> Equations:
+        """Return the equations of nodes that follow given changes of K parameters.
 
-
-@dataclass(frozen=True)
-class LightEquations:
-    """Joint normal equations of the nodes and the light parameters."""
-
-    by_light: Array
-    """Derivative of each node's gradient (x, y, z, radius) with respect to each parameter of `LIGHT`, shape (N, 4, L).
-    It is computed from all profiles."""
-    lone: Array
-    """Joint normal matrix for x, y, z, radius and `LIGHT`, shape (N, 4 + L, 4 + L). It is computed from the profiles of
-    roots that no other root hides or overlaps."""
-    gradient: Array
-    """Joint right-hand side for x, y, z, radius and `LIGHT`, shape (N, 4 + L). It is computed from the same profiles as
-    ``lone``."""
+        ``mixed`` (N, 4, K) is the derivative of the nodes' gradient with respect to these parameters.
+        """
+        many = mixed.shape[2]
+        return Equations(self.hessian, self.gradient, mixed, np.zeros((many, many)), np.zeros(many))
 
 
 @dataclass(frozen=True)
@@ -207,10 +197,17 @@ class Profiles:
         shown, whole = found[:, 14:].T
         return ResidualGradient(_symmetric(found[:, :10], _NODE), found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
-    def light_equations(self) -> LightEquations:
-        """Return the joint normal equations of nodes and light parameters.
+    def light_equations(self, thick: NDArray[np.bool_]) -> tuple[Array, Equations]:
+        """Return the normal equations of nodes and light parameters.
 
-        They are computed from the profiles of roots that no other root hides or overlaps.
+        Returns
+        -------
+        by_light : (N, 4, L) array
+            Derivative of each node's gradient (x, y, z, radius) with respect to each parameter of `LIGHT`, from all
+            profiles.
+        lone : Equations
+            Joint equations of the nodes and `LIGHT`, from the profiles of roots that no other root hides or overlaps.
+            Nodes in the mask ``thick`` (N,) do not contribute.
         """
         light, many = self.light, len(LIGHT)
         if light is None:
@@ -240,8 +237,10 @@ class Profiles:
         size = 4 + many
         products = size * (size + 1) // 2
         found = self._over_views(terms, products + size + 4 * many)
-        by_light = found[:, products + size :].reshape(-1, 4, many)
-        return LightEquations(by_light, _symmetric(found[:, :products], np.triu_indices(size)), found[:, products : products + size])
+        by_light, lone = found[:, products + size :].reshape(-1, 4, many), np.where(thick[:, None], 0.0, found[:, : products + size])
+        joint, (gradient, right) = _symmetric(lone[:, :products], np.triu_indices(size)), np.split(lone[:, products:], [4], axis=1)
+        own = Equations(joint[:, :4, :4], gradient, joint[:, :4, 4:], joint[:, 4:, 4:].sum(axis=0), right.sum(axis=0))
+        return by_light, own
 
     def _over_views(self, terms: Callable[[UInt32], Iterator[Float]], size: int) -> Array:
         """Return the sums (N, size) of the contributions of all views.

@@ -78,7 +78,7 @@ def compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: Places, 
     silhouette : Silhouette
         Measured coverage (H, W).
     drawn : (H, W) float32 array
-        Coverage by the rendered roots.
+        Coverage by the rendered roots, and by solids.
     places : Places
         Projections of the nodes.
     view : int
@@ -176,7 +176,7 @@ class Places:
         scale = self.px_a_mm or 1.0  # it is 0 if no node is visible
         wide_px = np.minimum(np.hypot(2.0 * self.radius_mm * scale, 1.0), _RESOLVED_PX)
         drawn = replace(self, radius_mm=0.5 * wide_px / scale)
-        first, sides, *_ = drawn.pieces(view, np.flatnonzero(self.segments(view)))
+        first, sides = drawn.pieces(view, np.flatnonzero(self.segments(view)))
         canvas = np.zeros([_FINER * edge for edge in shape], np.uint8)
         for corners in sides:
             cv2.fillConvexPoly(canvas, corners, 1, lineType=cv2.LINE_8, shift=_SHIFT)
@@ -208,15 +208,15 @@ class Places:
         amount = self.step_mm * self.radius_mm**power
         return float(amount[2.0 * self.radius_mm * self.px_a_mm < limit_px].sum()) / max(float(amount.sum()), 1e-9)
 
-    def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed, Fixed, Fixed]:
-        """Return segments of tubes from nodes (M,) to the next of their root, in OpenCV's drawing coordinates.
+    def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed]:
+        """Return segments of tubes from nodes (M,) to the next of their root.
 
         Returns
         -------
         first : (K,) int64 array
             Start nodes of the segments that have a length in the picture.
-        corners, end, radius : (K, 4, 2), (K, 2), (K,) int32 array
-            Corners of their sides, and rounded ends.
+        corners : (K, 4, 2) int32 array
+            Corners of their sides, in OpenCV's drawing coordinates.
         """
         step = self.px[view, first + 1] - self.px[view, first]
         size = np.hypot(*step.T)
@@ -224,40 +224,11 @@ class Places:
         across, last = np.stack([-step[:, 1], step[:, 0]], axis=1) / size[:, None], first + 1
         begin, end = self.px[view, first], self.px[view, last]
         gradient = (np.einsum("mi,mij->mj", across, self.gradient[view, at]) for at in (first, last))
-        half = [
-            np.maximum(self.radius_mm[at] * np.linalg.norm(way, axis=1) - _PEN_PX, 0.0)  # of a sphere
+        to_side, to_other = (
+            np.maximum(self.radius_mm[at] * np.linalg.norm(way, axis=1) - _PEN_PX, 0.0)[:, None] * across  # of a sphere
             for at, way in zip((first, last), gradient, strict=True)
-        ]
-        to_side, to_other = (wide[:, None] * across for wide in half)
-        corners = np.stack([begin + to_side, end + to_other, end - to_other, begin - to_side], axis=1)
-        return first, _to_fixed_point(corners), _to_fixed_point(end), np.rint(half[1] * _FINER * 2**_SHIFT).astype(np.int32)
-
-
-def render(at: Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | None) -> list[NDArray[np.float32]]:
-    """Return the coverage (H, W) by roots in every view, drawn as filled segments with the opacity of their mean chord.
-
-    Parameters
-    ----------
-    at : Places
-        Projections of the nodes.
-    silhouettes : (V,) sequence of Silhouette
-        Silhouettes with the shape (H, W) of the pictures.
-    mu_per_mm : float or None
-        Attenuation of the roots, 1/mm. None for opaque roots.
-    """
-    dark = np.ones(len(at.radius_mm)) if mu_per_mm is None else -np.expm1(-mu_per_mm * np.pi / 2.0 * at.radius_mm)
-    pictures = []
-    for k, silhouette in enumerate(silhouettes):
-        height, width = silhouette.coverage.shape
-        canvas = np.zeros((height * _FINER, width * _FINER), np.float32)
-        use = at.segments(k)
-        order = np.argsort(dark[:-1], kind="stable")  # darkest last
-        first, sides, ends, radii = at.pieces(k, order[use[order]])
-        for corners, end, radius, shade in zip(sides, ends.tolist(), radii.tolist(), dark[first].tolist(), strict=True):
-            cv2.fillConvexPoly(canvas, corners, shade, lineType=cv2.LINE_8, shift=_SHIFT)
-            cv2.circle(canvas, end, radius, shade, thickness=-1, shift=_SHIFT)
-        pictures.append(cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA))
-    return pictures
+        )
+        return first, _to_fixed_point(np.stack([begin + to_side, end + to_other, end - to_other, begin - to_side], axis=1))
 
 
 def draw_discs(px: NDArray[np.generic], radius_px: Array, shape: tuple[int, ...]) -> Mask:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
@@ -70,8 +71,6 @@ LEAST_VIEWS = 4
 class Known:
     """Facts about a scan that the comparison of its roots with the pictures does not show."""
 
-    mu_per_mm: float | None = None
-    """Attenuation of the roots, 1/mm; None for opaque roots."""
     lost: Sequence[str] = ()
     """Reasons for which the scan as a whole is not trusted; empty if it is."""
     hull: float = 1.0
@@ -91,6 +90,7 @@ def estimates(
     roots: Sequence[Root],
     bank: ViewBank,
     silhouettes: Sequence[Silhouette],
+    drawn: NDArray[np.float32],
     *,
     known: Known = Known(),
     calibration: Calibration = NOT_CALIBRATED,
@@ -103,6 +103,8 @@ def estimates(
         Reconstructed roots; without roots there is no estimate.
     bank, silhouettes : ViewBank, (V,) Silhouette
         All views, neighbours spread over the turn.
+    drawn : (V, H, W) float32 array
+        Coverage by the rendered roots in these views. Solids and masked pixels are covered.
     known : Known
         Facts that the comparison does not show; by default, there are none.
     calibration : Calibration, optional
@@ -117,9 +119,10 @@ def estimates(
         return ()
     count = min(VIEWS, bank.count)
     places = root_residual.Places.project([*roots, *known.nodules], bank.select(range(count)))
-    drawn = root_residual.render(places, silhouettes[:count], known.mu_per_mm)
     lost = (*known.lost, *_thin_objections(places.thin_share(_THIN_PX)))
-    views = [root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
+    views = [
+        root_residual.compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn[:count], strict=True))
+    ]
     residuals = [view for view in views if view is not None]
     shape = silhouettes[0].coverage.shape
     merged, hidden = _merged_length(places, shape, bank.count, known.hull), _hidden_length(places, shape)

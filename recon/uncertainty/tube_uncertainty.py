@@ -7,29 +7,21 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.ndimage import uniform_filter1d
-from scipy.sparse.linalg import spsolve
 
-from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes import root_light, tube_fit, tube_profiles
-from rhizotwin.recon.tubes.root_light import HAIRS, INDEX
-from rhizotwin.recon.tubes.tube_profiles import Changes, HostProfiles
+from rhizotwin.recon.tubes import root_light, tube_fit
+from rhizotwin.recon.tubes.root_light import HAIRS
+from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
+from rhizotwin.recon.uncertainty.posterior import Posterior
 from rhizotwin.recon.uncertainty.root_residual import draw_discs
 
 Array = NDArray[np.float64]
 
-NO_DATA = 0.25
-"""Prior standard deviation of a radius that the pictures do not constrain, as a fraction of the radius. It is the
-scatter of the radii of roots of the same order."""
-EXPLAINED = 0.03
-"""Minimum coverage of a pixel by the tubes for the pixel to be explained by them. Pixels within two pixels of such a
-pixel are also explained."""
 _INSIDE = 0.3
 """Minimum coverage of the pixels from which the width of missing roots is measured. The width is accurate to one or two
 pixels."""
@@ -64,22 +56,20 @@ class TubeUncertainty:
     fill: float
 
 
-def estimate(system: RootSystem) -> TubeUncertainty:
-    """Compare the pictures with the fitted tubes, and compute the error of the volume from the residuals."""
-    tubes, drawn = system.tubes, system.rendering
-    found = tube_profiles.profiles(drawn, _light_changes(system))
-    profiles, equations = found.host(), found.light_equations()
-    by_light = tube_fit.node_response(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
+def estimate(posterior: Posterior) -> TubeUncertainty:
+    """Compute the error of the volume of the fitted tubes from the residuals of the pictures."""
+    system, tubes = posterior.system, posterior.system.tubes
     gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # derivative of the volume by the radius
-    wish = _view_contributions(tubes, profiles, gain)
+    wish = gain @ posterior.view_steps_mm  # change of the volume that each view would cause
     total = float(wish.sum())
-    rest = _Residual.compute(system)
+    rest = _Residual.compute(posterior)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
-    hidden = _hidden_radii(tubes, profiles, gain, rest.variance)
+    # errors of hidden radii are assumed to be equal along a branch, and independent between branches
+    hidden = NINETY * float(np.linalg.norm(np.bincount(tubes.owner, weights=gain * posterior.unconstrained_mm)))
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
-    flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
+    flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, posterior.profiles, system.px_a_mm))
     ends = float(0.5 * gain @ (tubes.radius_mm * system.uncertain))
     oval = _OVAL * float(0.5 * gain @ (tubes.radius_mm * system.thick))
     terms = (
@@ -93,27 +83,13 @@ def estimate(system: RootSystem) -> TubeUncertainty:
             "the smoothness of branches keeps the radii from fully matching the pictures",
         ),
         _one_sided("area", balance, "the area covered by the tubes differs from that in the pictures"),
-        *_light(system, gain @ by_light),
+        *_light(system, gain @ posterior.by_light),
         Term.symmetric("uncertain ends", ends, "ends whose tips are hidden by others may not be roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots appear flat, and may be two roots side by side"),
         Term(name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are assumed round, and have less volume where they are not"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeUncertainty(terms, rest.unexplained, rest.fill)
-
-
-def _light_changes(system: RootSystem) -> Changes:
-    """Return the derivatives of the rendered tubes with respect to the uncertain light parameters.
-
-    The volume is nearly linear in all but the refractive index. With the square root of the index's excess over water,
-    the rim of a root becomes darker. The derivative with respect to the index is therefore the difference quotient over
-    its 90 % range below the estimate.
-    """
-    attenuation, steps = system.attenuation, np.array(root_light.CHANGES)
-    below = min(attenuation.light.index - 1.0, NINETY * float(np.sqrt(attenuation.covariance[INDEX, INDEX])))
-    if below > steps[INDEX]:
-        steps[INDEX] = -below
-    return root_light.changes(system.rendering, np.diag(attenuation.covariance) > 0.0, steps.tolist())
 
 
 def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
@@ -198,42 +174,10 @@ def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
     return np.where((share > _FLAT) & (harmonic * px_a_mm > _FLAT_PX), np.minimum(share, _FLATTEST), 0.0)
 
 
-def _view_contributions(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
-    """Return the change of the volume that each view (V,) would cause, mm3.
-
-    It is the contribution of the view to one further Gauss-Newton step of all radii.
-
-    With the fit's equations H dr = g, where g is a sum over views, a view's contribution is gain . H^-1 g_v. The
-    scatter of the views is the sandwich (jackknife) estimate of the volume's standard deviation, valid also for errors
-    common to a view, such as its pose.
-    """
-    smooth = tube_fit.prior(tubes)[3::4, 3::4]
-    weight: Array = spsolve((sparse.diags(_radius_curvature(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
-    return np.asarray((profiles.width * profiles.scale) @ weight)
-
-
-def _radius_curvature(profiles: HostProfiles) -> Array:
-    """Return the curvature (N,) of the sum of squared residuals with respect to the radii, without smoothing."""
-    return np.asarray((profiles.width_2 * profiles.scale**2).sum(axis=0))
-
-
-def _hidden_radii(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
-    """Return the 90 % half-width of the volume due to radii that pictures hardly constrain, mm3.
-
-    Errors are assumed to be equal along a branch, and independent between branches.
-    """
-    curvature = _radius_curvature(profiles) / max(variance, 1e-9)
-    sigma = 1.0 / np.sqrt(curvature + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
-    owner = tubes.owner
-    return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
-
-
 @dataclass(frozen=True)
 class _Residual:
     """Residuals of the pictures after subtraction of the tubes' coverage."""
 
-    variance: float
-    """Variance of the residual per pixel, in pixels on the tubes and within two pixels of them."""
     balance: float
     """Sum of the residual over the pixels on the tubes and within two pixels of them, divided by the area that the
     tubes cover."""
@@ -248,24 +192,21 @@ class _Residual:
     """Fraction of the root zone that thin roots cover, outside thick roots. Median of the views."""
 
     @staticmethod
-    def compute(system: RootSystem) -> _Residual:
+    def compute(posterior: Posterior) -> _Residual:
         """Compute the residuals of all views.
 
         Views are evaluated one after the other, to limit memory.
         """
-        evidence, drawn, px_a_mm = system.evidence, system.rendering, system.px_a_mm
-        (width, height), count = evidence.image_wh, evidence.bank.count
-        pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, drawn.passing, drawn.difference)]
-        radius_px = system.tubes.radius_mm[system.thick] * px_a_mm
-        views = []
-        for k, (silhouette, known, free, left) in enumerate(zip(evidence.silhouettes, *pictures, strict=True)):
-            thick = draw_discs(drawn.at.px[k, system.thick], radius_px, (height, width))
-            views.append(_ViewResidual.compute(evidence, silhouette, known > 0, thick, 1.0 - free, left.astype(np.float32), px_a_mm))
-        area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
+        system, drawn, near = posterior.system, posterior.system.rendering, posterior.near
+        known, left = (np.array(picture).reshape(near.shape) for picture in (system.evidence.usable, drawn.difference))
+        radius_px, views = system.tubes.radius_mm[system.thick] * system.px_a_mm, []
+        for k, silhouette in enumerate(system.evidence.silhouettes):
+            thick = draw_discs(drawn.at.px[k, system.thick], radius_px, near.shape[1:])
+            views.append(_ViewResidual.compute(system, silhouette, known[k] > 0, near[k], thick, left[k].astype(np.float32)))
+        area = float((drawn.coverage * (known > 0)).sum(dtype=np.float64))
         beyond = max(0.0, sum(view.beyond for view in views))
         fills, missing = ([view.fill for view in views if view.has_roots], [view.missing_px3 for view in views if view.has_roots])
         return _Residual(
-            variance=sum(view.square for view in views) / max(pixels, 1),
             balance=sum(view.balance for view in views) / max(area, 1.0),
             missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
             unexplained=beyond / max(area + sum(view.hidden for view in views) + beyond, 1.0),
@@ -277,14 +218,8 @@ class _Residual:
 class _ViewResidual:
     """Residuals of one view. Areas are in pixels."""
 
-    area: float
-    """Area covered by the tubes."""
     hidden: float
     """Area covered by taproot, hypocotyl and solids, where tubes are masked."""
-    pixels: int
-    """Number of pixels on the tubes and within two pixels of them."""
-    square: float
-    """Sum of the squared residual over the pixels on the tubes and within two pixels of them."""
     balance: float
     """Sum of the residual over the pixels on the tubes and within two pixels of them."""
     beyond: float
@@ -294,29 +229,22 @@ class _ViewResidual:
     missing_px3: float = 0.0
 
     @staticmethod
-    def compute(
-        evidence: Evidence, picture: Silhouette, known: Mask, thick: Mask, drawn: Image, left: Image, px_a_mm: float
-    ) -> _ViewResidual:
+    def compute(system: RootSystem, picture: Silhouette, known: Mask, near: Mask, thick: Mask, left: Image) -> _ViewResidual:
         """Compare a picture with the tubes.
 
         Parameters
         ----------
         known : (H, W) bool array
             Mask of usable pixels.
-        thick : (H, W) bool array
-            Mask of pixels that thick roots cover.
-        drawn, left : (H, W) float32 array
-            Coverage by the tubes, and the residual.
+        near, thick : (H, W) bool array
+            Masks of pixels on the tubes and within two pixels of them, and of pixels that thick roots cover.
+        left : (H, W) float32 array
+            Residual.
         """
-        drawn = drawn * known
-        near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         far = left * ~near
         far *= picture.coverage > 0.0  # ignore values at the noise level
         rest = _ViewResidual(
-            area=float(drawn.sum(dtype=np.float64)),
             hidden=float((picture.coverage * picture.usable * ~known).sum(dtype=np.float64)),
-            pixels=int(near.sum()),
-            square=float(np.square(left[near]).sum(dtype=np.float64)),
             balance=float(left[near].sum(dtype=np.float64)),
             beyond=float(far.sum(dtype=np.float64)),
             has_roots=False,
@@ -329,7 +257,7 @@ class _ViewResidual:
         inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
         width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
         # absorption of faint roots is proportional to their volume
-        depth_px = np.maximum(0.25 * np.pi * width_px, px_a_mm / evidence.light.mu_per_mm)
+        depth_px = np.maximum(0.25 * np.pi * width_px, system.px_a_mm / system.evidence.light.mu_per_mm)
         volume = float((far * depth_px).sum(dtype=np.float64))
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
         thin = np.where(known, picture.coverage, 0.0)[zone][~thick[zone]]

@@ -23,9 +23,6 @@ if TYPE_CHECKING:  # imported at run time only after the engine has been started
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_STEPS = 8
-"""Number of optimisation steps in the fit of roots to the pictures."""
-
 
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
     """Create a function that fits roots to the pictures of a dataset.
@@ -48,9 +45,8 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         engine.start("auto")
         from rhizotwin.recon.coverage.evidence import Evidence
         from rhizotwin.recon.optics.projection import ViewBank
-        from rhizotwin.recon.tubes import tube_fit
+        from rhizotwin.recon.tubes import root_light, tube_fit
         from rhizotwin.recon.tubes import tubes as tube_shapes
-        from rhizotwin.recon.tubes.root_light import Prior
         from rhizotwin.stored.load import load_result
 
         cameras = Cameras.of(dataset, summary)
@@ -63,7 +59,7 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         seen = Evidence.from_silhouettes(ViewBank.pack(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
         thick_mm = result_traits.THICK_CELLS * result_files.finest_mm(summary)
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
-        fitted = tube_fit.fit(seen, tubes, fixed, steps=_STEPS, light=Prior.from_evidence(seen)).tubes
+        fitted = tube_fit.fit(seen, tubes, fixed, light=root_light.parameters(seen)).tubes
         centre = np.where(fixed[:, None], tubes.centre_mm, fitted.centre_mm)
         fitted = tube_shapes.with_geometry(fitted, centre, np.where(fixed, tubes.radius_mm, fitted.radius_mm))
         found = {}

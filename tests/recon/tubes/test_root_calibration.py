@@ -13,6 +13,7 @@ from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import rig_derivatives, root_calibration, root_sway, tube_fit, tubes
 from rhizotwin.recon.tubes.rig_derivatives import QUANTITIES, SWAY, Quantity
+from rhizotwin.recon.tubes.view_correction import Viewed
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull.exact_pictures import cameras_of, views_of
 from tests.recon.strings import blank, drawn
@@ -83,7 +84,7 @@ def test_a_wrong_index_is_found_from_the_roots() -> None:
     true = replace(optics, n_water=optics.n_water + 0.002)
     seen = evidence(views, true)
     start = tube_fit.fit(seen, system(), free(), steps=4).tubes
-    _, _, cameras = root_calibration.calibrate(seen, given(), start, free())
+    cameras = root_calibration.calibrate(Viewed(seen, given(), start, free())).cameras
     found = cameras.roots
     assert found.believed
     assert found.n_water == pytest.approx(true.n_water, abs=min(4.0 * found.n_water_sigma, 3e-4))
@@ -93,13 +94,14 @@ def test_a_wrong_index_is_found_from_the_roots() -> None:
 
 def test_a_right_index_and_still_roots_stay_as_they_were_given() -> None:
     seen, start = evidence(*rig()), given()
-    same, fitted, cameras = root_calibration.calibrate(seen, start, system(), free())
+    given_views = Viewed(seen, start, system(), free())
+    calibrated = root_calibration.calibrate(given_views)
+    cameras = calibrated.cameras
     assert not cameras.roots.believed
     assert abs(cameras.roots.n_water - rig()[1].n_water) < 3.0 * cameras.roots.n_water_sigma
     assert replace(cameras, roots=None) == start
-    assert (same is seen, fitted is system()) == (True, True)
-    still, unmoved, fitted = root_sway.follow(seen, start, system(), free(), px_a_mm=PX_A_MM)
-    assert (still is seen, unmoved is start, fitted is system()) == (True, True, True)
+    assert (calibrated.evidence is seen, calibrated.tubes is system()) == (True, True)
+    assert root_sway.follow(given_views, px_a_mm=PX_A_MM) is given_views
 
 
 def test_swaying_roots_are_followed() -> None:
@@ -108,7 +110,7 @@ def test_swaying_roots_are_followed() -> None:
     true = [replace(view, sway=tuple(sway.tolist())) for view, sway in zip(views, truth, strict=True)]
     seen = evidence(true, optics)
     start = tube_fit.fit(seen, system(), free(), steps=4).tubes
-    followed, cameras, fitted = root_sway.follow(seen, given(), start, free(), px_a_mm=PX_A_MM)
+    followed = root_sway.follow(Viewed(seen, given(), start, free()), px_a_mm=PX_A_MM)
     exact = replace(seen, bank=projection.ViewBank.pack(true, optics)).project(system().centre_mm)
     still = seen.project(start.centre_mm)
 
@@ -117,7 +119,7 @@ def test_swaying_roots_are_followed() -> None:
         moves = away - np.nanmean(away, axis=0)  # a sway that all views share is none
         return float(np.sqrt(np.nanmean(np.square(moves))))
 
-    before, after = off_px(still.px), off_px(followed.project(fitted.centre_mm).px)
+    before, after = off_px(still.px), off_px(followed.evidence.project(followed.tubes.centre_mm).px)
     assert before > 0.2
     assert after < 0.5 * before
-    assert any(view.sway != (0.0, 0.0, 0.0) for view in cameras.views)
+    assert any(view.sway != (0.0, 0.0, 0.0) for view in followed.cameras.views)

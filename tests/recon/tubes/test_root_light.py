@@ -9,7 +9,7 @@ import pytest
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.light import LIGHT, Light
 from rhizotwin.recon.tubes import root_light, tube_attenuation, tube_fit, tube_profiles
-from rhizotwin.recon.tubes.root_light import Prior
+from rhizotwin.recon.tubes.parameters import Parameters
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tubes import Tubes
 from tests.recon.strings import drawn
@@ -18,9 +18,9 @@ from tests.recon.tubes.test_translucent_tubes import ORGAN, SLANTED, STAR, dark,
 STEPS = np.array([0.02, 0.01, 0.05, 0.004])
 
 
-def bald(seen: Evidence) -> Prior:
-    """Return the prior of attenuation and blur alone."""
-    return replace(Prior.from_evidence(seen), free=np.array([True, True, False, False]))
+def bald(seen: Evidence) -> Parameters:
+    """Return attenuation and blur alone as free parameters."""
+    return replace(root_light.parameters(seen), free=np.array([True, True, False, False]))
 
 
 def blurred(noise: float, seed: int = 0) -> Evidence:
@@ -37,9 +37,9 @@ def test_columns_are_derivatives_of_the_picture(column: int) -> None:
     changed = replace(seen, light=Light.from_vector(seen.light.vector + STEPS * np.eye(4)[column]))
     seen = replace(seen, opacity=drawn(system, changed, opacity=True).opacity)
     now = Rendering.draw(seen, system)
-    found = tube_profiles.profiles(now, root_light.changes(now, np.arange(4) == column)).light_equations()
-    inside = np.s_[3:-3]
-    ratio = found.gradient[inside, 4 + column].sum() / found.lone[inside, 4 + column, 4 + column].sum()
+    ends = np.isin(np.arange(len(system.radius_mm)), np.arange(-3, 3) % len(system.radius_mm))
+    _, found = tube_profiles.profiles(now, root_light.changes(now, np.arange(4) == column)).light_equations(ends)
+    ratio = found.right[column] / found.whole[column, column]
     assert ratio == pytest.approx(STEPS[column], rel=0.15)  # the slope is that of a Gaussian pixel
 
 
@@ -70,7 +70,7 @@ def test_where_tubes_are_few_wide_roots_tell_the_attenuation(monkeypatch: pytest
     for module in (tube_attenuation, tube_fit):
         monkeypatch.setattr(module, "LEAST_LONE", 10**9)
     assert tube_attenuation.find(*begun(2.0), ORGAN)[0].light.is_opaque
-    attenuation, _ = tube_attenuation.find(*begun(2.0), ORGAN, 2.0)
+    attenuation = tube_attenuation.update_attenuation(*tube_attenuation.find(*begun(2.0), ORGAN, 2.0))
     assert attenuation.light.mu_per_mm == pytest.approx(2.0, rel=0.1)
     assert attenuation.sigma == root_light.LEARNED_SIGMA
 
@@ -83,7 +83,7 @@ def test_the_covariance_is_the_scatter_over_noise(monkeypatch: pytest.MonkeyPatc
         seen = blurred(0.02, seed)
         fit = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald(seen))
         steps.append(fit.evidence.light.vector[:2] - seen.light.vector[:2])
-        sigmas.append(np.sqrt(np.diag(fit.light.covariance(seen.light.vector, bald(seen))))[:2])
+        sigmas.append(np.sqrt(np.diag(fit.lit.solve(bald(seen))[1]))[:2])
     assert np.abs(np.mean(steps, axis=0)).max() < 0.03
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(sigmas), axis=0)), np.std(steps, axis=0), rtol=0.6)
 
@@ -91,7 +91,7 @@ def test_the_covariance_is_the_scatter_over_noise(monkeypatch: pytest.MonkeyPatc
 def test_an_error_of_the_model_does_not_average_out() -> None:
     """The covariance is that of the light parameters if the error of the coverage is the same in all profiles."""
     seen = blurred(1e-4)
-    system = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald(seen)).light
-    worst = np.sqrt(np.diag(system.covariance(seen.light.vector, bald(seen))))[:2]
-    per_profile = system.reduced[:2, :2] / system.lone
+    system = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald(seen)).lit
+    worst = np.sqrt(np.diag(system.solve(bald(seen))[1]))[:2]
+    per_profile = system.system.reduced[:2, :2] / system.lone
     np.testing.assert_allclose(worst, np.sqrt(root_light.LEAST_VARIANCE * np.diag(np.linalg.inv(per_profile))), rtol=0.1)

@@ -11,7 +11,6 @@ from scipy.integrate import quad
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.light import Light
 from rhizotwin.recon.tubes import root_light, translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
-from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.translucent_tube import HAIRS
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tube_picture import Rendering
@@ -125,7 +124,9 @@ def test_pictures_tell_whether_roots_have_hairs(strength: float) -> None:
     true = Light(1.0, hairs=strength, index=1.0 + root_light.BENDING[0])
     seen = replace(drawn(CROWD, replace(sharp, light=true), noise=0.003, opacity=True), light=Light(1.0, hairs=0.5))
     fixed = np.zeros(len(CROWD.radius_mm), bool)
-    fit = tube_fit.fit(seen, root_light.match_absorption(CROWD, fixed, true, seen.light), fixed, steps=10, light=Prior.from_evidence(seen))
+    fit = tube_fit.fit(
+        seen, root_light.match_absorption(CROWD, fixed, true, seen.light), fixed, steps=10, light=root_light.parameters(seen)
+    )
     found = tube_attenuation.update_attenuation(TubeAttenuation.opaque(), fit)
     assert found.hairs == ("there" if strength else "none")
     assert fit.evidence.light.hairs == pytest.approx(strength, abs=0.1)

@@ -82,8 +82,9 @@ def test_a_bulb_on_a_root_does_not_turn_about_its_middle():
     radius = 0.8 + 8.2 * np.sqrt(np.maximum(0.0, 1.0 - np.abs(along / 9.0) ** 2.5))
     true = tubes.with_geometry(true, true.centre_mm, radius)
     aside = np.maximum(along + 9.0, 0.0) * np.tan(np.deg2rad(3.0))
-    start = tubes.with_geometry(true, true.centre_mm + aside[:, None] * [1.0, 0.0, 0.0], radius)
-    found = tube_fit.fit(pictured(true), start, np.ones(len(radius), bool), steps=16).tubes
+    found, seen = tubes.with_geometry(true, true.centre_mm + aside[:, None] * [1.0, 0.0, 0.0], radius), pictured(true)
+    for _ in range(16):
+        found = tube_fit.fit(seen, found, np.ones(len(radius), bool), steps=1).tubes
     inner = np.abs(along) < 5.0
     assert np.abs(found.centre_mm[inner, :2]).max() < 0.02
     np.testing.assert_allclose(found.radius_mm[inner], radius[inner], atol=0.05)

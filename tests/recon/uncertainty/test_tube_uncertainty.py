@@ -12,9 +12,10 @@ from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import tube_fit, tubes
-from rhizotwin.recon.uncertainty import bare_uncertainty, diameter_uncertainty, tube_uncertainty
+from rhizotwin.recon.uncertainty import bare_uncertainty, tube_uncertainty
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.recon.uncertainty.canister_uncertainty import CUBE_MM, misread
+from rhizotwin.recon.uncertainty.posterior import Posterior
 from tests.recon.hull.blocks import block
 from tests.recon.hull.exact_pictures import ring_of, views_of
 from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
@@ -23,7 +24,7 @@ from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
 def estimated(seen: Evidence, found: tubes.Tubes) -> tuple[dict[str, Term], float]:
     """Return the terms of tubes by name, and the share of the pictures that they do not explain."""
     px_a_mm = float(np.median(np.linalg.norm(seen.project(TRUNK).du, axis=-1)))
-    made = tube_uncertainty.estimate(at_rest(found, px_a_mm=px_a_mm, seen=seen))
+    made = tube_uncertainty.estimate(Posterior.compute(at_rest(found, px_a_mm=px_a_mm, seen=seen)))
     return {term.name: term for term in made.terms}, made.unexplained
 
 
@@ -41,7 +42,8 @@ def test_true_tubes_have_little_uncertainty_and_a_twig_is_missed() -> None:
 
 def test_a_thick_root_does_not_count_as_crowded_thin_roots() -> None:
     thick, thin = (strung(TRUNK, radius_mm=radius_mm) for radius_mm in (2.0, 0.25))
-    fills = [tube_uncertainty.estimate(at_rest(found, px_a_mm=4.0, seen=pictured(found))).fill for found in (thick, thin)]
+    systems = [at_rest(found, px_a_mm=4.0, seen=pictured(found)) for found in (thick, thin)]
+    fills = [tube_uncertainty.estimate(Posterior.compute(system)).fill for system in systems]
     assert fills[0] < 0.05
     assert fills[1] > 0.2
 
@@ -73,7 +75,7 @@ def test_noise_in_the_pictures_comes_out_in_the_diameters() -> None:
     seen = pictured(true, noise=0.02)
     fitted = tube_fit.fit(seen, true, np.zeros(len(true.radius_mm), bool), steps=6).tubes
     system = at_rest(fitted, px_a_mm=4.0, seen=seen)
-    sigma, wrong = diameter_uncertainty.radius_sigma(system), fitted.radius_mm - 0.25
+    sigma, wrong = Posterior.compute(system).radius_sigma_mm, fitted.radius_mm - 0.25
     inner = np.ones(len(wrong), bool)
     inner[[int(nodes[k]) for nodes in fitted.branches for k in (0, 1, -2, -1)]] = False  # ends and forks share pixels
     assert 0.2 < np.sqrt(np.mean(wrong[inner] ** 2) / np.mean(sigma[inner] ** 2)) < 1.6
