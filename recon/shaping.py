@@ -131,7 +131,7 @@ def _find_shape(carved: CarvedHull, posterior: Posterior | None, monitor: Monito
         spheres, doubtful = trimming.grow_spheres(bank, maps, centre_lines(part))
         solids = fill(spheres.bodies, part)
     with monitor.stage("unite"):
-        wide, thin = (none, none) if system is None else tube_volume.fill_tubes(system, hull.widest)
+        wide, thin = (none, none) if system is None else tube_volume.fill_tubes(system, hull)
         wide = unite(solids, wide)
         leaves = unite(wide, thin)
         outside, inside = subtract(hull.leaves, leaves), spheres

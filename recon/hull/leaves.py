@@ -213,6 +213,6 @@ class Hull:
 
 def halve(leaves: Leaves) -> Leaves:
     """Divide leaves into their eight halves."""
-    edge, corners = np.repeat(leaves.size // 2, 8), np.array(list(np.ndindex(2, 2, 2)), np.int32)
-    index = np.repeat(leaves.index, 8, axis=0) + edge[:, None] * np.tile(corners, (len(leaves.size), 1))
-    return Leaves(leaves.grid, index, edge, np.repeat(leaves.occupancy, 8))
+    edge, corners = leaves.size // 2, np.array(list(np.ndindex(2, 2, 2)), np.int32)
+    index = (leaves.index[:, None] + edge[:, None, None] * corners).reshape(-1, 3)
+    return Leaves(leaves.grid, index, np.repeat(edge, 8), np.repeat(leaves.occupancy, 8))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,14 +94,14 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     for _ in range(_ROUNDS):
         tangents = _tangents(tubes, branches)
         worth = _worth(tangents, branches, marked)
-        changes = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth))
+        edits = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth))
         touched: set[int] = set()
         owner = tangents.owner.copy()
-        for _, end, node, third, kind in changes:
-            those = {int(tangents.owner[end]), int(tangents.owner[node])} | ({third} if third >= 0 else set())
+        for edit in edits:
+            those = {int(tangents.owner[edit.end]), int(tangents.owner[edit.node]), edit.third} - {-1}
             if touched & those:
                 continue
-            tried = _apply_change(tangents, branches, end, node, third, kind)
+            tried = _apply(edit, tangents, branches)
             now = _update_owners(owner, branches, tried, those)
             if all(ancestors(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
                 branches, owner = tried, now
@@ -179,20 +180,28 @@ class _Kind(IntEnum):
     SPLICED = 2
 
 
-_Change = tuple[float, int, int, int, _Kind]
-"""Change of the tree, stored as a tuple. The elements are, in order, the change of the cost (negative), the node at
-which a branch ends, the node of a second branch at which it continues, the third branch, in which the beginning of the
-second branch continues, and the kind of the change. The third branch is -1 if there is none."""
+class _Edit(NamedTuple):
+    """Edit of the tree, in which one branch continues at a node of a second branch. Edits are sorted by their score."""
+
+    score: float
+    """Change of the cost; negative."""
+    end: int
+    """Node at which the first branch ends."""
+    node: int
+    """Node of the second branch at which it continues."""
+    third: int
+    """Branch in which the beginning of the second branch continues; -1 if there is none."""
+    kind: _Kind
 
 
-def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the changes in which a branch is extended from its tip by a nearby branch.
+def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Edit]:
+    """Return the edits in which a branch is extended from its tip by a nearby branch.
 
     The nearby branch begins near the tip, or it ends there and is reversed. Uncertain nodes at the ends may be dropped.
     """
     tips, tip_fray = _ends(tangents, branches, last=True)
     starts, start_fray = _ends(tangents, branches, last=False)
-    found: list[_Change] = []
+    found: list[_Edit] = []
     for turned, (ends, fray) in enumerate(((starts, start_fray), (tips, tip_fray))):
         pairs = _pairs(tangents.centre, tips, ends)
         a, b = tips[pairs[:, 0]], ends[pairs[:, 1]]
@@ -206,7 +215,7 @@ def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -
         gain = cost - (np.maximum(worth[a], worth[b]) if turned else worth[a])
         good = (gain < -_GAIN) & (tangents.owner[a] != tangents.owner[b]) & (tangents.owner[b] > 0)
         found += [
-            (float(g), int(end), int(node), -1, _Kind.TURNED if turned else _Kind.SPLICED)
+            _Edit(float(g), int(end), int(node), -1, _Kind.TURNED if turned else _Kind.SPLICED)
             for g, end, node in zip(gain[good], a[good], b[good], strict=True)
         ]
     return found
@@ -236,8 +245,8 @@ def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> t
     return np.array(ends, np.int64), np.array(fray, np.int64)
 
 
-def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the changes in which a tip meets an inner node of a branch and continues in the rest of that branch."""
+def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Edit]:
+    """Return the edits in which a tip meets an inner node of a branch and continues in the rest of that branch."""
     tips, fray = _ends(tangents, branches, last=True)
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
@@ -254,11 +263,11 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
     good = (cost < worth[a] - _GAIN) & (owner[a] != owner[b])
     a, b, at, cost = a[good], b[good], at[good], cost[good]
     rest = _continuations(tangents, branches, np.unique(previous[at]))
-    found: list[_Change] = []
+    found: list[_Edit] = []
     for c, end, node, number in zip(cost, a, b, at, strict=True):
         first = int(owner[end])
         if _is_second_path(tangents, branches, first, int(node)):
-            found.append((float(c - worth[end]), int(end), int(node), -1, _Kind.SPLICED))
+            found.append(_Edit(float(c - worth[end]), int(end), int(node), -1, _Kind.SPLICED))
             continue
         best, third = min(
             ((more, k) for more, k in rest.get(int(previous[number]), []) if k not in (first, owner[node])), default=(0.0, -1)
@@ -266,7 +275,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
         if third >= 0:
             best -= worth[end] - _BRANCH
         if c + best < -_GAIN:
-            found.append((float(c + best), int(end), int(node), third, _Kind.CUT))
+            found.append(_Edit(float(c + best), int(end), int(node), third, _Kind.CUT))
     return found
 
 
@@ -308,30 +317,26 @@ def _pairs(centre: Array, first: Index, second: Index) -> Index:
     return pairs[first[pairs[:, 0]] != second[pairs[:, 1]]]
 
 
-def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
-    """Return the branches after a change in which one branch continues at a node of a second branch.
-
-    The second branch is interrupted at this node. If there is a third branch, the beginning of the second branch
-    continues in it.
-    """
+def _apply(edit: _Edit, tangents: _Tangents, branches: list[Index | None]) -> list[Index | None]:
+    """Return the branches after an edit. The second branch is interrupted at the node at which the first continues."""
     changed = list(branches)
-    a, b, place = int(tangents.owner[end]), int(tangents.owner[node]), int(tangents.place[node])
+    a, b, place = tangents.owner[edit.end], tangents.owner[edit.node], tangents.place[edit.node]
     whole, second = branches[a], branches[b]
     assert whole is not None
     assert second is not None
-    first = whole[: tangents.place[end] + 1]  # uncertain end nodes are dropped
-    if kind is _Kind.TURNED:
+    first = whole[: tangents.place[edit.end] + 1]  # uncertain end nodes are dropped
+    if edit.kind is _Kind.TURNED:
         changed[a], changed[b] = np.concatenate([first, second[place:0:-1]]), None
         return changed
     changed[a] = np.concatenate([first, second[place:]])
-    if kind is _Kind.SPLICED:
+    if edit.kind is _Kind.SPLICED:
         changed[b] = None
         return _reattach(tangents.centre, changed, second[1:place], first)
     left = second[:place]
     changed[b] = left if len(left) > 1 else None
-    following = branches[third] if third >= 0 else None
+    following = branches[edit.third] if edit.third >= 0 else None
     if following is not None:
-        changed[b], changed[third] = np.concatenate([left, following[1:]]), None
+        changed[b], changed[edit.third] = np.concatenate([left, following[1:]]), None
     return changed
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rhizotwin.recon.hull.leaves import Grid, Leaves, unite
+from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves, unite
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import tubes
 from tests.recon.strings import at_rest, line, strung
@@ -19,9 +19,13 @@ def half_ball(radius_mm: float) -> float:
 GRID = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
 
 
+def hull_of(leaves: Leaves) -> Hull:
+    return Hull(leaves, leaves.occupancy, leaves.volume_mm3(), 0.0)
+
+
 def painted(system: tubes.Tubes, grid: Grid = GRID) -> Leaves:
     """Paint tubes without solids into a hull that is all of a grid."""
-    return unite(*tube_volume.fill_tubes(at_rest(system, px_a_mm=4.0), Leaves.whole(grid)))
+    return unite(*tube_volume.fill_tubes(at_rest(system, px_a_mm=4.0), hull_of(Leaves.whole(grid))))
 
 
 def test_painted_volume_is_that_of_the_frustum():
@@ -36,10 +40,10 @@ def test_wide_tubes_are_clipped_to_the_hull():
     thin, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 4.0, -20.0), (4.0, 4.0, -40.0))
     upper = Leaves.whole(GRID)
     upper = upper.select(upper.middles_mm[:, 2] > -30.0)
-    found = tube_volume.fill_tubes(at_rest(strung(thin), px_a_mm=4.0), upper)
+    found = tube_volume.fill_tubes(at_rest(strung(thin), px_a_mm=4.0), hull_of(upper))
     assert [one.volume_mm3() for one in found] == pytest.approx([0.0, np.pi * 0.04 * 20.0 + half_ball(0.2)], rel=0.015)
-    found = tube_volume.fill_tubes(at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0), upper)
-    assert [one.volume_mm3() for one in found] == pytest.approx([np.pi * 10.0, 0.0], rel=0.01)
+    found = tube_volume.fill_tubes(at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0), hull_of(upper))
+    assert [one.volume_mm3() for one in found] == pytest.approx([np.pi * 10.0 + half_ball(1.0), 0.0], rel=0.01)
 
 
 def test_a_thin_tube_keeps_its_volume_beside_a_wide_one():
@@ -61,14 +65,14 @@ RADII: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @pytest.mark.parametrize(("kind", "bend_mm"), [("blunt", 0), ("wide", 2), ("ball", 0), ("taper", 2)])
 def test_a_thick_root_has_the_volume_of_its_frustums(kind: str, bend_mm: float) -> None:
-    """Discs of a bent tube overlap inside the bend as much as they part outside (Pappus), however blunt its ends."""
-    grid = Grid(np.array([-12.0, -12.0, -48.0]), 0.125, 3, (24, 24, 32))
+    """Discs of a bent tube overlap inside the bend as much as they part outside (Pappus). Top and tip are round."""
+    grid = Grid(np.array([-12.0, -12.0, -48.0]), 0.125, 3, (24, 24, 36))
     path = line((0.0, 0.0, -18.0), (0.0, 0.0, -44.0))
     path[:, 0] += bend_mm * (1.0 - ((path[:, 2] + 31.0) / 13.0) ** 2)
     system = tubes.place_nodes([path], [RADII[kind](-30.0 - path[:, 2])])
     step, found = np.linalg.norm(np.diff(system.centre_mm[system.branches[0]], axis=0), axis=1), system.radii(0)
     a, b = found[:-1], found[1:]
-    frustums = np.pi / 3.0 * float(step @ (a**2 + a * b + b**2)) + half_ball(found[-1])
+    frustums = np.pi / 3.0 * float(step @ (a**2 + a * b + b**2)) + half_ball(found[0]) + half_ball(found[-1])
     assert painted(system, grid).volume_mm3() == pytest.approx(frustums, rel=0.002)
 
 
