@@ -69,7 +69,7 @@ last node. d is its distance from the surface of other roots, limited to 1 mm. r
 fraction of the squared coverage, relative to the median over all ends."""
 _CERTAIN = 0.15
 """Minimum evidence for a tip. At this threshold, the numbers of rejected true tips and accepted false tips are equal
-(docs/decisions/tubes-for-thin-roots.md)."""
+(docs/decisions/root-tree.md)."""
 
 
 def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:

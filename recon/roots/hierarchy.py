@@ -4,7 +4,7 @@ Where roots touch or hide each other, the traced lines are bent from one root in
 therefore continues in the line with the most similar direction and diameter beyond the junction, where the lines no
 longer affect each other. Two lines that run along each other before they separate are roots of the same order. No
 lateral leaves in the basal zone of its parent (Leitner et al. 2010, Plant and Soil 332:177). Points are not moved
-(docs/decisions/parent-assignment.md).
+(docs/decisions/root-tree.md).
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ _RUN_ALONG, _BEND_RAD = 0.82, 3.0
 times the ratio of the parent's cross-sections before and beyond the fork, times exp(-angle / `_BEND_RAD`) is larger
 than `_RUN_ALONG`. In 203 reconstructions, this corrects 10,765 of 15,885 mm with a wrong parent, and reassigns 176 of
 47,774 mm with a right one (8,772 and 628 mm by limits of the angle and the ratio of diameters)."""
+_UP = np.array([0.0, 0.0, 1.0])
+"""Direction from which a main root comes at its base: primary roots grow downwards from the shoot."""
 _AMBIGUOUS = 0.5
 """Difference of two costs (rad2) below which a root may as well continue in the other line. Of 44 forks of plants with
 less, 7 were wrong, and of 497 with more, none."""
@@ -179,7 +181,11 @@ class _Lines:
         return found
 
     def next_step(self, path: Sequence[int]) -> _Step:
-        """Return the child of the last point in which a root with a given path continues."""
+        """Return the child of the last point in which a root with a given path continues.
+
+        Within the junction at its base, a lateral continues in the thickest child, and a main root in one that is both
+        thick and vertical.
+        """
         here = path[-1]
         children = self.children[here]
         if len(children) == 1:
@@ -189,9 +195,12 @@ class _Lines:
         back = self.back(path, skip_mm + reach_mm)
         length_mm = polyline.length_mm(back.points_mm)
         sections = [self.ahead(here, child, skip_mm + reach_mm).beyond(skip_mm, reach_mm) for child in children]
-        if length_mm < skip_mm:
-            return _Step(children[int(np.argmax([log for _, log in sections]))])  # at the top, without a direction
         direction, log_before = back.beyond(skip_mm, reach_mm)
+        if length_mm < skip_mm:  # within the junction at its base
+            log_before = max(log for _, log in sections)
+            if path[0] not in self.bases:
+                return _Step(children[[log for _, log in sections].index(log_before)])
+            direction = _UP
         bends = [np.arccos(np.clip(-direction @ onward, -1.0, 1.0)) for onward, _ in sections]
         costs = [bend**2 + (log - log_before) ** 2 for bend, (_, log) in zip(bends, sections, strict=True)]
         best, second = np.argsort(costs, kind="stable")[:2].tolist()

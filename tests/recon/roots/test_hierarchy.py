@@ -45,6 +45,17 @@ def test_the_thick_line_is_the_taproot():
     assert length_mm([tap, lateral]) == pytest.approx(length_mm(traced))
 
 
+@pytest.mark.parametrize(("nodal", "ambiguous"), [(1.8, 1), (1.0, 0)])
+def test_at_its_base_a_main_root_is_vertical(nodal: float, ambiguous: int) -> None:
+    """A nodal root that leaves the wide stem beside the primary root is thicker, but oblique: the choice may be a tie."""
+    stem = root([0, 0, 0], [0, 0, -1], diameters=(5, 5))
+    oblique = root([0, 0, -1], [20, 0, -21], diameters=(nodal, nodal), order=1, parent=0)
+    primary = root([0, 0, -1], [0, 0, -41], diameters=(1.2, 1.2), order=1, parent=0)
+    found = arrange([stem, oblique, primary])
+    assert found[0].points_mm[-1] == pytest.approx([0.0, 0.0, -41.0])
+    assert len(find_ambiguous_forks(found)) == ambiguous
+
+
 def test_a_taproot_that_tapers_ends_at_its_own_tip():
     """Behind the fork it is thicker than the lateral over 5 mm, and thinner over all that is left."""
     tap = root([0, 0, 0], [0, 0, -80], diameters=(1.5, 0.1))

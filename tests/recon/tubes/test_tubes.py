@@ -26,7 +26,7 @@ def test_a_lateral_is_as_thick_as_it_is_from_its_parents_axis_on():
     begin, end = both.segment_radii
     np.testing.assert_array_equal(begin[-4:], 0.15)
     np.testing.assert_array_equal(end, both.radius_mm[both.segments[:, 1]])
-    parent, lateral, drawn = (np.array(pictured(system).coverage) for system in (thick, alone, both))
+    parent, lateral, drawn = (np.array(pictured(system).opacity) for system in (thick, alone, both))
     np.testing.assert_allclose(drawn, 1.0 - (1.0 - parent) * (1.0 - lateral), atol=1e-3)
 
 
@@ -135,7 +135,7 @@ def test_a_tube_covers_what_lines_of_sight_meet(name: str) -> None:
     radius_mm, *way = RODS[name]
     segments = tuple((*ends, radius_mm) for ends in pairwise(way))
     expected = exact_pictures.drawn(exact_pictures.views_of(SCENE)[4], nothing().bank.optics, segments, samples=5).coverage
-    off = np.array(pictured(strung(line(*way), radius_mm=radius_mm)).coverage, float).reshape(-1, *expected.shape)[4] - expected
+    off = np.array(pictured(strung(line(*way), radius_mm=radius_mm)).opacity, float).reshape(-1, *expected.shape)[4] - expected
     row, column = np.indices(expected.shape)
     off *= np.hypot(*(nothing().project(np.array(way[:1])).px[4, 0] - np.stack([column, row], axis=-1)).T).T > 5.0  # flat bases
     assert abs(off.sum()) < 0.012 * expected.sum()
