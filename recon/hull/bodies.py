@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.device import Float, UInt32, numbers, vectors, wholes
-from rhizotwin.recon.hull.leaves import Leaves, concatenate, halve
+from rhizotwin.recon.device import Bool, Float, UInt32, Vector3f, numbers, vectors, wholes
+from rhizotwin.recon.hull.leaves import Leaves, concatenate
 from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 _HALF_DIAGONAL = 0.87
 """Half the diagonal of a cube with an edge length of 1, sqrt(3) / 2, rounded up. If the depth of a cube's centre below
 a surface exceeds this multiple of the edge length, the whole cube lies below the surface."""
 _STEEPEST = 0.1
 """Minimum cosine of the angle between a frustum's axis and the normals of its end planes."""
-_BIN_MM = 4.0
-"""Edge length of a bin, mm. A body with an extent up to this length overlaps at most eight bins."""
+_BIN_MM = 2.0
+"""Edge length of a bin, mm. A body with an extent up to this length overlaps at most eight bins. With bins of 4 mm,
+thin roots take 1.2 times as long to fill."""
 _FAR_MM = -1e3
 """Depth of points that are outside all bodies listed in their bin, mm."""
 _VECTORS = 4
@@ -99,19 +99,17 @@ class _Bins:
         parameters = np.concatenate([np.concatenate([bodies.ends_mm, bodies.normals], axis=1), last_column], axis=2)
         return _Bins(low_mm, shape, numbers(parameters[body[order]].astype(np.float32)), wholes(begins))
 
-    def depths_mm(self, points_mm: Array) -> tuple[Singles, Singles, Singles]:
-        """Return three depths (N,) of points (N, 3) inside the union of the bodies, mm. They are negative outside.
+    def depths_mm(self, point: Vector3f) -> tuple[Float, Float, Float]:
+        """Return three depths of points inside the union of the bodies, mm. They are negative outside.
 
         The first one is the depth below the lateral surface of a body, between its planes. As in pictures of tubes, the
         distance from the axis is perpendicular to it, and the radius beyond the ends of the axis is that of the end.
         The other two are a lower and an upper bound of the depth.
         """
-        if not (len(points_mm) and dr.width(self.entries)):
-            return (np.full(len(points_mm), _FAR_MM, np.float32),) * 3
-        cell = np.clip(np.floor((points_mm - self.low_mm) / _BIN_MM), 0, self.shape - 1).astype(np.int64)
-        at = wholes(cell @ [self.shape[1] * self.shape[2], self.shape[2], 1])
+        shape = [dr.opaque(mi.UInt32, int(count)) for count in self.shape]
+        cell = dr.clip((point - vectors(self.low_mm[None])) / _BIN_MM, 0.0, mi.Vector3f(shape) - 1.0)
+        at = (mi.UInt32(cell.x) * shape[1] + mi.UInt32(cell.y)) * shape[2] + mi.UInt32(cell.z)
         begin, end = dr.gather(mi.UInt32, self.begins, at), dr.gather(mi.UInt32, self.begins, at + 1)
-        point = vectors(points_mm)
 
         def body(k: UInt32, depth: Float, inner: Float, outer: Float) -> tuple[UInt32, Float, Float, Float]:
             parts = [dr.gather(mi.Vector4f, self.entries, _VECTORS * k + part) for part in range(_VECTORS)]
@@ -128,11 +126,8 @@ class _Bins:
             inner = dr.maximum(inner, least - dr.norm(offset - 0.5 * way))
             return k + 1, depth, inner, dr.maximum(outer, most - dr.norm(offset - share * way))
 
-        far = dr.full(mi.Float, _FAR_MM, len(points_mm))
-        depths = dr.while_loop((begin, far, far + 0.0, far + 0.0), lambda k, *_: k < end, body)[1:]
-        dr.eval(depths)
-        depth, inner, outer = (np.array(part) for part in depths)
-        return depth, inner, outer
+        far = dr.full(mi.Float, _FAR_MM, dr.width(point))
+        return dr.while_loop((begin, far, far + 0.0, far + 0.0), lambda k, *_: k < end, body)[1:]
 
 
 def fill(bodies: Bodies, leaves: Leaves) -> Leaves:
@@ -144,14 +139,38 @@ def fill(bodies: Bodies, leaves: Leaves) -> Leaves:
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0, initial=0), (leaves.index + leaves.size[:, None]).max(axis=0, initial=0)
     box_mm = origin + low * finest_mm, origin + high * finest_mm
-    edge, done, carried = int(leaves.size.max(initial=1)), list[Leaves](), leaves.select(slice(0))
+    edge, done, cut = int(leaves.size.max(initial=1)), list[Leaves](), leaves.select(slice(0))
     while edge:
-        here = concatenate([carried, leaves.select(leaves.size == edge)])
         bins = _Bins.build(bodies, *box_mm, _HALF_DIAGONAL * edge * finest_mm)
-        depth, inner, outer = (value / (edge * finest_mm) for value in bins.depths_mm(here.middles_mm))
-        whole, cut = inner > _HALF_DIAGONAL, outer > -_HALF_DIAGONAL
-        inside = np.where(whole, np.float32(1.0), np.clip(0.5 + depth, 0.0, 1.0))
-        some = whole | (cut & (edge == 1))
-        done.append(replace(here, occupancy=np.minimum(here.occupancy, inside)).select(some & (inside > 0.0)))
-        carried, edge = halve(here.select(cut & ~whole)), edge // 2
+        given = leaves.select(leaves.size == edge)
+        inside, divided = zip(_classify(bins, cut, edge, 8), _classify(bins, given, edge, 1), strict=True)
+        done.extend(inside)
+        cut, edge = concatenate(divided), edge // 2
     return concatenate(done)
+
+
+def _classify(bins: _Bins, leaves: Leaves, edge: int, parts: int) -> tuple[Leaves, Leaves]:
+    """Return those nodes with a given edge that lie inside the bodies, and those to divide.
+
+    Each leaf consists of 1 or 8 nodes. They are classified on the device, and only those of the result are read back.
+    """
+    count, grid = parts * len(leaves.size), leaves.grid
+    if not (count and dr.width(bins.entries)):
+        return (leaves.select(slice(0)),) * 2
+    corners, eight = edge * np.array(list(np.ndindex(2, 2, 2)), np.int32), dr.opaque(mi.UInt32, parts)
+    node, finest, edge_mm = dr.arange(mi.UInt32, count), dr.opaque(mi.Bool, edge == 1), dr.opaque(mi.Float, edge * grid.size_mm)
+    offset = dr.gather(mi.Vector3f, vectors((corners + 0.5 * edge) * grid.size_mm + grid.origin_mm), node % eight)
+    low_mm = dr.gather(mi.Vector3f, vectors(leaves.index), node // eight) * dr.opaque(mi.Float, grid.size_mm)
+    depth, inner, outer = (value / edge_mm for value in bins.depths_mm(low_mm + offset))
+    whole, cut = inner > _HALF_DIAGONAL, outer > -_HALF_DIAGONAL
+    share = dr.select(finest & ~whole, dr.clip(0.5 + depth, 0.0, 1.0), 1.0)
+    chosen = (whole | (cut & finest)) & (share > 0.0), cut & ~whole & ~finest
+    dr.eval(share, chosen)
+
+    def read(some: Bool) -> Leaves:
+        which = dr.compress(some)
+        leaf, corner = np.divmod(np.array(which), parts)
+        occupancy = np.minimum(leaves.occupancy[leaf], np.array(dr.gather(mi.Float, share, which)))
+        return Leaves(grid, leaves.index[leaf] + corners[corner], np.full(len(leaf), edge, np.int32), occupancy)
+
+    return read(chosen[0]), read(chosen[1])
