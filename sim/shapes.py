@@ -21,7 +21,18 @@ def oval_wall(
 ) -> mi.Mesh:
     """Return a vertical wall with exact normals.
 
-    Its radius is ``radius + oval cos(2 (azimuth - oval_rad))``.
+    Its radius is ``radius_mm + oval_mm cos(2 (azimuth - oval_rad))``.
+
+    Parameters
+    ----------
+    radius_mm, oval_mm, oval_rad : float
+        Mean radius and amplitude, mm, and azimuth of the largest radius, rad.
+    z_range_mm : tuple of float
+        Heights of the lower and the upper edge, mm.
+    bsdf : dict
+        Surface.
+    interior : Medium or None
+        Medium inside.
     """
     azimuth = np.arange(OVAL_SIDES) * 2.0 * np.pi / OVAL_SIDES
     radius = radius_mm + oval_mm * np.cos(2.0 * (azimuth - oval_rad))
@@ -37,7 +48,19 @@ def oval_wall(
 
 
 def plane_walls(half_mm: tuple[float, float], z_range_mm: tuple[float, float], bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
-    """Return the four vertical walls of a box about the axis, with outward normals."""
+    """Return the four vertical walls of a box about the axis, with outward normals.
+
+    Parameters
+    ----------
+    half_mm : tuple of float
+        Half the widths along x and y, mm.
+    z_range_mm : tuple of float
+        Heights of the lower and the upper edge, mm.
+    bsdf : dict
+        Surface.
+    interior : Medium or None
+        Medium inside.
+    """
     (x, y), name = half_mm, f"plane_{half_mm[0]:g}_{z_range_mm[0]:g}"
     ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
     vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in z_range_mm])
@@ -48,7 +71,17 @@ def plane_walls(half_mm: tuple[float, float], z_range_mm: tuple[float, float], b
 
 
 def plate(half_mm: tuple[float, float], z_mm: float, bsdf: dict[str, Any]) -> dict[str, Any]:
-    """Return a horizontal rectangle about the axis, whose normal points upwards."""
+    """Return a horizontal rectangle about the axis, whose normal points upwards.
+
+    Parameters
+    ----------
+    half_mm : tuple of float
+        Half the widths along x and y, mm.
+    z_mm : float
+        Height, mm.
+    bsdf : dict
+        Surface.
+    """
     local = frames.translation(0.0, 0.0, z_mm) @ np.diag([*half_mm, 1.0, 1.0])
     return {"type": "rectangle", "to_world": mi.ScalarTransform4f(local), "bsdf": bsdf}
 
@@ -126,14 +159,34 @@ def fibre_tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDAr
 
 
 def cylinder(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], seat: frames.Array | None = None) -> dict[str, Any]:
-    """Return a vertical wall around the axis, open at both ends; ``seat`` moves it."""
+    """Return a vertical wall around the axis, open at both ends.
+
+    Parameters
+    ----------
+    radius_mm, low_mm, high_mm : float
+        Radius and heights of both edges, mm.
+    bsdf : dict
+        Surface.
+    seat : (4, 4) float64 array, optional
+        Pose of the axis in the canister frame.
+    """
     local = frames.translation(0.0, 0.0, low_mm) @ np.diag([radius_mm, radius_mm, high_mm - low_mm, 1.0])
     to_world = local if seat is None else seat @ local
     return {"type": "cylinder", "to_world": mi.ScalarTransform4f(to_world), "bsdf": bsdf}
 
 
 def disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any], seat: frames.Array | None = None) -> dict[str, Any]:
-    """Return a horizontal disk about the axis, whose normal points upwards; ``seat`` moves it."""
+    """Return a horizontal disk about the axis, whose normal points upwards.
+
+    Parameters
+    ----------
+    radius_mm, z_mm : float
+        Radius and height, mm.
+    bsdf : dict
+        Surface.
+    seat : (4, 4) float64 array, optional
+        Pose of the axis in the canister frame.
+    """
     local = frames.translation(0.0, 0.0, z_mm) @ np.diag([radius_mm, radius_mm, 1.0, 1.0])
     to_world = local if seat is None else seat @ local
     return {"type": "disk", "to_world": mi.ScalarTransform4f(to_world), "bsdf": bsdf}
