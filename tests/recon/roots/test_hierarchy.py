@@ -45,7 +45,7 @@ def test_the_thick_line_is_the_taproot():
     assert length_mm([tap, lateral]) == pytest.approx(length_mm(traced))
 
 
-@pytest.mark.parametrize(("nodal", "ambiguous"), [(1.8, 1), (1.0, 0)])
+@pytest.mark.parametrize(("nodal", "ambiguous"), [(1.8, 1), (0.7, 0)])
 def test_at_its_base_a_main_root_is_vertical(nodal: float, ambiguous: int) -> None:
     """A nodal root that leaves the wide stem beside the primary root is thicker, but oblique: the choice may be a tie."""
     stem = root([0, 0, 0], [0, 0, -1], diameters=(5, 5))
@@ -54,6 +54,17 @@ def test_at_its_base_a_main_root_is_vertical(nodal: float, ambiguous: int) -> No
     found = arrange([stem, oblique, primary])
     assert found[0].points_mm[-1] == pytest.approx([0.0, 0.0, -41.0])
     assert len(find_ambiguous_forks(found)) == ambiguous
+
+
+@pytest.mark.parametrize(("diameter", "ambiguous"), [(0.8, 1), (0.6, 0)])
+def test_roots_of_a_crown_may_be_the_main_root(diameter: float, ambiguous: int) -> None:
+    """Three roots leave a stem of 4 mm beside the main root of 1 mm: the largest may be the main root, if it is as thick."""
+    main = root([0, 0, 0], [0, 0, -40], diameters=(1, 1))
+    main = replace(main, diameters_mm=np.where(main.points_mm[:, 2] > -3.0, 4.0, main.diameters_mm))
+    beside = [root([0, 0, -2 - k], [20, 5 * k, -20], diameters=(diameter, diameter), order=1, parent=0) for k in range(3)]
+    below = root([0, 0, -30], [20, 0, -40], diameters=(diameter, diameter), order=1, parent=0)
+    forks = find_ambiguous_forks(arrange([main, *beside, below]))
+    assert [fork.length_mm for fork in forks] == pytest.approx([length_mm(beside[2:])] * ambiguous)
 
 
 def test_a_taproot_that_tapers_ends_at_its_own_tip():
