@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 MOST_STEPS = 6
 """Maximum number of iterations. Each applies the fraction `_RELAXED` of a radius's step, so that the error of a radius
 decreases to 0.4^6, less than a hundredth."""
-_SETTLED, _LIGHT_SETTLED = 0.02, 0.1
+_SETTLED, _LIGHT_SETTLED = 0.01, 0.1
 """Relative decrease of the squared residual coverage in an iteration, and change of the light parameters in standard
 deviations or largest steps, whichever is smaller, below which a fit has converged."""
 _DAMPING, _ALONG = 0.05, 0.5
