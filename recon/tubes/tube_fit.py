@@ -33,7 +33,8 @@ MOST_STEPS = 6
 decreases to 0.4^6, less than a hundredth."""
 _SETTLED, _LIGHT_SETTLED = 0.01, 0.1
 """Relative decrease of the squared residual coverage in an iteration, and change of the light parameters in standard
-deviations or largest steps, whichever is smaller, below which a fit has converged."""
+deviations or largest steps, whichever is smaller, below which a fit has converged. If fits end at a decrease of 2 %, a
+radish of 5 days keeps three false tips of 62."""
 _DAMPING, _ALONG = 0.05, 0.5
 """Terms added to each node's 3x3 normal matrix for its position, as fractions of the mean diagonal. The first is added
 in all directions, the second along the branch."""
