@@ -39,12 +39,8 @@ def oval_wall(
     slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
     c, s = np.cos(azimuth), np.sin(azimuth)
     ring, out = np.stack([radius * c, radius * s], axis=1), np.stack([radius * c + slope * s, radius * s - slope * c], axis=1)
-    vertices = np.concatenate([np.column_stack([ring, np.full(OVAL_SIDES, z)]) for z in z_range_mm])
     normals = np.tile(np.column_stack([out / np.linalg.norm(out, axis=1, keepdims=True), np.zeros(OVAL_SIDES)]), (2, 1))
-    a = np.arange(OVAL_SIDES)
-    b = (a + 1) % OVAL_SIDES
-    faces = np.concatenate([np.stack([a, b, b + OVAL_SIDES], axis=1), np.stack([a, b + OVAL_SIDES, a + OVAL_SIDES], axis=1)])
-    return mesh(f"oval_{radius_mm:g}_{z_range_mm[0]:g}", vertices, faces, bsdf, Media(interior=interior), normals=normals)
+    return mesh(f"oval_{radius_mm:g}_{z_range_mm[0]:g}", *_extrude(ring, z_range_mm), bsdf, Media(interior=interior), normals=normals)
 
 
 def plane_walls(half_mm: tuple[float, float], z_range_mm: tuple[float, float], bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
@@ -63,11 +59,16 @@ def plane_walls(half_mm: tuple[float, float], z_range_mm: tuple[float, float], b
     """
     (x, y), name = half_mm, f"plane_{half_mm[0]:g}_{z_range_mm[0]:g}"
     ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
-    vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in z_range_mm])
-    a = np.arange(4)
-    b = (a + 1) % 4
-    faces = np.concatenate([np.stack([a, b, b + 4], axis=1), np.stack([a, b + 4, a + 4], axis=1)])
-    return mesh(name, vertices, faces, bsdf, Media(interior=interior))
+    return mesh(name, *_extrude(ring, z_range_mm), bsdf, Media(interior=interior))
+
+
+def _extrude(ring_mm: NDArray[np.float64], z_range_mm: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the vertices and the faces of a vertical wall over a closed polygon (N, 2), mm."""
+    count = len(ring_mm)
+    a = np.arange(count)
+    b = (a + 1) % count
+    vertices = np.concatenate([np.column_stack([ring_mm, np.full(count, z)]) for z in z_range_mm])
+    return vertices, np.concatenate([np.stack([a, b, b + count], axis=1), np.stack([a, b + count, a + count], axis=1)])
 
 
 def plate(half_mm: tuple[float, float], z_mm: float, bsdf: dict[str, Any]) -> dict[str, Any]:
