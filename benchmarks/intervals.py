@@ -81,7 +81,7 @@ def _measure_one(scan: RandomScan, device: str) -> Record:
             found = worker.start(["score", f"{folder}/result", dataset, "none"], device=device)
     except RuntimeError as error:
         return record | {"crashed": str(error)}
-    record |= {"score": found["score"], "summary": found["summary"], "cpu_s": cost["cpu_s"]}
+    record |= {key: found[key] for key in ("score", "summary", "derived")} | {"cpu_s": cost["cpu_s"]}
     atomic.write_json(kept, record)
     return record
 

@@ -16,6 +16,12 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.figures import figure, png
 
 LABELS = {"volume_mm3": "volume", "total_length_mm": "length", "tips": "tips", "mean_diameter_mm": "mean diameter"}
+DERIVED_LABELS = {
+    "depth_mm": "depth",
+    "width_mm": "width",
+    "branch_points": "branch points",
+    "length_by_order_mm": "length of first-order laterals",
+}
 LEVELS = np.linspace(0.05, 0.95, 19)
 """Nominal levels of the reliability diagram."""
 CAUSES: Mapping[str, tuple[str, ...]] = {
@@ -71,7 +77,19 @@ def page(table: pd.DataFrame, factors: conformal.Factors, *, widest: float) -> s
             widths = f"{100 * low:.0f}-{100 * high:.0f} %", f"{100 * new['width']:.1f} %", f"{new['score']:.3f}"
             rows.append((label, regime, factor, f"{new['scans']}", _share(new), *widths, *of_old))
     titles = "trait | regime | factor | scans | hold | 90 % band | median width | score | uncalibrated: hold | score"
-    return "\n".join([markdown(titles, rows), "", *_totals(after), ""])
+    return "\n".join([markdown(titles, rows), "", _derived(table), "", *_totals(after), ""])
+
+
+def _derived(table: pd.DataFrame) -> str:
+    """Return the table of traits whose intervals follow from those of others."""
+    rows = []
+    for trait, label in DERIVED_LABELS.items():
+        if f"{trait}.true" not in table:  # no scan states it
+            continue
+        found = conformal.coverage(table[table[f"{trait}.true"].notna()], trait)
+        band = "-".join(f"{100 * limit:.0f}" for limit in found["band"])
+        rows.append((label, f"{found['scans']}", _share(found), f"{band} %", f"{100 * found['width']:.1f} %", f"{found['score']:.3f}"))
+    return markdown("trait | scans | hold | 90 % band | median width | score", rows) if rows else ""
 
 
 def _share(found: Mapping[str, float]) -> str:

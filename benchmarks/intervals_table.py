@@ -1,7 +1,8 @@
-"""Table of random scans: one row per scan, with the truth and the interval of four traits."""
+"""Table of random scans: one row per scan, with the truth and the intervals of the traits."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,10 @@ from rhizotwin.recon.results import reasons
 
 TRAITS = {"volume_mm3": "volume", "total_length_mm": "total_length", "tips": "tips", "mean_diameter_mm": "mean_diameter"}
 """Calibrated traits, and their names in scores."""
+DERIVED = {"depth_mm": "depth", "width_mm": "width", "branch_points": "branch_points", "length_by_order_mm": "length_by_order"}
+"""Traits whose intervals follow from those of the calibrated ones, and their names in scores. The last one is the
+length of the roots of order `ORDER`."""
+ORDER = 1
 COLUMNS = ("true", "value", "low", "high", "reliable")
 """Columns of each trait, after its name and a point; ``low`` and ``high`` are the interval without calibration."""
 
@@ -30,9 +35,21 @@ def table_of(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
     DataFrame
         Properties of the scan (number, profile, family, troubles, picture width, number of views in each ring),
         ``error`` of a failed scan, ``regime``, ``reasons`` (codes, for a volume that is not reliable), recall and
-        precision of roots and tips, processor seconds, and the `COLUMNS` of every trait.
+        precision of roots and tips, processor seconds, and the `COLUMNS` of every trait. The intervals of `DERIVED`
+        are those that the result states.
     """
     return pd.DataFrame([_row(record) for record in records]).sort_values("number", ignore_index=True)
+
+
+def derived_intervals(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return value, interval and verdict of the traits in `DERIVED`, as stated in a result folder."""
+    stated = json.loads((folder / "traits.json").read_text(encoding="utf-8"))
+    rows = {row["name"]: row for row in stated["traits"]}
+    for histogram in stated["histograms"]:
+        for one in histogram["bins"]:
+            if histogram["name"] in DERIVED and one["from"] == ORDER:
+                rows[histogram["name"]] = one
+    return {trait: {key: rows[trait][key] for key in ("value", "low", "high", "verdict")} for trait in DERIVED if trait in rows}
 
 
 def read(path: Path) -> pd.DataFrame:
@@ -71,6 +88,13 @@ def _row(record: dict[str, Any]) -> dict[str, Any]:
         "volume_mm3": {"value": summary["volume_mm3"], "interval": summary["volume_interval_mm3"], "trusted": summary["volume_trusted"]},
         **{one["name"]: one for one in summary["estimates"]},
     }
+    for trait, name in DERIVED.items():
+        one, scored = record["derived"].get(trait), score["traits"].get(name)
+        if one and scored and one["low"] is not None:
+            true = scored["true"]
+            numbers = {"true": sum(true[ORDER : ORDER + 1]) if isinstance(true, list) else true, **one}
+            row |= {f"{trait}.{key}": float(f"{numbers[key]:.6g}") for key in ("true", "value", "low", "high")}
+            row[f"{trait}.reliable"] = one["verdict"] == "reliable"
     for trait, name in TRAITS.items():
         if trait not in found:
             continue

@@ -130,9 +130,9 @@ def score(result_folder: Path, dataset_folder: Path, fault: str) -> dict[str, An
     Returns
     -------
     dict
-        Score, and a summary of the result.
+        Score, a summary of the result, and intervals of the traits in `benchmarks.intervals_table.DERIVED`.
     """
-    from benchmarks import tree_faults
+    from benchmarks import intervals_table, tree_faults
     from rhizotwin.scoring import score as scoring
     from rhizotwin.stored.load import load_result
     from rhizotwin.stored.result_files import read_summary
@@ -143,7 +143,8 @@ def score(result_folder: Path, dataset_folder: Path, fault: str) -> dict[str, An
     found = scoring.score(result, dataset_folder).to_dict()
     if found["masks"]:
         del found["masks"]["per_view"]
-    return {"score": found, "summary": {key: value for key, value in read_summary(result_folder).items() if key not in LONG}}
+    summary = {key: value for key, value in read_summary(result_folder).items() if key not in LONG}
+    return {"score": found, "summary": summary, "derived": intervals_table.derived_intervals(result_folder)}
 
 
 def projection() -> dict[str, Any]:

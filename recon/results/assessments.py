@@ -25,17 +25,18 @@ _DERIVED = {
     "roots": {"tips": 1},
     "branch_points": {"tips": 1},
     "depth_mm": {"total_length_mm": 1},
+    "width_mm": {"total_length_mm": 1},
 }
-"""Traits that are proportional to powers of others: each root has a tip, and each lateral a point of emergence. The
-depth lacks at most the fraction that the roots lack, besides what the net pot hides."""
+"""Traits that are proportional to powers of others: each root has a tip, and each lateral a point of emergence. Depth
+and width lack at most the fraction that the roots lack, besides the depth that the net pot hides."""
 _PART_IS_WIDE = "the 90 % interval is too wide for a plant of this size, since it includes the uncertainty of all plants in the canister"
 
 
 def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = None) -> dict[str, Assessment]:
     """Return the assessment of each trait, keyed by its field in `Traits`.
 
-    Volume, length, tips and mean diameter have their own intervals, from which those of the depth and of the traits in
-    `_DERIVED` are derived. All other traits have no interval. That of ``length_by_order_mm`` is the change of each
+    Volume, length, tips and mean diameter have their own intervals, from which those of the traits in `_DERIVED`
+    are derived. All other traits have no interval. That of ``length_by_order_mm`` is the change of each
     order by ambiguous forks. Traits without an interval are not reliable if the volume is not reliable. If a
     length, number of tips or mean diameter of the whole scan is not reliable, that of each of its plants is not
     reliable either.

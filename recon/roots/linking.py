@@ -76,6 +76,7 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     - Two tips meet, and one of their branches is reversed.
     - A tip continues in the remainder of a branch that it runs into. The first part of that branch ends there,
       continues in a third branch that begins there, or is removed as a duplicate.
+    - A branch whose first part is a duplicate of another branch begins at that branch instead.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     for _ in range(_ROUNDS):
         tangents = _tangents(tubes, branches)
         worth = _worth(tangents, branches, marked)
-        edits = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth))
+        edits = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth) + _moves(tangents, branches))
         touched: set[int] = set()
         owner = tangents.owner.copy()
         for edit in edits:
@@ -172,12 +173,14 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_before: Array, log_af
 class _Kind(IntEnum):
     """Kind of a change in which one branch continues in another branch.
 
-    The other branch is cut in two, reversed, or appended without its beginning.
+    The other branch is cut in two, reversed, or appended without its beginning. The last kind is a change in which the
+    other branch leaves the first one instead, again without its beginning.
     """
 
     CUT = 0
     TURNED = 1
     SPLICED = 2
+    MOVED = 3
 
 
 class _Edit(NamedTuple):
@@ -253,8 +256,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
     if not len(inner):
         return []
     centre, owner = tangents.centre, tangents.owner
-    bend = np.arccos(np.clip((tangents.arriving[previous] * tangents.leaving[inner]).sum(axis=1), -1.0, 1.0))
-    held = bend**2 + (tangents.log_before[previous] - tangents.log_after[inner]) ** 2
+    held = _bends(tangents, previous, inner)
     pairs = _pairs(centre, tips, inner)
     a, at = tips[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
@@ -277,6 +279,36 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
         if c + best < -_GAIN:
             found.append(_Edit(float(c + best), int(end), int(node), third, _Kind.CUT))
     return found
+
+
+def _moves(tangents: _Tangents, branches: list[Index | None]) -> list[_Edit]:
+    """Return the edits in which a branch leaves another root than its parent, because its first part duplicates it."""
+    begins = [
+        (nodes[0], *nodes[place - 1 : place + 1])
+        for k, nodes in enumerate(branches)
+        if nodes is not None and k > 0
+        for place in range(2, min(_BESIDE_NODES + 1, len(nodes) - 1))
+    ]
+    base, previous, inner = np.array(begins, np.int64).reshape(-1, 3).T
+    centre, owner = tangents.centre, tangents.owner
+    hosts = np.flatnonzero(owner >= 0)
+    pairs = _pairs(centre, hosts, inner) if len(inner) else np.zeros((0, 2), np.int64)
+    a, at = hosts[pairs[:, 0]], pairs[:, 1]
+    b = inner[at]
+    cost = _cost(centre[b] - centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a], tangents.log_after[b])
+    cost -= _bends(tangents, previous, inner)[at]
+    good = (cost < -_GAIN) & (owner[a] != owner[b]) & (owner[a] != owner[base[at]])
+    return [
+        _Edit(float(change), int(end), int(node), -1, _Kind.MOVED)
+        for change, end, node in zip(cost[good], a[good], b[good], strict=True)
+        if _is_second_path(tangents, branches, int(owner[end]), int(node))
+    ]
+
+
+def _bends(tangents: _Tangents, previous: Index, inner: Index) -> Array:
+    """Return the cost (M,) of the path from each node to the next of the same branch."""
+    bend = np.arccos(np.clip((tangents.arriving[previous] * tangents.leaving[inner]).sum(axis=1), -1.0, 1.0))
+    return np.asarray(bend**2 + (tangents.log_before[previous] - tangents.log_after[inner]) ** 2)
 
 
 def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: int, node: int) -> bool:
@@ -324,6 +356,9 @@ def _apply(edit: _Edit, tangents: _Tangents, branches: list[Index | None]) -> li
     whole, second = branches[a], branches[b]
     assert whole is not None
     assert second is not None
+    if edit.kind is _Kind.MOVED:
+        changed[b] = np.concatenate([[edit.end], second[place:]])
+        return _reattach(tangents.centre, changed, second[1:place], whole)
     first = whole[: tangents.place[edit.end] + 1]  # uncertain end nodes are dropped
     if edit.kind is _Kind.TURNED:
         changed[a], changed[b] = np.concatenate([first, second[place:0:-1]]), None

@@ -95,3 +95,21 @@ def test_nothing_is_hung_on_itself() -> None:
     linked, kept = linking.link(Tubes(centre, np.full(len(centre), 0.1), branches))
     assert kept.all()
     assert len(linked.branches) == 2
+
+
+def test_a_root_reached_along_its_lateral_leaves_its_upper_part() -> None:
+    """A thin lateral touches the neighbour of its root: tracing took it for the way from the neighbour to the root's lower part."""
+    step, fork, touch = tubes.SPACING_MM, (6.0, 0.0, -12.0), (6.0, 3.0, -14.0)
+    trunk, neighbour = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=step), line((0.0, 0.0, -5.0), touch, (10.0, 12.0, -22.0), step=step)
+    upper, lower = line((0.0, 0.0, -4.0), fork, step=step), line(fork, (15.0, 0.0, -24.0), step=step)[1:]
+    lateral = line(fork, touch, (6.0, 14.0, -21.0), step=step)[1:]
+    back = lateral[np.linalg.norm(lateral - touch, axis=1).argmin() :: -1] + 0.1
+    centre = np.concatenate([trunk, neighbour, upper, lateral, back, lower])
+    radius = np.repeat([0.5, 0.5, 0.5, 0.2, 0.2, 0.5], [len(part) for part in (trunk, neighbour, upper, lateral, back, lower)])
+    own = np.split(np.arange(len(radius)), np.cumsum([len(trunk), len(neighbour), len(upper) + len(lateral)]))
+    bases = cKDTree(trunk).query([neighbour[0], upper[0]])[1].tolist(), own[1][cKDTree(neighbour).query(touch)[1]]
+    branches = own[0], *(np.concatenate([[base], nodes]) for base, nodes in zip((*bases[0], bases[1]), own[1:], strict=True))
+    linked, kept = linking.link(Tubes(centre, radius, branches))
+    np.testing.assert_array_equal(np.flatnonzero(~kept), own[3][: len(back)], "the second path along the lateral is gone")
+    base = [linked.centre_mm[nodes[0]] for nodes in linked.branches if np.allclose(linked.centre_mm[nodes[-1]], lower[-1])]
+    assert np.linalg.norm(np.subtract(base, fork), axis=1).tolist() == pytest.approx([0.0], abs=2.0 * step)
