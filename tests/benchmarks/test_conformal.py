@@ -71,7 +71,7 @@ def test_a_random_scan_is_measured_by_jobs_of_the_worker(
     def start(arguments: list[str], *, device: str) -> dict[str, Any]:
         jobs.append(worker.parser().parse_args(["--device", device, "--working", str(tmp_path), *arguments]).job)
         score = record_of(Case(pictures=Pictures(scene="bean")))["score"]
-        return {"cpu_s": 50.0} if jobs[-1] == "reconstruct" else {"score": score, "summary": {}}
+        return {"cpu_s": 50.0} if jobs[-1] == "reconstruct" else {"score": score, "summary": {}, "derived": {}}
 
     monkeypatch.setattr(worker, "start", start)
     monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
