@@ -162,7 +162,9 @@ def _changes(
     above = {f"the net pot may hide up to {known.hidden_mm:.0f} mm": known.hidden_mm / max(length_mm, 1e-9)}
     missing, missing_length, width = sum(lacking.values()), sum(along.values()), [view.width for view in residuals]
     wider = _mean_of(width)
-    less_wide, more_wide = max(0.0, -wider) + missing_length + 0.5 * max(0.0, -darker), max(0.0, wider) + 0.5 * max(0.0, darker)
+    top = _diameter_of_tops(roots)
+    tops = {f"the pictures do not show where thick roots begin, which is {100.0 * top:.0f} % of the mean diameter": top}
+    less_wide, more_wide = max(0.0, -wider) + missing_length + 0.5 * max(0.0, -darker) + top, max(0.0, wider) + 0.5 * max(0.0, darker)
     longer = [_LEVEL * view.missing + missing_length + sum(above.values()) for view in residuals]
     shorter = [_LEVEL * view.surplus + shared for view in residuals]
     tips = float(sum(root.tip_seen for root in roots))
@@ -172,8 +174,20 @@ def _changes(
     return {
         "total_length_mm": _Change(length_mm, shorter, longer, {**along, **above}),
         "tips": _Change(tips, less_tips, more_tips, lacking, surplus=ends),
-        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], along, scatter=width),
+        "mean_diameter_mm": _Change(rsml.mean_diameter_mm(roots), [less_wide], [more_wide], along, surplus=tops, scatter=width),
     }
+
+
+def _diameter_of_tops(roots: Sequence[Root]) -> float:
+    """Return the fraction by which the mean diameter is smaller if main roots begin one radius below their visible top.
+
+    The end of a thick root may be round or cut, so that its centre line begins anywhere between.
+    """
+    length_mm, mean_mm = rsml.length_mm(roots), rsml.mean_diameter_mm(roots)
+    main = [root for root in roots if root.parent < 0]
+    tops_mm = np.array([min(0.5 * root.diameters_mm[0], 0.5 * rsml.length_mm([root])) for root in main])
+    rest_mm2 = length_mm * mean_mm - float(tops_mm @ [root.diameters_mm[0] for root in main])
+    return max(0.0, 1.0 - rest_mm2 / max((length_mm - float(tops_mm.sum())) * mean_mm, 1e-9))
 
 
 def _thin_objections(thin: float) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.uncertainty import root_residual, root_uncertainty
 from rhizotwin.recon.uncertainty.root_uncertainty import Known
-from rhizotwin.scenes.rsml import Root, length_mm
+from rhizotwin.scenes.rsml import Root, length_mm, mean_diameter_mm
 from tests.recon.hull.exact_pictures import ring_of
 from tests.recon.strings import blank_of
 
@@ -61,6 +61,17 @@ def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
     assert low.max() < 1.0 < high.min()
     assert (high - low < [0.1, 0.51, 0.1]).all()  # twice the error that no picture shows; of tips 3 to 5
     assert all(one.trusted for one in found)
+
+
+def test_a_storage_root_may_begin_one_radius_below_its_top(taken) -> None:
+    """The top of a root of 14 mm may be round or cut: 7 mm of it are a tenth of the mean diameter of all roots."""
+    laterals = [line((x, 0.0, -40.0), (2.0 * x, 0.0, -90.0), diameter_mm=0.8) for x in (-12.0, 12.0)]
+    cut, below = ([line((0.0, 0.0, z), (0.0, 0.0, -75.0), diameter_mm=14.0, parent=-1), *laterals] for z in (-15.0, -22.0))
+    low, high = told(cut, (taken[0], pictured(cut)))["mean_diameter_mm"].interval
+    value, other = mean_diameter_mm(cut), mean_diameter_mm(below)
+    assert low <= other < 0.95 * value
+    assert value - low == pytest.approx(value - other, rel=0.25)
+    assert high < 1.05 * value
 
 
 def test_what_thick_roots_hide_may_be_more(taken) -> None:
