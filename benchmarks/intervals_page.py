@@ -22,6 +22,7 @@ DERIVED_LABELS = {
     "branch_points": "branch points",
     "length_by_order_mm": "length of first-order laterals",
 }
+"""Columns of traits with a label in the tables; the derived ones have a table of their own."""
 LEVELS = np.linspace(0.05, 0.95, 19)
 """Nominal levels of the reliability diagram."""
 CAUSES: Mapping[str, tuple[str, ...]] = {

@@ -18,6 +18,7 @@ DERIVED = {"depth_mm": "depth", "width_mm": "width", "branch_points": "branch_po
 """Traits whose intervals follow from those of the calibrated ones, and their names in scores. The last one is the
 length of the roots of order `ORDER`."""
 ORDER = 1
+"""Order of the roots whose length is compared, 1 for the laterals of main roots."""
 COLUMNS = ("true", "value", "low", "high", "reliable")
 """Columns of each trait, after its name and a point; ``low`` and ``high`` are the interval without calibration."""
 

@@ -170,6 +170,12 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_before: Array, log_af
     return np.asarray(np.where(along > -_OVERLAP_MM, cost, np.inf))
 
 
+def _join_cost(tangents: _Tangents, before: Index, after: Index) -> Array:
+    """Return the cost (M,) of continuing in the node ``after`` from the node ``before``, in the direction of growth."""
+    way = tangents.centre[after] - tangents.centre[before]
+    return _cost(way, tangents.arriving[before], tangents.leaving[after], tangents.log_before[before], tangents.log_after[after])
+
+
 class _Kind(IntEnum):
     """Kind of a change in which one branch continues in another branch.
 
@@ -255,13 +261,11 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
     if not len(inner):
         return []
-    centre, owner = tangents.centre, tangents.owner
-    held = _bends(tangents, previous, inner)
-    pairs = _pairs(centre, tips, inner)
+    owner = tangents.owner
+    pairs = _pairs(tangents.centre, tips, inner)
     a, at = tips[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
-    cost = _cost(centre[b] - centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a], tangents.log_after[b]) - held[at]
-    cost += _FRAYED * fray[pairs[:, 0]]
+    cost = _join_cost(tangents, a, b) - _bends(tangents, previous, inner)[at] + _FRAYED * fray[pairs[:, 0]]
     good = (cost < worth[a] - _GAIN) & (owner[a] != owner[b])
     a, b, at, cost = a[good], b[good], at[good], cost[good]
     rest = _continuations(tangents, branches, np.unique(previous[at]))
@@ -290,13 +294,14 @@ def _moves(tangents: _Tangents, branches: list[Index | None]) -> list[_Edit]:
         for place in range(2, min(_BESIDE_NODES + 1, len(nodes) - 1))
     ]
     base, previous, inner = np.array(begins, np.int64).reshape(-1, 3).T
-    centre, owner = tangents.centre, tangents.owner
+    if not len(inner):
+        return []
+    owner = tangents.owner
     hosts = np.flatnonzero(owner >= 0)
-    pairs = _pairs(centre, hosts, inner) if len(inner) else np.zeros((0, 2), np.int64)
+    pairs = _pairs(tangents.centre, hosts, inner)
     a, at = hosts[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
-    cost = _cost(centre[b] - centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a], tangents.log_after[b])
-    cost -= _bends(tangents, previous, inner)[at]
+    cost = _join_cost(tangents, a, b) - _bends(tangents, previous, inner)[at]
     good = (cost < -_GAIN) & (owner[a] != owner[b]) & (owner[a] != owner[base[at]])
     return [
         _Edit(float(change), int(end), int(node), -1, _Kind.MOVED)
@@ -332,11 +337,8 @@ def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Ind
         return {}
     pairs = _pairs(tangents.centre, nodes, starts)
     a, b = nodes[pairs[:, 0]], starts[pairs[:, 1]]
-    cost = _cost(
-        tangents.centre[b] - tangents.centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a], tangents.log_after[b]
-    )
     found: dict[int, list[tuple[float, int]]] = {}
-    for c, node, branch in zip(cost - _BRANCH, a, tangents.owner[b], strict=True):
+    for c, node, branch in zip(_join_cost(tangents, a, b) - _BRANCH, a, tangents.owner[b], strict=True):
         if c < 0.0:
             found.setdefault(int(node), []).append((float(c), int(branch)))
     return found
